@@ -10,6 +10,7 @@ from cbsr_qa.config import database_url
 from cbsr_qa.interface.result import Result
 from cbsr_qa.interface.stored_run import Run
 from cbsr_qa.interface.tables import table_of
+from cbsr_qa.store import open_store
 from cbsr_qa.studies.shift import ListRequest, list_request
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ class Database(Result[DatabaseStatus]):
 
     def __init__(self, url: str | None = None) -> None:
         self._url = database_url(url)
+        with open_store(self._url, create=False):  # refuses one that is not there
+            pass
         super().__init__(database_status(url))
 
     def runs(self, **selection: "Unpack[Selection]") -> "pd.DataFrame":

@@ -55,25 +55,31 @@ class Run(Result[RunOutcome]):
     def _outcome(self) -> CommandOutcome[RunOutcome]:
         return self._read
 
-    @property
+    @cached_property
     def record(self) -> RunRecord:
         """Everything that was recorded: identity, phases, frames, samples, presses."""
-        return self.result.result.record
+        with open_store(self._url, create=False) as store:
+            return store.load_run(self.run)
 
     @property
     def serial(self) -> str:
         """Serial number of the sensor."""
-        return self.result.serial
+        return self.record.identity.sensor.serial
 
     @property
-    def verdict(self) -> Outcome:
-        """What counts: the analysis's verdict, or an operator's override. A text: ``run.verdict == "pass"``."""
-        overrides = self.result.overrides
-        return overrides[-1].outcome if overrides else self.result.outcome
+    def verdict(self) -> Outcome | None:
+        """What counts now, an override included: a text such as ``"pass"``; None if it did not finish."""
+        with open_store(self._url, create=False) as store:
+            (listed,) = store.listed_runs(self._only)
+        return listed.verdict
+
+    @property
+    def _only(self) -> RunSelection:
+        return RunSelection(up_to=self.run, latest=1)
 
     def measurements(self) -> "pd.DataFrame":
         """Return the measurements, one a row; see :meth:`Database.measurements`."""
-        return table_of(self._url, ListRequest(RunSelection(up_to=self.run, latest=1)), ExportTable.MEASUREMENTS)
+        return table_of(self._url, ListRequest(self._only), ExportTable.MEASUREMENTS)
 
     def frames(self, phase: str | None = None) -> "xr.Dataset":
         """Return frames with coordinates and units: the content of ``cbsr-qa export RUN --to frames.nc``.
