@@ -27,7 +27,7 @@ def test_the_tutorial_runs_as_printed(capfd):
     assert " ± " in printed.out
     assert "press 23 of 23" in printed.out
     assert printed.err == ""
-    assert len(namespace["overlap"].groupby("serial")) == 3
+    assert len(namespace["overlap"].groupby("serial")) == 2
     _check_run(namespace["run"])
 
 
