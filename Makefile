@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q
 
 .DEFAULT_GOAL := help
-.PHONY: help demo fleet-demo serve test test-rest test-all check lint types imports bench faults soak clean
+.PHONY: help demo fleet-demo serve test test-rest test-all check lint types imports site bench faults soak clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -74,6 +74,9 @@ imports: $(VENV)/.dev-stamp ## The import contract
 
 check: lint types imports ## Style, types and import contract
 
+site: $(VENV)/.dev-stamp ## Build the documentation as a site, to read in a browser: site/index.html
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # --quiet would hide warnings, and let them pass
+
 bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 	@$(BIN)/python -m benchmarks
 
@@ -84,4 +87,4 @@ soak: $(VENV)/.dev-stamp ## What takes too long for make test: see docs/referenc
 	@CBSR_QA_TIER=soak $(PYTEST) tests/soak $(PYTEST_ARGS)
 
 clean: ## Remove what was made, but not var/
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -138,11 +138,15 @@ def _of_one(hint: Any) -> Any:
     return next((kind for kind in get_args(hint)), hint)
 
 
+#: Options of typer and of the program itself that take no value.
+_FLAGS: Final = ("help", "version", "install_completion", "show_completion")
+
+
 def _plain(parameters: list[Any]) -> list[Any]:
     """Remove types and ranges, which typer adds, from help: descriptions state them."""
     for one in parameters:
         one._get_number_range_help_str = lambda: None
-        if one.param_type_name == "argument" or one.name in ("help", "version"):
+        if one.param_type_name == "argument" or one.name in _FLAGS:
             one.display_type_rich = lambda ctx: ""
     return parameters
 

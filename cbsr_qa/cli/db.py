@@ -1,18 +1,135 @@
 """``cbsr-qa db``: looks after the database."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
 from cbsr_qa.cli.command import command, group
-from cbsr_qa.cli.options import AsJson, Database
-from cbsr_qa.cli.output import emit_json, say, show
+from cbsr_qa.cli.options import AsJson, Database, Since, to_day
+from cbsr_qa.cli.output import Counting, emit_json, say, show
 
 group("db", "Maintain the database.")
 
 
 @command("db upgrade", prints="cbsr_qa.app:Upgrade")
-def upgrade(database: Database = None, as_json: AsJson = False) -> None:
-    """Upgrade a database to this version of the program, or create it."""
+def upgrade(
+    no_backup: Annotated[
+        bool, typer.Option("--no-backup", help="Make no backup of a SQLite file before it is changed.")
+    ] = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Upgrade a database to this version of the program, or create it.
+
+    A SQLite file is copied first; db restore puts the copy back.
+    """
     from cbsr_qa.app import upgrade_database
 
-    show(upgrade_database(database), as_json=as_json)
+    with _counted() as count:
+        done = upgrade_database(database, count, backup=not no_backup)
+    show(done, as_json=as_json)
+
+
+@command("db backup", prints="cbsr_qa.app:Backup")
+def backup(
+    file: Annotated[Path, typer.Argument(help="File to write; must not exist yet.")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a verified copy of the database, also while runs are under way.
+
+    The file is there whole, or not at all. A PostgreSQL server makes backups itself (pg_dump).
+    """
+    from cbsr_qa.app import back_up
+
+    with _counted() as count:
+        done = back_up(database, file, count)
+    show(done, as_json=as_json)
+
+
+@command("db restore", prints="cbsr_qa.app:Restored")
+def restore(
+    backup: Annotated[Path, typer.Argument(help="Backup to put in the place of the database.")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Put a backup in the place of the database, which nobody may use meanwhile; what was there is kept beside it."""
+    from cbsr_qa.app import restore_backup
+
+    with _counted() as count:
+        done = restore_backup(database, backup, count)
+    show(done, as_json=as_json)
+
+
+@command("db check", prints="cbsr_qa.app:DatabaseCheck")
+def check(
+    since: Since = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Every row, but no frames, samples and files.")] = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check the database file, and every run with its chain of digests, frames and samples.
+
+    Exit code 1 if anything is not as it was stored; table and row are named, and nothing is changed.
+    """
+    from cbsr_qa.app import check_database
+
+    with _counted() as count:
+        done = check_database(database, to_day(since), count, quick=quick)
+    raise typer.Exit(show(done, as_json=as_json))
+
+
+@contextmanager
+def _counted() -> Iterator[Callable[[str, int, int], None]]:
+    """Show stages and their progress."""
+    stages: list[str] = []
+    with Counting("") as counting:
+
+        def count(stage: str, done: int, of: int) -> None:
+            if stages[-1:] != [stage]:
+                stages.append(stage)
+                counting.stage(stage)
+            counting.count(done, of)
+
+        yield count
+
+
+@command("db archive", prints="cbsr_qa.app:Archived")
+def archive(
+    older_than: Annotated[
+        str, typer.Option("--older-than", metavar="AGE", help="Runs that began longer ago: 90d, 12w or 2y.")
+    ],
+    to: Annotated[
+        Path | None,
+        typer.Option("--to", metavar="FOLDER", help="Folder of the files; by default beside the SQLite file."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show which runs; nothing is moved.")] = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move the frames of passed sensors' old runs to files, one a run.
+
+    They are found and read there as before. Frames of runs that failed, were overridden, broke off or are not
+    finished stay.
+    """
+    from cbsr_qa.app import archive_runs
+
+    show(archive_runs(database, older_than, to, dry_run=dry_run), as_json=as_json)
+
+
+@command("db unarchive", prints="cbsr_qa.app:Archived")
+def unarchive(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Run, or the serial number of a sensor: its latest run.")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Bring the archived frames of a run back into the database; the file stays."""
+    from cbsr_qa.app import unarchive_runs
+
+    show(unarchive_runs(database, run), as_json=as_json)
 
 
 @command("db status", prints="cbsr_qa.app:DatabaseStatus")

@@ -63,6 +63,14 @@ def release(
     show(release_file(ReleaseRequest(file, by, why, withdraw, database)), as_json=as_json)
 
 
+@command("releases", prints="cbsr_qa.app.gate:ReleaseList")
+def releases(database: Database = None, as_json: AsJson = False) -> None:
+    """List who released or withdrew which file, when and why; of a content the latest line holds."""
+    from cbsr_qa.app.gate import list_releases
+
+    show(list_releases(database), as_json=as_json)
+
+
 @dataclass(frozen=True, slots=True)
 class PinLine:
     """A salted hash of a PIN, as the key ``pin`` of an operator in the station file."""

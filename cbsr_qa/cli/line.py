@@ -1,21 +1,30 @@
 """``cbsr-qa line``: one sensor after the other from a scanner, each in a run of its own."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from queue import SimpleQueue
-from typing import Annotated, Any, Final
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import Database
-from cbsr_qa.cli.output import note, say
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.cli.output import note, read_pin, say
+from cbsr_qa.domain import ConfigError, RefusedError
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.plan import Station
+    from cbsr_qa.station.control import RunChannel
 
 #: What to do with a sensor, by the outcome of its run.
 _DO: Final = {
@@ -25,6 +34,8 @@ _DO: Final = {
 }
 _OTHERWISE: Final = "set it aside: it is neither passed nor failed"
 _ENDS: Final = ("quit", "exit")
+#: Between attempts to reach the run's channel [s].
+_AGAIN_S: Final = 0.2
 
 
 @command("line")
@@ -37,29 +48,53 @@ def line(
 ) -> int:
     """Test one sensor after the other: scan or type a serial number, wait for its verdict, scan the next.
 
-    Ctrl-C during a run stops that run in order; at the prompt it ends, as quit and the end of input do. A scan during
-    a run is ignored, with a message. Recipes that ask the operator are refused: use cbsr-qa run.
+    Ctrl-C during a run stops that run in order; at the prompt it ends, as quit and the end of input do. SIGTERM stops
+    a run in order, then ends. A question of the recipe is shown, and the next line typed answers it; any other scan
+    during a run is ignored, with a message. A PIN that the station's gate knows is asked for once, before all.
 
-    Exit code 0 whatever the verdicts, 2 if a name is not allowed.
+    Exit code 0 whatever the verdicts, 2 if a name is not allowed, the station file is wrong, or the PIN.
     """
-    from cbsr_qa.config import validate_batch, validate_operator
+    from cbsr_qa.config import load_station, validate_batch, validate_operator
 
     validate_batch(batch)
     validate_operator(operator)
+    bench = load_station(station).value
     given = {"--station": station, "--recipe": recipe, "--operator": operator, "--batch": batch}
     given["--database"] = database or ""
     options = [word for name, value in given.items() if value for word in (name, value)]
-    tested = _Line(options)
-    tested.work()
-    tested.count(database)
+    tested = _Line(bench.name, operator, [*options, "--prompts", "channel"], _pin_of(bench, operator))
+    with tested.signals_heard():
+        tested.work()
+        tested.count(database)
     return 0
+
+
+def _pin_of(station: "Station", operator: str) -> str:
+    """Ask for the operator's PIN; empty if the gate asks for none. RefusedError if it is wrong."""
+    from cbsr_qa.app.gate import asks_pin, is_pin_of
+
+    if not asks_pin(station.gate, operator):
+        return ""
+    pin = read_pin(f"PIN of {operator}")
+    if not is_pin_of(station.gate, operator, pin):
+        raise RefusedError(f"the PIN given is not that of {operator}", remedy="start again, or name another operator")
+    return pin
 
 
 @dataclass(slots=True)
 class _Line:
-    """A loop over scans; ``options`` are those of every run."""
+    """A loop over scans.
 
+    Parameters
+    ----------
+    options : of every run.
+    pin : given to every run; empty without one.
+    """
+
+    station: str
+    operator: str
     options: list[str]
+    pin: str = field(repr=False)
     _heard: "SimpleQueue[tuple[str, str]]" = field(default_factory=SimpleQueue)
     _serials: list[str] = field(default_factory=list)
     _began: datetime = field(default_factory=lambda: datetime.now().astimezone())
@@ -67,16 +102,29 @@ class _Line:
     def work(self) -> None:
         """Test sensors until the input ends."""
         threading.Thread(target=self._listen, name="scanner", daemon=True).start()
+        more = True
+        while more:
+            note("\nScan the next sensor (quit ends):")
+            kind, text = self._heard.get()
+            if kind in ("end", "signal") or text.lower() in _ENDS:
+                return
+            if kind == "scan" and text and self._allowed(text):
+                more = self._test(text)
+
+    @contextmanager
+    def signals_heard(self) -> Iterator[None]:
+        """Hear signals as what comes next, after scans that were typed before."""
+
+        def hear(number: int, frame: FrameType | None) -> None:
+            self._heard.put(("signal", signal.Signals(number).name))
+
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        before = {n: signal.signal(n, hear) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
         try:
-            while True:
-                note("\nScan the next sensor (quit ends):")
-                kind, text = self._heard.get()
-                if kind == "end" or text.lower() in _ENDS:
-                    return
-                if text and self._allowed(text) and not self._test(text):
-                    return
-        except KeyboardInterrupt:
-            return
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def count(self, database: str | None) -> None:
         """Print how many of these sensors passed."""
@@ -114,12 +162,15 @@ class _Line:
 
         process = subprocess.Popen(
             own_command("run", *self.options, "--serial", serial, "--json"),
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,  # a log of lines: a bar would be torn by what is typed
             start_new_session=True,  # the terminal's Ctrl-C reaches the run once, from here
             text=True,
         )
+        assert process.stdin is not None
+        with suppress(BrokenPipeError), process.stdin:  # it may have ended
+            process.stdin.write(f"{self.pin}\n" if self.pin else "")
         printed: list[str] = []
 
         def log() -> None:
@@ -135,6 +186,7 @@ class _Line:
             self._heard.put(("ended", ""))
 
         threading.Thread(target=read, name="run", daemon=True).start()
+        threading.Thread(target=self._follow, args=(process,), name="prompts", daemon=True).start()
         ignored, more = self._wait(process, serial)
         document = "".join(printed)
         _show(serial, document)
@@ -146,22 +198,77 @@ class _Line:
 
     def _wait(self, process: "subprocess.Popen[str]", serial: str) -> tuple[list[str], bool]:
         """Wait for the end of a run; return what was scanned meanwhile, and whether there is more input."""
-        ignored, more = list[str](), True
+        ignored, more, prompt = list[str](), True, ""
         while True:
-            try:
-                kind, text = self._heard.get()
-                if kind == "ended":
+            kind, text = self._heard.get()
+            match kind:
+                case "ended":
                     return ignored, more
-                more = more and kind != "end"
-                if text.lower() in _ENDS:
+                case "end":
+                    more = False
+                case "signal":
+                    more = more and text == "SIGINT"
+                    note(f"stopping the run of {serial} …")
+                    process.send_signal(signal.SIGINT)
+                case "prompt":
+                    prompt = text
+                case _ if text.lower() in _ENDS:
                     more = False
                     note(f"ending after the run of {serial}")
-                elif text:
+                case _ if prompt:
+                    self._answer(prompt, text)
+                case _ if text:
                     ignored.append(text)
                     note(f"{text!r} is ignored: the run of {serial} is under way")
-            except KeyboardInterrupt:
-                note(f"stopping the run of {serial} …")
-                process.send_signal(signal.SIGINT)
+
+    def _follow(self, process: "subprocess.Popen[str]") -> None:
+        """Show the questions of a run as they come, and hear the number of the open one, or that there is none."""
+        from cbsr_qa.station.control import RunChannel
+
+        shown = ""
+        while process.poll() is None:
+            with suppress(RefusedError, OSError), RunChannel.connect(self.station) as channel:
+                # The run leads a session of its own; another process may use the station.
+                ours = os.getsid(channel.hello["pid"]) == process.pid
+                for prompt in _prompts(channel) if ours else ():
+                    number = "" if prompt is None else str(prompt["prompt"])
+                    if number == shown:
+                        continue
+                    shown = number
+                    self._heard.put(("prompt", number))
+                    if prompt is not None:
+                        _show_prompt(prompt)
+            time.sleep(_AGAIN_S)  # it has no channel yet, or has closed it
+
+    def _answer(self, prompt: str, text: str) -> None:
+        from cbsr_qa.config import validate_reason
+        from cbsr_qa.station.control import RunChannel
+
+        try:
+            with RunChannel.connect(self.station) as channel:
+                channel.ask(
+                    "answer", by=self.operator or "the operator", prompt=int(prompt), text=validate_reason(text)
+                )
+        except (ConfigError, RefusedError) as error:
+            note(f"{text!r} was not accepted: {error.reason}")
+
+
+def _prompts(channel: "RunChannel") -> Iterator[dict[str, Any] | None]:
+    """Yield the open question each time the run states it; None for none."""
+    yield channel.hello["state"]["prompt"]
+    while True:
+        try:
+            for line in channel.lines():
+                if line["type"] == "state":
+                    yield line["prompt"]
+            return  # it was closed
+        except TimeoutError:  # nothing happens while a question is open
+            continue
+
+
+def _show_prompt(prompt: dict[str, Any]) -> None:
+    picture = f"  picture: {prompt['picture']}\n" if prompt["picture"] else ""
+    note(f"\n  {prompt['text']}\n{picture}Type the answer, or just press Enter:")
 
 
 def _show(serial: str, printed: str) -> None:

@@ -52,10 +52,14 @@ def runs(
 ) -> None:
     """List stored runs with their verdicts, yields and reasons for failure.
 
-    An overridden verdict counts as it was overridden; aborted and broken runs have none.
+    An overridden verdict counts as it was overridden; aborted and broken runs have none. In a terminal the latest 50
+    are listed, unless an option says which.
     """
-    from cbsr_qa.studies.shift import list_runs, runs_csv, runs_outcome
+    from cbsr_qa.studies.shift import LATEST_RUNS, list_runs, runs_csv, runs_outcome
 
+    selected = any([today, since, until, station, batch, operator, recipe, failed, limit])
+    if latest is None and not (selected or csv or as_json):
+        latest = LATEST_RUNS
     request = list_request(
         today,
         since,

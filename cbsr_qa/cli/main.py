@@ -25,7 +25,6 @@ app = typer.Typer(
     cls=PlainGroup,
     help="Test, judge and calibrate soft pressure sensors read by electrical impedance tomography.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -158,18 +157,19 @@ def _ended(arguments: list[str]) -> int:
         # Commands other than a run, which handles this itself.
         return _told(StoppedError("stopped from the keyboard", remedy="start it again"), arguments, "aborted")
     except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
-        return 0 if _help_unread(error) else _unexpected(error, arguments)
+        code = _ended_by_typer(error)
+        return _unexpected(error, arguments) if code is None else code
     return result if isinstance(result, int) else 0
 
 
-def _help_unread(error: BaseException) -> bool:
-    """Whether help was piped into a program that has ended, as opposed to a broken pipe of an instrument.
+def _ended_by_typer(error: BaseException) -> int | None:
+    """Exit code if no command has begun: completion, or help piped into a program that has ended (not an instrument).
 
-    Rich raises SystemExit for it, with stdout redirected to nowhere; no command has begun then.
+    For such help, Rich raises SystemExit, with stdout redirected to nowhere.
     """
-    if isinstance(error, SystemExit):
-        return not _asked_for_json and isinstance(error.__context__, BrokenPipeError)
-    return isinstance(error, BrokenPipeError) and reader_has_gone()
+    if isinstance(error, SystemExit) and not _asked_for_json:
+        return 2 if error.code and not isinstance(error.__context__, BrokenPipeError) else 0
+    return 0 if isinstance(error, BrokenPipeError) and reader_has_gone() else None
 
 
 def _told(error: CbsrError, arguments: list[str], words: str = "") -> int:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain import CbsrError, DeliveryError
 from cbsr_qa.domain.plan import EventSinkSpec
-from cbsr_qa.domain.run import RunEvent, RunIdentity, event_document, event_message
+from cbsr_qa.domain.run import RunConcluded, RunEvent, RunIdentity, event_document, event_message
 from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
 from cbsr_qa.station.documents import Warn
 
@@ -32,12 +32,19 @@ class EventSinks:
     ----------
     identity : of the run.
     warn : called with sinks that cannot be used, and at the end with how many events were lost.
+    first : number of the first event.
+
+    Attributes
+    ----------
+    number : of the next event.
     """
 
-    def __init__(self, specs: Sequence[EventSinkSpec], plugins: Plugins, identity: RunIdentity, warn: Warn) -> None:
+    def __init__(
+        self, specs: Sequence[EventSinkSpec], plugins: Plugins, identity: RunIdentity, warn: Warn, *, first: int = 0
+    ) -> None:
         self._identity = identity
         self._warn = warn
-        self._number = 0
+        self.number = first
         self._deliveries: list[Delivery] = []
         for spec in specs:
             try:
@@ -47,11 +54,11 @@ class EventSinks:
             else:
                 self._deliveries.append(Delivery(f"events {spec.name!r} ({spec.sink.name})", sink))
 
-    def __call__(self, event: RunEvent) -> None:
+    def __call__(self, event: RunEvent | RunConcluded) -> None:
         if not self._deliveries:
             return
-        message = event_message(self._identity, self._number, event_document(event))
-        self._number += 1
+        message = event_message(self._identity, self.number, event_document(event))
+        self.number += 1
         for delivery in self._deliveries:
             delivery.put(message)
 

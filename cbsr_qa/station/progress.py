@@ -35,8 +35,8 @@ class RunProgress:
     """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase and per press.
 
     The bar's thread only reads the clock, so that the time left counts down through a rest of four minutes without
-    documents. On a virtual clock a percentage is shown instead. Leaving the context removes the bar, even if the run
-    was refused. The stream is by default stderr.
+    documents. On a virtual clock that does not wait a percentage is shown instead. Leaving the context removes the
+    bar, even if the run was refused. The stream is by default stderr.
 
     Parameters
     ----------
@@ -191,9 +191,10 @@ class _Bar:
         self._bar.stop()
 
     def _left(self, percentage: float) -> str:
-        if isinstance(self._clock, VirtualClock):
+        speed = self._clock.speed if isinstance(self._clock, VirtualClock) else 1.0
+        if speed is None:
             return f"{percentage:3.0f} %"
-        left_s = max(self._ends_s - self._clock.now(), 0.0)
+        left_s = max(self._ends_s - self._clock.now(), 0.0) / speed
         return f"{duration(left_s)} left"
 
 

@@ -1,3 +1,4 @@
+from .copies import copy_database as copy_database, put_back as put_back
 from .damage import shown as shown
 from .engine import (
     open_engine as open_engine,
@@ -14,5 +15,11 @@ from .roles import (
     roles_script as roles_script,
 )
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade
-from .types import IdSource as IdSource, PlainText as PlainText, made_at as made_at
+from .types import (
+    IdSource as IdSource,
+    PlainText as PlainText,
+    compact as compact,
+    made_at as made_at,
+    restored as restored,
+)
 from .views import create_views as create_views, drop_views as drop_views

@@ -9,6 +9,7 @@ from sqlalchemy import Connection, Engine, Row, select
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import (
     Bound,
+    Decision,
     EndReason,
     FleetTable,
     MetricKey,
@@ -26,11 +27,13 @@ from cbsr_qa.store.chain import (
     Figures,
     Known,
     check_figures,
+    check_run,
     facts,
     figures_query,
     words,
 )
 from cbsr_qa.store.damage import stored
+from cbsr_qa.store.listed import decisions_of
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.selected import Conditions, latest_of, read_selected
 from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
@@ -81,6 +84,7 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
     a = AnalysisRow
     analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).order_by(a.analysis)
     analyses = latest_of(connection, analysed, chosen)
+    decisions = decisions_of(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
     query = select(*RUN_COLUMNS, RunRow.chain).where(*chosen).order_by(RunRow.run)
     runs: list[RunLine] = []
@@ -93,8 +97,11 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
             name = analysis.analysis
             linked = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
             places[name] = len(runs)
+        decision = None if analysis is None else decisions.get((row.run, analysis.analysis))
+        if decision is not None and row.chain is not None:  # few runs have one
+            check_run(connection, row.run)
         known.append(linked if row.chain is not None else None)
-        runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
+        runs.append(_run(row, ends.get(row.run), analysis, decision, shared, of_check=row.run in of_checks))
     return runs, places, known
 
 
@@ -102,6 +109,7 @@ def _run(
     row: Row[*tuple[Any, ...]],
     end: Row[*tuple[Any, ...]] | None,
     analysis: Row[*tuple[Any, ...]] | None,
+    decision: Decision | None,
     shared: dict[Any, Any],
     *,
     of_check: bool,
@@ -124,6 +132,7 @@ def _run(
         of_check=of_check,
         operator=shared.setdefault(row.operator, row.operator),
         reason="" if analysis is None else analysis.reason,
+        overridden_to=None if decision is None else decision.outcome,
     )
 
 

@@ -43,6 +43,13 @@ def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[Liste
         return naming_runs(connection, conditions(selection), _listed)
 
 
+def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
+    """Return how many runs are selected. StoreError if the database cannot be read."""
+    with reading(engine) as connection:
+        query = select(func.count()).select_from(RunRow).where(*conditions(selection))
+        return connection.scalar(query) or 0
+
+
 def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ...]:
     """Return the identifiers of the selected runs in the order they were made in. StoreError as for listed_runs."""
     with reading(engine) as connection:
@@ -89,7 +96,7 @@ def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]
     s, a = RunStateRow, AnalysisRow
     ends = latest_of(connection, select(s.run, s.end, s.detail, s.time_s).order_by(s.number), chosen)
     analyses = latest_of(connection, select(a.run, a.analysis, a.outcome, a.reason).order_by(a.analysis), chosen)
-    decisions = _decisions(connection, chosen)
+    decisions = decisions_of(connection, chosen)
     failed = _failed(connection, chosen)
     earlier = _earlier(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
@@ -145,7 +152,7 @@ def _of(query: Select[*tuple[Any, ...]], chosen: Conditions) -> Select[*tuple[An
     return query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen))) if chosen else query
 
 
-def _decisions(connection: Connection, chosen: Conditions) -> dict[tuple[str, str], Decision]:
+def decisions_of(connection: Connection, chosen: Conditions) -> dict[tuple[str, str], Decision]:
     """Return the latest override of each run and analysis."""
     o = VerdictOverrideRow
     query = _of(select(o.run, o.analysis, o.outcome, o.operator, o.why, o.override_id), chosen)

@@ -1,4 +1,4 @@
-"""Locks that end with the process: one writer per run, one schema change at a time, one run per seed."""
+"""Locks that end with the process: one writer per run, one schema change at a time, one run per seed, or sensor."""
 
 import glob
 import hashlib
@@ -94,6 +94,20 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[b
         return
     try:
         yield True
+    finally:
+        release()
+
+
+@contextmanager
+def sensor_claimed(engine: Engine, serial: str, recipe: str, who: str) -> Iterator[str]:
+    """Claim a sensor for a run of a recipe while entered; yields the other process that has it, empty without one."""
+    name = hashlib.sha256(f"{serial}/{recipe}".encode()).hexdigest()[:16]
+    release = _acquired(engine, f"sensor-{name}", who)
+    if isinstance(release, str):
+        yield release
+        return
+    try:
+        yield ""
     finally:
         release()
 

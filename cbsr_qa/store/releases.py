@@ -1,8 +1,8 @@
 """Releases of configuration files: appended; the latest of a kind and digest holds."""
 
-from typing import Literal
+from typing import Any, Literal
 
-from sqlalchemy import Engine, insert, select
+from sqlalchemy import Engine, Row, insert, select
 
 from cbsr_qa.domain.run import Release
 from cbsr_qa.store.engine import reading, writing
@@ -30,8 +30,18 @@ def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
     query = select(*row.__table__.columns).where(row.sha256 == sha256, row.kind == kind)
     with reading(engine) as connection:
         found = connection.execute(query.order_by(row.release_id.desc()).limit(1)).one_or_none()
-    if found is None:
-        return None
+    return None if found is None else _release(found)
+
+
+def all_releases(engine: Engine) -> tuple[Release, ...]:
+    """Return all releases and withdrawals in the order they were made in. StoreError if they cannot be read."""
+    row = ReleaseRow
+    with reading(engine) as connection:
+        found = connection.execute(select(*row.__table__.columns).order_by(row.release_id)).all()
+    return tuple(map(_release, found))
+
+
+def _release(row: Row[Any]) -> Release:
     # An unknown word is no release.
-    action: Literal["released", "withdrawn"] = "released" if found.outcome == "released" else "withdrawn"
-    return of_row(Release, found, release=found.release_id, action=action, by=found.operator, at=found.noted_at)
+    action: Literal["released", "withdrawn"] = "released" if row.outcome == "released" else "withdrawn"
+    return of_row(Release, row, release=row.release_id, action=action, by=row.operator, at=row.noted_at)

@@ -17,7 +17,7 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 17))
+REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 20))
 HEAD: Final = REVISIONS[-1]
 VERSION_TABLE: Final = "alembic_version"
 
@@ -126,7 +126,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
         case Age.OLDER:
             return StoreError(
                 f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
-                remedy=f"copy it, then run: cbsr-qa db upgrade --database {address(engine.url)}",
+                remedy=f"run: cbsr-qa db upgrade --database {address(engine.url)} (it copies a SQLite file first)",
             )
         case Age.NEWER:
             return StoreError(

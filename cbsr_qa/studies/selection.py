@@ -15,6 +15,8 @@ from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 
+#: Reason of a failure that no limit gave: an operator decided it.
+BY_OPERATOR: Final = "decided by an operator"
 #: Runs may be stored slightly out of order of their start; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
 #: Tables of a recipe that affect judgement or display, but no number.
@@ -121,10 +123,15 @@ def several_recipes(recipes: Collection[str]) -> str:
     return f"{len(recipes)} recipes: {named(sorted(recipes))}"
 
 
-def measuring_digest(configuration: str) -> str:
-    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation."""
+def measuring_digest(configuration: str, adopted: str = "") -> str:
+    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation.
+
+    Parameters
+    ----------
+    adopted : recipe of an adopted re-analysis, in place of the run's own; empty without one.
+    """
     content = json.loads(configuration)
-    recipe = _table(content, "recipe")
+    recipe = json.loads(adopted) if adopted else _table(content, "recipe")
     measuring = {
         "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
         "sensor_type": {key: _measuring(table) for key, table in _table(content, "sensor_type").items()},

@@ -12,7 +12,7 @@ from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.config import validate_operator, validate_reason
 from cbsr_qa.domain import CbsrError, RefusedError
-from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.gate import check_pin, gate_view
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
@@ -58,11 +58,14 @@ class Actions:
         return _said(parts=[gate] if stays else [gate, ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
-        """Start a run."""
+        """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
         wanted = StartForm.of(watch.served, form)
+        view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database, with_pin=True)
+        if not view.may:
+            return _said(parts=[["gate", self._pages.gate(station, wanted, view)]])
         arguments = wanted.arguments(watch.served, self._line.database)
-        await self._begin(station, arguments, wanted.serial)
+        await self._begin(station, arguments, wanted.serial, wanted.pin)
         return _said(words=text("station.started", serial=wanted.serial))
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
@@ -72,16 +75,18 @@ class Actions:
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
         operator = validate_operator(form.get("operator", look.operator))
+        pin = form.get("pin", "")
+        await run_in_threadpool(check_pin, watch.served, operator, pin)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
-        await self._begin(station, arguments, look.serial)
+        await self._begin(station, arguments, look.serial, pin)
         return _said(words=text("station.resumed"))
 
-    async def _begin(self, station: str, arguments: list[str], serial: str) -> None:
+    async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:
         watch = self._line.stations[station]
         async with self._beginning[station]:  # of two who start at once, the second is refused
             if watch.busy:
                 raise RefusedError(text("station.busy"))
-            watch.started = await run_in_threadpool(start_run, station, arguments, serial)
+            watch.started = await run_in_threadpool(start_run, station, arguments, serial, pin)
         self._line.wake(station)
 
     async def answer(self, station: str, form: dict[str, str]) -> Response:

@@ -2,22 +2,47 @@
 
 from dataclasses import dataclass
 
+from cbsr_qa.app.gate import asks_pin, is_pin_of
 from cbsr_qa.app.run import RunRequest, preview_gate
+from cbsr_qa.config import load_station
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import GateCheck
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation
+from cbsr_qa.web.texts import text
 
 
 @dataclass(frozen=True, slots=True)
 class GateView:
-    """Answers that say more than that all is well, and whether the run may begin."""
+    """Answers that say more than that all is well, and whether the run may begin.
+
+    ``asks_pin``: whether it begins only with the PIN of the operator.
+    """
 
     may: bool
+    asks_pin: bool
     answers: tuple[GateAnswer, ...]
 
+    @property
+    def only_pin_is_wrong(self) -> bool:
+        """Whether the run could begin with another PIN."""
+        refused = [one.check for one in self.answers if one.outcome is GateOutcome.REFUSED]
+        return self.asks_pin and refused == [GateCheck.OPERATOR]
 
-def gate_view(served: ServedStation, wanted: StartForm, database: str | None) -> GateView:
-    """Ask the gate; the run's process asks again. RefusedError if a file, a folder or the database is wrong."""
+
+def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *, with_pin: bool = False) -> GateView:
+    """Ask the gate; the run's process asks again.
+
+    Parameters
+    ----------
+    with_pin : whether the PIN counts; otherwise it has not been asked for yet.
+
+    Raises
+    ------
+    RefusedError
+        If a file, a folder or the database is wrong.
+    """
     request = RunRequest(
         station=served.source,
         recipe=wanted.recipe.source,
@@ -27,6 +52,17 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None) ->
         database=database,
         override=wanted.override,
     )
-    shown = preview_gate(request).result
+    shown = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
     quiet = (GateOutcome.PASSED, GateOutcome.OFF)
-    return GateView(shown.refused is None, tuple(one for one in shown.answers if one.outcome not in quiet))
+    answers = tuple(one for one in shown.answers if one.outcome not in quiet)
+    return GateView(shown.refused is None, shown.asks_pin, answers)
+
+
+def check_pin(served: ServedStation, operator: str, pin: str) -> None:
+    """Check the PIN of whoever resumes a run by the station file as it is now, as the run's process does again.
+
+    RefusedError if the gate asks for one, and this is not it.
+    """
+    gate = load_station(served.source).value.gate
+    if asks_pin(gate, operator) and not is_pin_of(gate, operator, pin):
+        raise RefusedError(text("gate.wrong_pin", operator=operator))

@@ -124,8 +124,10 @@ def step_words(snapshot: Snapshot) -> str:
     control = snapshot.control
     if control is None:
         return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
-    press = text("live.press", number=control.number, of=control.of) if control.number else ""
-    return " · ".join(filter(None, [press, control.step]))
+    press = "live.next_press" if control.next else "live.press"
+    which = text(press, number=control.number, of=control.of) if control.number else ""
+    # A pause begins before a step, which is then not under way.
+    return " · ".join(filter(None, [which, "" if control.paused_by is not None else control.step]))
 
 
 def phase_words(snapshot: Snapshot) -> str:
@@ -255,7 +257,7 @@ class Pages:
 
     def gate(self, station: str, wanted: StartForm, view: GateView) -> str:
         """Render what is said of a sensor before its run."""
-        return self.fragment("gate", base=_base(station), request=wanted, may=view.may, answers=view.answers)
+        return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""
@@ -301,6 +303,7 @@ class Pages:
             "name": name,
             "base": _base(name),
             "recipes": recipes,
+            "asks_operator": watch.served.asks_operator,
             "chosen_recipe": lambda snapshot: _chosen(recipes, snapshot),
         }
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -11,10 +12,12 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app import own_command
+from cbsr_qa.app.gate import OVERRIDE_AT_COMMAND_LINE
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.web.guard import LOG
 
+_LOG_NAME: Final = "%Y%m%dT%H%M%S%f"
 #: Lines of a log that a page shows.
 _SHOWN_LINES: Final = 6
 #: Logs that are kept of each station.
@@ -23,41 +26,60 @@ _KEPT_LOGS: Final = 50
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A run that this page started.
+    """A run that a page started.
 
     Parameters
     ----------
+    process : None if another process of the page started it, before a restart.
     what : serial number or run, for people.
     log : of the process: what ``cbsr-qa run`` says in a terminal.
     """
 
-    process: "subprocess.Popen[bytes]"
+    process: "subprocess.Popen[bytes] | None"
     what: str
     log: Path
     at: datetime
 
     @property
     def ended(self) -> int | None:
-        """Exit code once it has ended."""
-        return self.process.poll()
+        """Exit code once it has ended; None also for a process of before."""
+        return None if self.process is None else self.process.poll()
 
-    def last_words(self) -> str:
-        """Return the end of the log: of a refused run, its reason."""
+    def refused(self) -> str:
+        """Return why it has ended without a run; empty if it has not, as far as is known."""
+        if self.process is not None and not self.ended:
+            return ""
         try:
             lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError as error:
-            return str(error)
-        start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), len(lines))
-        chosen = lines[start:] or lines[-_SHOWN_LINES:]
-        return "\n".join(line.removeprefix("cbsr-qa: ") for line in chosen[:_SHOWN_LINES])
+            return "" if self.process is None else str(error)
+        start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), None)
+        if start is None and self.process is None:  # it was not refused, or has not been yet
+            return ""
+        chosen = [line for line in lines[start:] if not line.startswith(OVERRIDE_AT_COMMAND_LINE)]
+        shown = chosen[-_SHOWN_LINES:] if start is None else chosen[:_SHOWN_LINES]
+        return "\n".join(line.removeprefix("cbsr-qa: ") for line in shown)
 
 
-def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
+def last_start(station: str) -> Started | None:
+    """Return the run of a station that a page started last, before this process did; None without one."""
+    logs = sorted((var_folder() / "control" / "logs" / station).glob("*.log"))
+    if not logs:
+        return None
+    try:
+        at = datetime.strptime(logs[-1].stem, _LOG_NAME).replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return Started(None, "", logs[-1], at)
+
+
+def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") -> Started:
     """Start ``cbsr-qa run`` with these arguments; returns at once.
 
     Parameters
     ----------
     station : its name, which names the folder of the log.
+    pin : of the operator, for the process alone; empty without one.
 
     Raises
     ------
@@ -66,7 +88,7 @@ def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
     """
     folder = writable_folder(var_folder() / "control" / "logs" / station)
     now = datetime.now(UTC)
-    log = folder / f"{now:%Y%m%dT%H%M%S%f}.log"
+    log = folder / f"{now:{_LOG_NAME}}.log"
     program = own_command("run", *arguments)
     unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
     try:
@@ -74,11 +96,14 @@ def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
         with log.open("xb") as output:
             process = subprocess.Popen(  # arguments are checked values, and no shell reads them
                 [*_own_unit(unit), *program],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if pin else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
+        if process.stdin is not None:
+            with suppress(BrokenPipeError), process.stdin:  # it may have ended
+                process.stdin.write(f"{pin}\n".encode())
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ConfigError(f"the run of {what} cannot be started: {error}", remedy=f"see also {folder}") from error
     LOG.info("%s: started the run of %s as process %d; log: %s", station, what, process.pid, log)

@@ -1,7 +1,7 @@
 """From a form to the arguments of ``cbsr-qa run``."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 from cbsr_qa.app.gate import Override
@@ -11,13 +11,14 @@ from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 @dataclass(frozen=True, slots=True)
 class StartForm:
-    """A run that an operator asks for, checked."""
+    """A run that an operator asks for, checked. ``pin``: of the operator, as it was typed; empty without one."""
 
     serial: str
     recipe: OfferedRecipe
     operator: str
     batch: str
     override: Override
+    pin: str = field(default="", repr=False)
 
     @classmethod
     def of(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
@@ -32,11 +33,12 @@ class StartForm:
                 form.get("override_by", ""),
                 form.get("override_why", ""),
             ).checked(),
+            pin=form.get("pin", ""),
         )
 
     @property
     def fields(self) -> dict[str, str]:
-        """The fields of a form that asks for the same."""
+        """The fields of a form that asks for the same, without the PIN."""
         return {
             "serial": self.serial,
             "recipe": self.recipe.name,

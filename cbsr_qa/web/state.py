@@ -19,7 +19,7 @@ class Mode(StrEnum):
     RUNNING = "running"
     PAUSED = "paused"
     ASKING = "asking"  #: a prompt waits for an answer
-    CONCLUDING = "concluding"  #: measuring is over; the verdict is worked out
+    CONCLUDING = "concluding"  #: measuring is over; the result is worked out and written
     DONE = "done"  #: the last run has ended, also one that was stopped or broke
     INTERRUPTED = "interrupted"  #: the run's process has gone without an end
     HELD = "held"  #: something else uses the station
@@ -53,7 +53,8 @@ class Control:
     run : its identifier; empty before it has begun.
     step : in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
-    number, of : which press of how many.
+    number, of : which press of how many, under way or next; 0 for none.
+    next : whether that press is yet to begin.
     ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or its clock does not wait.
     paused_by, pause_wanted_by : who; None for nobody.
     """
@@ -68,6 +69,7 @@ class Control:
     y_mm: float | None
     number: int
     of: int
+    next: bool
     ends_at: float | None
     paused_by: str | None
     pause_wanted_by: str | None
@@ -118,13 +120,16 @@ class Snapshot:
         return look.end is not EndReason.FINISHED or look.outcome is None
 
 
-def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starting: bool) -> Mode:
+def mode_of(
+    control: Control | None, look: RunLook | None, *, held: bool, starting: bool, begun: bool = False
+) -> Mode:
     """Decide what a station is doing.
 
     Parameters
     ----------
     held : whether a process holds the station's lock.
     starting : whether a process that this page started is alive.
+    begun : whether ``look`` is of that process.
     """
     if control is not None and not _ended(control, look):
         if control.prompt is not None:
@@ -132,7 +137,7 @@ def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starti
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
     if held or starting:
         unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None
-        if unjudged or control is not None:
+        if unjudged or control is not None or (starting and begun):
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
     return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE
@@ -155,6 +160,7 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         If they are malformed.
     """
     load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
+    press = state.get("next") if load is None else load
     return Control(
         run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
         serial=str(hello["serial"]),
@@ -164,8 +170,9 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         place=str(load["label"]) if load and down else "",
         x_mm=float(load["x_mm"]) if load and down else None,
         y_mm=float(load["y_mm"]) if load and down else None,
-        number=0 if load is None else int(load["number"]),
-        of=0 if load is None else int(load["of"]),
+        number=0 if press is None else int(press["number"]),
+        of=0 if press is None else int(press["of"]),
+        next=load is None,
         ends_at=_ends_at(state),
         paused_by=None if paused is None else str(paused.get("by") or ""),
         pause_wanted_by=str(wanted) if wanted else None,

@@ -7,7 +7,7 @@ from typing import Final
 
 from cbsr_qa.config import DocumentKind, load_recipe, load_station, shipped_names
 from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.plan import Station
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, Station
 from cbsr_qa.plugin import Plugins, discover
 
 #: A station's name is part of addresses.
@@ -36,6 +36,11 @@ class ServedStation:
     source: str
     station: Station
     recipes: tuple[OfferedRecipe, ...]
+
+    @property
+    def asks_operator(self) -> bool:
+        """Whether the gate asks who works here."""
+        return self.station.gate.policy(GateCheck.OPERATOR) is not GatePolicy.OFF
 
     def recipe(self, name: str) -> OfferedRecipe:
         """Return an offered recipe. RefusedError if it is not offered."""

@@ -15,7 +15,7 @@ from cbsr_qa.store.runs import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import LiveRun, LiveView
-from cbsr_qa.web.processes import Started
+from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import text
@@ -48,7 +48,7 @@ class StationWatch:
 
     def __init__(self, served: ServedStation, channel: ChannelClient) -> None:
         self.served, self.channel = served, channel
-        self.started: Started | None = None
+        self.started: Started | None = last_start(served.name)
         self.live: LiveRun | None = None
         self.look: RunLook | None = None
         self.snapshot: Snapshot | None = None
@@ -60,9 +60,20 @@ class StationWatch:
     @property
     def busy(self) -> bool:
         """Whether a run is in progress, or was started and has not ended."""
-        if self.started is not None and self.started.ended is None:
+        if self._alive:
             return True
         return self.channel.control is not None or station_holder(self.served.name) is not None
+
+    @property
+    def _alive(self) -> bool:
+        """Whether a process that this page started has not ended."""
+        started = self.started
+        return started is not None and started.process is not None and started.ended is None
+
+    @property
+    def _begun(self) -> bool:
+        """Whether the run that was started last is stored, at least with its beginning."""
+        return self.started is not None and self.look is not None and self.look.worked_at > self.started.at
 
     def wake(self) -> None:
         """Have a look soon."""
@@ -77,8 +88,7 @@ class StationWatch:
         unread = self._read(store, now_s)
         control, started = self.channel.control, self.started
         holder = station_holder(self.served.name)
-        alive = started is not None and started.ended is None
-        mode = mode_of(control, self.look, held=holder is not None, starting=alive)
+        mode = mode_of(control, self.look, held=holder is not None, starting=self._alive, begun=self._begun)
         trouble = unread or self._follow(store, plugins, mode)
         if not trouble:
             self._said = ""
@@ -133,9 +143,10 @@ class StationWatch:
     def _refused(self) -> str:
         """Return why the run that was started last never began."""
         started = self.started
-        if started is None or not started.ended or (self.look is not None and self.look.worked_at > started.at):
-            return ""
-        return started.last_words()
+        words = "" if started is None or self._begun else started.refused()
+        if not words or started is None or started.process is not None:
+            return words
+        return f"{text('station.refused_at', when=f'{started.at:%Y-%m-%d %H:%M}')}\n{words}"
 
     def _look_after(self, store: Repository, now_s: float) -> None:
         if now_s < self._health_s:

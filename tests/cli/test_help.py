@@ -26,6 +26,14 @@ def test_help_lists_run_first_and_then_what_follows_a_run(capsys):
     assert listed == ["run", "report", "export", "analyse", "schema"]
 
 
+def test_a_shell_completes_words(capsys, monkeypatch):
+    monkeypatch.setenv("_CBSR_QA_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "cbsr-qa calibration a")
+    monkeypatch.setenv("COMP_CWORD", "2")
+    assert guarded([]) == 0
+    assert capsys.readouterr() == ("apply\n", "")
+
+
 def test_every_option_and_argument_has_a_description():
     from typer import main as typer_main
 

@@ -13,6 +13,7 @@ HOW_TO = TOP / "docs" / "how-to"
 #: Pages with commands, and the test that types them as printed.
 TYPED = {
     "README.md": "commands/test_documentation.py",
+    "docs/how-to/back-up-a-station.md": "commands/test_keeping_pages.py",
     "docs/how-to/bring-up-a-station.md": "commands/test_documentation.py",
     "docs/how-to/build-this-bench.md": "commands/test_documentation.py",
     "docs/how-to/calibrate-from-presses.md": "commands/test_documentation.py",
@@ -20,6 +21,7 @@ TYPED = {
     "docs/how-to/choose-a-recipe.md": "commands/test_documentation.py",
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
+    "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",
@@ -29,6 +31,7 @@ TYPED = {
     "docs/how-to/what-to-do-when-it-stops.md": "commands/test_resume.py",
     "docs/reference/recordings.md": "commands/test_documentation.py",
     "docs/tutorials/your-first-recipe.md": "commands/test_tutorials.py",
+    "docs/tutorials/your-own-bench.md": "commands/test_tutorials.py",
 }
 #: Pages that take too long for ``make test-all``, and what is tested there; ``make soak`` types them as printed.
 SHORTENED = {

@@ -29,11 +29,14 @@ def test_a_run_is_told_in_full_and_waits_for_nobody(tmp_path):
     messages = [json.loads(line) for line in (tmp_path / "var" / "S-1.jsonl").read_text().splitlines()]
     assert [message["number"] for message in messages] == list(range(len(messages)))
     types = [message["event"]["type"] for message in messages]
-    assert (types[0], types[-1], types.count("load_finished")) == ("run_started", "run_ended", 6)
+    assert (types[0], types[-2:], types.count("load_finished")) == ("run_started", ["run_ended", "run_concluded"], 6)
     assert {message["run"] for message in messages} == {outcome["run"]}
-    assert messages[-1]["event"]["end"] == "finished"
+    assert messages[-2]["event"]["end"] == "finished"
+    concluded = {key: outcome[key] for key in ("end", "outcome", "reason", "report", "calibration")}
+    told = {key: value for key, value in concluded.items() if value is not None}
+    assert messages[-1]["event"] == {"type": "run_concluded", **told}
     (lost,) = [warning for warning in outcome["warnings"] if "events" in warning]
-    everything = len(messages)
+    everything = len(messages) - 1  # of the verdict a report that holds it cannot say whether it was lost
     assert lost.startswith(
         f"events 'office' (webhook): {everything} of {everything} events were not delivered: http://"
     )

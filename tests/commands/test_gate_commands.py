@@ -3,11 +3,14 @@
 import pytest
 from command import cbsr_qa, document, short_recipe
 from killing import BEGIN, killed, latest_run, write_files
+from stored_lots import judged, store_run
 
+from cbsr_qa.app.gate import ask_before, gate_refusal
 from cbsr_qa.app.run import RunRequest, run_sensor
 from cbsr_qa.config import DocumentKind, open_document
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import GateCheck
+from cbsr_qa.domain.results import Measurement
 from cbsr_qa.store import open_store
 from cbsr_qa.system import hashed_pin
 
@@ -121,3 +124,30 @@ def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monk
     with pytest.raises(RefusedError, match="files of this run were changed while the gate was asked"):
         run_sensor(request, pin=pin)
     assert not list(tmp_path.rglob("*.db"))
+
+
+def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    text = open_document(DocumentKind.STATION, "simulated").text
+    (tmp_path / "mine.toml").write_text(text.replace("[indenter]", '[gate]\nretest = "refuse"\n\n[indenter]', 1))
+    recipe = short_recipe(tmp_path, metrics=["centre-of-mass-error"])
+    request = RunRequest(station=str(tmp_path / "mine.toml"), recipe=str(tmp_path / recipe), serial="S-1")
+    name = request.configuration(0).recipe.name
+    asked = []
+    with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
+        with store.sensor_claimed("S-1", name, "Ada") as nobody:
+            assert nobody == ""
+            with pytest.raises(RefusedError, match=f"S-1 is being tested with {name} now, by Ada on "):
+                run_sensor(request, tell=asked.append)
+
+        def passed_meanwhile(*arguments):
+            answers = ask_before(*arguments)
+            assert gate_refusal(answers) is None
+            store_run(store, "S-1", judged((Measurement("drift", 0.1, "%/min"),)), recipe=name)
+            return answers
+
+        monkeypatch.setattr("cbsr_qa.app.run.run.ask_before", passed_meanwhile)
+        with pytest.raises(RefusedError, match=f"S-1 already passed {name}"):
+            run_sensor(request, tell=asked.append)
+        assert "running the station" not in asked
+        assert len(store.listed_runs()) == 1

@@ -89,3 +89,8 @@ def test_the_licence_is_stated_and_goes_into_the_wheel():
     assert (
         (_TOP / file).read_text().startswith("BSD 3-Clause License\n\nCopyright (c) 2026, the cbsr-qa developers\n")
     )
+
+
+def test_the_citation_states_version_and_licence():
+    cited = dict(re.findall(r"^(version|license): (.*)$", (_TOP / "CITATION.cff").read_text(), re.M))
+    assert cited == {"version": _PROJECT["project"]["version"], "license": _PROJECT["project"]["license"]}

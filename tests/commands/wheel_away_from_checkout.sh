@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Build the wheel, install it in a fresh environment, and run the demonstration where no checkout is near.
+# Build sdist and wheel, install the wheel in a fresh environment, and run the demonstration where no checkout is near.
 set -euo pipefail
 top=$(cd "$(dirname "$0")/../.." && pwd)
 python=${PYTHON:-python3}
@@ -8,7 +8,9 @@ trap 'rm -rf "$away"' EXIT
 
 # From a copy: setuptools leaves build/ and egg-info behind in the folder it builds from.
 git -C "$top" ls-files -z --cached --others --exclude-standard | (cd "$top" && tar --null -T - -cf -) | (mkdir "$away/source" && tar -C "$away/source" -xf -)
-"$top/.venv/bin/python" -m build --wheel --outdir "$away/dist" "$away/source" >"$away/build.log" 2>&1 || { cat "$away/build.log"; exit 1; }
+# Without --wheel, the wheel is built from the sdist: that holds what it needs.
+"$top/.venv/bin/python" -m build --outdir "$away/dist" "$away/source" >"$away/build.log" 2>&1 || { cat "$away/build.log"; exit 1; }
+"$top/.venv/bin/python" -m twine check --strict "$away"/dist/*
 
 "$python" -m venv "$away/venv"
 "$away/venv/bin/python" -m pip install --quiet --disable-pip-version-check -c "$top/constraints.txt" "$away"/dist/*.whl

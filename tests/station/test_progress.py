@@ -86,8 +86,11 @@ def test_on_a_terminal_phase_and_doing_are_plain_text_and_the_bar_goes_away(caps
     assert text.endswith("\x1b[2K")  # the line is erased
 
 
-@pytest.mark.parametrize(("clock", "said"), [(VirtualClock(), "50 %"), (RealClock(), "3 min left")])
-def test_time_left_in_real_time_and_percent_in_virtual(clock, said):
+@pytest.mark.parametrize(
+    ("clock", "said"),
+    [(VirtualClock(), "50 %"), (RealClock(), "3 min left"), (VirtualClock(speed=50.0), "4 s left")],
+)
+def test_time_left_is_in_real_time_and_percent_of_a_clock_that_does_not_wait(clock, said):
     stream = Terminal()
     with RunProgress(2, clock, RunStatus(None), stream=stream) as progress:
         progress(RunStarted(example_identity()))
@@ -135,3 +138,20 @@ def test_noise_is_pooled_over_steps_without_the_drift_between_them():
     before = noise.percent
     noise(FramesTaken(0, FrameBlock(np.arange(400.0), 9 * voltages, flags, VoltageUnit.VOLT, None)))
     assert noise.percent == before
+
+
+def test_a_press_is_under_way_until_its_rest_has_ended_then_the_next_one_is_named(capsys):
+    seen = []
+
+    def look(event):
+        state = status.document()
+        seen.append((type(event).__name__, state["load"] and state["load"]["number"], state["next"]))
+
+    plan = example_plan(*(PlannedPhase(name, "fixed", CYCLE) for name in ("first", "second")))
+    status, clock = planned(plan), VirtualClock()
+    bench = scripted_bench(Script(clock), plan.sensor_type)
+    execute(plan, example_identity(), bench, clock, [lambda event: None, status, look])
+    assert seen[0] == ("RunStarted", None, {"number": 1, "of": 2})
+    finished = [where[1:] for where in seen if where[0] == "LoadFinished"]
+    assert finished == [(None, {"number": 2, "of": 2}), (None, None)]
+    assert {where[1:] for where in seen if where[0] == "FramesTaken"} == {(1, None), (2, None)}

@@ -1,4 +1,7 @@
-"""A sequence that asks the operator, and a bench that stops answering in the middle of a run."""
+"""A sequence that asks the operator, a bench that stops answering in the middle of a run, and an impatient page."""
+
+import sys
+import time
 
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.plan import Prompt
@@ -6,14 +9,19 @@ from cbsr_qa.plugin import Kind, hookimpl
 from cbsr_qa_plugins.hardware.simulated_bench import BenchOptions, SimulatedBench, driver
 
 _FRAMES_BEFORE_DEATH = 20
+#: How long it hangs before it is found dead, and after what time without frames the page says so [s].
+_HANGS_S = 4.0
+_SILENT_S = 1.5
+
+if "cbsr_qa.web.watching" in sys.modules:  # a minute in earnest
+    sys.modules["cbsr_qa.web.watching"].SILENT_S = _SILENT_S
 
 
 class Asks:
-    """Two questions."""
+    """A question."""
 
     def steps(self, context):
         yield Prompt("Wipe the sheet <b>dry</b>. Is there dust on it?")
-        yield Prompt("Close the cover.")
 
 
 class DyingBench(SimulatedBench):
@@ -24,6 +32,7 @@ class DyingBench(SimulatedBench):
     def acquire(self, count):
         self._taken += count
         if self._taken > _FRAMES_BEFORE_DEATH:
+            time.sleep(_HANGS_S)
             raise InstrumentError("bench", "nowhere", "does not answer: its cable was pulled out")
         return super().acquire(count)
 

@@ -8,8 +8,10 @@ import time
 from pathlib import Path
 
 from command import PROGRAM
+from PIL import Image
 
 from cbsr_qa.station.control import station_holder
+from cbsr_qa.system import hashed_pin
 
 _HERE = Path(__file__).parent
 TOKEN = "token-of-these-tests-only"
@@ -53,7 +55,16 @@ _ASKS = """
 [[phases]]
 name = "questions"
 sequence = "asks"
+
+[[phases]]
+name = "cover"
+sequence = "operator-prompt"
+text = "Close the cover."
+picture = "cover.png"
 """
+#: Station seconds a second of each station.
+_SPEEDS = {"bench-1": 20.0, "bench-2": 20.0, "dying": 60.0}
+PIN = "4711"
 _STATION = (Path(__file__).parents[2] / "stations" / "line-1.toml").read_text()
 
 
@@ -81,7 +92,7 @@ class ServedLine:
 
     def start(self):
         """Start the server, at the port it had before; return once it can be opened."""
-        stations = [f"--station={name}.toml" for name in ("bench-1", "bench-2", "dying")]
+        stations = [f"--station={name}.toml" for name in _SPEEDS]
         recipes = [f"--recipe={name}.toml" for name in ("five-places", "asking")]
         arguments = ["serve", *stations, *recipes, f"--port={self.port}", "--token-file=token"]
         with (self.folder / "serve.log").open("ab") as log:
@@ -119,11 +130,14 @@ class ServedLine:
     def _write(self):
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / "token").write_text(TOKEN)
-        for name in ("bench-1", "bench-2", "dying"):
-            station = _STATION.replace('"line-1"', f'"{name}"').replace("clock_speed = 60.0", "clock_speed = 10.0")
+        Image.new("RGB", (40, 30), "orange").save(self.folder / "cover.png")
+        for name, speed in _SPEEDS.items():
+            paced = _STATION.replace("clock_speed = 60.0", f"clock_speed = {speed}")
+            station = paced.replace('"line-1"', f'"{name}"')
             if name == "dying":
                 station = station.replace('"simulated-bench"', '"dying-bench"')
                 station += '\n[gate]\noperator = "refuse"\n\n[[gate.operators]]\nname = "Ada"\n'
+                station += f'pin = "{hashed_pin(PIN)}"\n'
             (self.folder / f"{name}.toml").write_text(station)
         for name, places, asks in (
             ("five-places", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]], ""),

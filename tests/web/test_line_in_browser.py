@@ -9,6 +9,7 @@ import signal
 import pytest
 from axe_core_python.sync_playwright import Axe
 from playwright.sync_api import expect
+from served_line import PIN
 
 expect.set_options(timeout=40_000)  # a run's process loads for seconds, on a busy computer for many
 
@@ -94,6 +95,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     page.keyboard.press("Enter")
     for viewer in (page, other):
         expect(viewer.locator("#prompt-text")).to_have_text("Close the cover.")
+        expect(viewer.get_by_role("img", name="Picture for this question")).to_have_js_property("naturalWidth", 40)
     late = other.request.post(
         "/stations/bench-2/answer", form={"prompt": number, "text": "late"}, headers={"origin": line.address}
     )
@@ -108,6 +110,10 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
 
     line.stop(signal.SIGKILL)
     expect(page.locator("#connection")).to_contain_text("Runs continue")
+    other.get_by_role("button", name="Continue").click()
+    expect(other.locator("#say")).to_contain_text("Not sent: the server does not answer. Nothing was changed.")
+    page.get_by_role("button", name="Emergency stop").click()
+    expect(page.locator("#say")).to_contain_text("NOT sent")
     page.shot("connection-lost")
     line.start()
     expect(page.locator("#connection")).to_be_empty()
@@ -133,17 +139,39 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     page.keyboard.press("Enter")
     expect(page.locator(".verdict h2")).to_contain_text("Stopped")
     page.shot("stopped")
+    page.get_by_role("button", name="Resume the run").click()
+    _shows(page, "Running")
+    page.get_by_role("button", name="Emergency stop").click()
+    expect(page.locator("#say")).to_contain_text("Emergency stop sent.")
+    expect(page.locator(".verdict .reason")).to_contain_text("by an emergency stop by a viewer of the page")
+    page.shot("emergency-stopped")
 
 
 @pytest.mark.rest
 def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     page = pages("/stations/dying")
     page.locator("#operator").fill("Ada")
-    _scan(page, "DIE-1", "five-places")
+    page.locator("#recipe").select_option("five-places")
+    page.locator("#serial").fill("DIE-1")
+    page.keyboard.press("Enter")
+    expect(page.get_by_label("PIN of Ada")).to_be_focused()
+    page.keyboard.type("4712")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate .refused")).to_contain_text("the PIN given is not that of Ada")
+    expect(page.get_by_label("PIN of Ada")).to_be_focused()
+    _accessible(page)
+    page.keyboard.type(PIN)
+    page.keyboard.press("Enter")
+    _shows(page, "Running")
+    expect(page.locator("#trouble")).to_contain_text(re.compile("No frame for [2-4] s. Look at the station"))
+    page.shot("no-frame")
     expect(page.locator(".verdict h2")).to_contain_text("Stopped by a fault")
     expect(page.locator(".verdict .reason")).to_contain_text("its cable was pulled out")
     expect(page.locator(".todo")).to_contain_text("Check the bench first")
     page.shot("broken-off")
+    page.get_by_label("PIN (if you have one)").fill("4712")
+    page.get_by_role("button", name="Resume the run").click()
+    expect(page.locator("#say")).to_contain_text("The PIN given is not that of Ada: the run was not resumed")
     overview = pages("/")
     expect(overview.locator(".card").nth(2)).to_contain_text("Stopped by a fault")
     overview.shot("overview")

@@ -10,7 +10,7 @@ from stored_runs import identity, journalled, short_run
 from cbsr_qa.domain.results import EndReason, Measurement, Outcome
 from cbsr_qa.domain.run import RunEnded, RunStarted
 from cbsr_qa.store import open_store
-from cbsr_qa.web.pages import minutes_left, reason_words, verdict_kind
+from cbsr_qa.web.pages import minutes_left, reason_words, step_words, verdict_kind
 from cbsr_qa.web.state import Mode, Snapshot, control_of, mode_of
 
 _HELLO = {"run": None, "serial": "S-1", "recipe": "nine"}
@@ -83,3 +83,23 @@ def test_the_time_left_stands_while_a_run_waits_and_is_unknown_on_a_clock_that_d
     assert minutes_left(_snapshot(None, Mode.PAUSED, _control())) == "Paused"
     assert minutes_left(_snapshot(None, Mode.ASKING, _control())) == "Needs an answer"
     assert "not known" in minutes_left(_snapshot(None, Mode.RUNNING, _control(clock_speed=None)))
+
+
+def test_the_step_names_the_press_that_is_under_way_or_the_next_one():
+    load = {"label": "L3", "x_mm": 0.0, "y_mm": 0.0, "number": 3, "of": 9}
+    said = [
+        step_words(_snapshot(None, control=_control(step="homing", **state)))
+        for state in (
+            {"load": load, "next": None},
+            {"load": None, "next": {"number": 4, "of": 9}},
+            {"load": None, "next": {"number": 4, "of": 9}, "paused": {"by": "Ada"}},
+            {"load": None, "next": None},
+        )
+    ]
+    assert said == ["Press 3 of 9 · homing", "Next: press 4 of 9 · homing", "Next: press 4 of 9", "homing"]
+
+
+def test_a_process_whose_run_has_ended_is_not_starting(store):
+    look = store.look_at(_ended(store, EndReason.ABORTED))
+    assert mode_of(None, look, held=True, starting=True, begun=True) is Mode.CONCLUDING
+    assert mode_of(None, look, held=False, starting=True, begun=False) is Mode.STARTING

@@ -64,3 +64,25 @@ def test_what_nobody_has_foreseen_is_said_and_tried_again(watched, monkeypatch):
     until(lambda: "nobody knew" in watcher.trouble, "the trouble")
     watcher.wake()
     until(lambda: only.snapshot and not watcher.trouble, "the station")
+
+
+def test_a_start_that_was_refused_is_shown_after_the_page_was_restarted_until_a_run_begins(url, tmp_path, watched):
+    logs = tmp_path / "control" / "logs" / "only"
+    logs.mkdir(parents=True)
+    (logs / "20200101T100000000000.log").write_text("cbsr-qa: of before\n")
+    refusal = (
+        "cbsr-qa: the gate refuses\n  retest: S-1 passed\nretest: take the next\nor override: --override retest\n"
+    )
+    (logs / "20240101T100000000000.log").write_text(f"opening the bench …\n{refusal}")
+    _, (only,) = watched("only")
+    until(lambda: only.snapshot, "the station")
+    assert only.snapshot.refused.splitlines() == [
+        "It was started on 2024-01-01 10:00 UTC.",
+        "the gate refuses",
+        "  retest: S-1 passed",
+        "retest: take the next",
+    ]
+    with open_store(url) as store:
+        store_run(store, "S-2", (), station="only")
+    until(lambda: only.snapshot.serial == "S-2", "the run")
+    assert not only.snapshot.refused

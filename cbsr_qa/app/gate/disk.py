@@ -30,16 +30,15 @@ def enough_disk(asked: Asked) -> Finding:
     needed = needed_bytes(asked) if stated is None else stated * _GB
     file = sqlite_file(parsed_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
-    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in folders)
+    on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
+    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
     what = "the estimate for this run" if stated is None else "disk_GB of the station"
     words = f"{free[0] / _GB:.1f} GB free at {free[1]}, {needed / _GB:.1f} GB needed ({what})"
     if file is None:
         words += "; the disk of the database server is not seen from here"
     if free[0] >= needed:
         return Finding(True, words)
-    return Finding(
-        False, words, "free some space, or name another folder in CBSR_QA_VAR, another database with --database"
-    )
+    return Finding(False, words, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
 
 
 def needed_bytes(asked: Asked) -> float:

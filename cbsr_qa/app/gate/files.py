@@ -14,7 +14,7 @@ def files_released(asked: Asked) -> Finding:
     named = ", ".join(
         f"{one.kind} {one.name} ({_state(asked.store, one)}, SHA-256 {one.sha256[:12]})" for one in missing
     )
-    return Finding(False, named, "have each released: cbsr-qa release FILE --by NAME --why TEXT")
+    return Finding(False, named, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
 
 
 def _released(store: Repository | None, file: FileContent) -> bool:

@@ -19,6 +19,9 @@ from cbsr_qa.plugin import Plugins
 from cbsr_qa.store import Repository, database_exists, open_store
 from cbsr_qa.system import RealClock
 
+#: How the line of a refusal begins that says how to override it with ``cbsr-qa run``.
+OVERRIDE_AT_COMMAND_LINE: Final = "or override:"
+
 CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.SERIAL_PATTERN: serial_fits,
     GateCheck.RETEST: retest_allowed,
@@ -71,15 +74,30 @@ def ask_before(
         return ask_gate(request, configuration, plugins, store, checks)
 
 
+def asked_again(
+    answers: Iterable[GateAnswer],
+    checks: Collection[GateCheck],
+    request: GateRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    store: Repository,
+) -> tuple[GateAnswer, ...]:
+    """Return answers with those of some checks as they are now. RefusedError if one of them refuses."""
+    now = {one.check: one for one in ask_gate(request, configuration, plugins, store, checks)}
+    if (refused := gate_refusal(now.values())) is not None:
+        raise refused
+    return tuple(now.get(one.check, one) for one in answers)
+
+
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     """Return the one error for all checks that refuse; None if none does."""
     refused = [one for one in answers if one.outcome is GateOutcome.REFUSED]
     if not refused:
         return None
     listed = "\n".join(f"  {one.check}: {one.words}" for one in refused)
-    remedies = [f"{one.check}: {one.remedy}" for one in refused if one.remedy]
+    remedies = [f"{one.check}: {one.instruction}" for one in refused if one.remedy]
     names = " ".join(f"--override {one.check}" for one in refused)
-    override = f"or override: {names} --override-by NAME --override-why TEXT"
+    override = f"{OVERRIDE_AT_COMMAND_LINE} {names} --override-by NAME --override-why TEXT"
     return RefusedError(
         f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])
     )
@@ -95,12 +113,12 @@ def _answer(check: GateCheck, asked: Asked) -> GateAnswer:
     if finding.well:
         return GateAnswer(check, policy, GateOutcome.PASSED, finding.words)
     if policy is GatePolicy.WARN:
-        return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy)
+        return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy, command=finding.command)
     override = asked.request.override
     if check in override.checks:
         by, why = override.by, override.why.strip()
         return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, by, why)
-    return GateAnswer(check, policy, GateOutcome.REFUSED, finding.words, finding.remedy)
+    return GateAnswer(check, policy, GateOutcome.REFUSED, finding.words, finding.remedy, command=finding.command)
 
 
 def _finding(check: GateCheck, asked: Asked) -> Finding:

@@ -3,10 +3,11 @@
 import unicodedata
 
 from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
-from cbsr_qa.domain.plan import Operator
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
 from cbsr_qa.system import pin_matches
 
-_REMEDY = "give --operator NAME with a name of the station's list"
+_REMEDY = ("name an operator of the station's list", "--operator NAME")
+_TYPED = "at the terminal, or as the first line of standard input"
 
 
 def operator_known(asked: Asked) -> Finding:
@@ -16,13 +17,13 @@ def operator_known(asked: Asked) -> Finding:
     if request.resumed and not listed:
         # A run is not stored with the list of who may work at the station.
         return Finding(
-            False, "the list of operators is not stored with a run", "give the station file with --station"
+            False, "the list of operators is not stored with a run", "give the station's file", "--station FILE"
         )
     if not name:
-        return Finding(False, "no operator was named", _REMEDY)
-    known = next((one for one in listed if _same(one.name, name)), None)
+        return Finding(False, "no operator was named", *_REMEDY)
+    known = _listed(asked.settings, name)
     if known is None:
-        return Finding(False, f"{name} is not on the list of operators", _REMEDY)
+        return Finding(False, f"{name} is not on the list of operators", *_REMEDY)
     return _pin_finding(request, known)
 
 
@@ -34,10 +35,28 @@ def _pin_finding(request: GateRequest, known: Operator) -> Finding:
         return Finding(True, f"{on_list}; the PIN is asked for when the run begins")
     pin = "" if request.pin is None else request.pin(f"PIN of {name}")
     if not pin:
-        return Finding(False, f"the PIN of {name} was not given", "type it when asked, or on standard input")
+        return Finding(False, f"the PIN of {name} was not given", "type it", _TYPED)
     if not pin_matches(pin, known.pin):
-        return Finding(False, f"the PIN given is not that of {name}", "type it again, or name another operator")
+        return Finding(
+            False, f"the PIN given is not that of {name}", "type it again, or name another operator", _TYPED
+        )
     return Finding(True, f"{on_list}, and gave the PIN")
+
+
+def asks_pin(settings: GateSettings, operator: str) -> bool:
+    """Whether a run of this operator asks for a PIN."""
+    known = _listed(settings, operator)
+    return settings.policy(GateCheck.OPERATOR) is not GatePolicy.OFF and known is not None and bool(known.pin)
+
+
+def is_pin_of(settings: GateSettings, operator: str, pin: str) -> bool:
+    """Whether a PIN is that of a listed operator, who has one."""
+    known = _listed(settings, operator)
+    return known is not None and bool(known.pin) and pin_matches(pin, known.pin)
+
+
+def _listed(settings: GateSettings, name: str) -> Operator | None:
+    return next((one for one in settings.operators if _same(one.name, name)), None)
 
 
 def _same(one: str, other: str) -> bool:

@@ -57,6 +57,7 @@ class GateRequest:
     resumed : whether the run goes on with earlier loads.
     pin : asks for the operator's PIN; None if nobody can be asked. Called only if the station file has one.
     preview : whether the answers are only shown; no PIN is asked for.
+    tested_by : another process that tests the sensor with this recipe now; empty for none.
     database : URL.
     folders : other folders the run writes to.
     """
@@ -71,14 +72,19 @@ class GateRequest:
     resumed: bool = False
     pin: Callable[[str], str] | None = None
     preview: bool = False
+    tested_by: str = ""
 
 
 class Finding(NamedTuple):
-    """What a check found: whether all is well (None: there was nothing to check), in words, and what to do."""
+    """What a check found: whether all is well (None: there was nothing to check), in words, and what to do.
+
+    ``remedy`` is for people wherever they are, ``command`` is how to do it at the command line.
+    """
 
     well: bool | None
     words: str
     remedy: str = ""
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True)

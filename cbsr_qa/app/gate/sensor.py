@@ -27,6 +27,9 @@ def retest_allowed(asked: Asked) -> Finding:
     A run that was altered since counts: what it was cannot be known.
     """
     recipe, serial = asked.configuration.recipe.name, asked.request.serial
+    if asked.request.tested_by:
+        words = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
+        return Finding(False, words, "wait for the verdict of that run")
     tries = () if asked.store is None else asked.store.sensor_history(asked.sensor, recipe).tries
     finished = [one for one in tries if one.changed or one.end is EndReason.FINISHED]
     passed = [one for one in finished if _decided(one) in _PASSED]

@@ -11,17 +11,21 @@ from cbsr_qa.report import Refusal, gate_table
 
 @dataclass(frozen=True, slots=True)
 class GateShown:
-    """Answers of the gate to a run that was not made; ``refused`` is None if it could begin."""
+    """Answers of the gate to a run that was not made.
+
+    ``asks_pin``: whether the run asks for the operator's PIN. ``refused`` is None if it could begin.
+    """
 
     serial: str
     station: str
     recipe: str
+    asks_pin: bool
     answers: tuple[GateAnswer, ...]
     refused: Refusal | None
 
 
 def gate_outcome(
-    serial: str, station: str, recipe: str, answers: tuple[GateAnswer, ...]
+    serial: str, station: str, recipe: str, answers: tuple[GateAnswer, ...], *, asks_pin: bool
 ) -> CommandOutcome[GateShown]:
     """Lay out the answers; the exit code is 2 if the run would be refused."""
     error = gate_refusal(answers)
@@ -30,7 +34,7 @@ def gate_outcome(
     if refused is not None:
         names = ", ".join(str(one.check) for one in answers if one.outcome is GateOutcome.REFUSED)
         banner = Banner("fail", "✗", "The gate refuses this run", f"{names}: {serial} with {recipe} on {station}")
-    todo = tuple((str(one.check), one.remedy) for one in answers if one.remedy)
+    todo = tuple((str(one.check), one.instruction) for one in answers if one.remedy)
     page = Page("Gate", serial, banner, todo)
-    shown = GateShown(serial, station, recipe, answers, refused)
+    shown = GateShown(serial, station, recipe, asks_pin, answers, refused)
     return CommandOutcome(shown, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)

@@ -1,6 +1,6 @@
 """Reports rendered again from the store."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ from pydantic import Field, InstanceOf
 from cbsr_qa.analysis import characterise_run, evaluate_run
 from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.app.command_hints import resume_command
-from cbsr_qa.app.run.decided_again import check_decided
+from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
@@ -162,8 +162,9 @@ def rebuilt(
     -------
     The result, and the sections its recipe names.
     """
-    record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
-    stored = next(iter(store.analyses(run)), None)
+    record, analyses = store.load_run(run), store.analyses(run)
+    stored = next(iter(analyses), None)
+    recipe = judging_recipe(store, run, stored)
     check = store.latest_station_check(record.identity.station, record.identity.started_at)
     history = store.change_history(record)
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
@@ -181,7 +182,11 @@ def rebuilt(
         calibration=calibration,
         calibration_why=unseen or stored.calibration_why,
         compute_s=stored.compute_s,
-        warnings=tuple(dict.fromkeys((*_warnings(stored, why), *record.chain.warnings, *earlier.changed))),
+        warnings=tuple(
+            dict.fromkeys(
+                (*_adopted(analyses, recipe.name), *_warnings(stored, why), *record.chain.warnings, *earlier.changed)
+            )
+        ),
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
@@ -260,6 +265,18 @@ def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) 
         m if m.limit is None else replace(m, limit=replace(m.limit, version=versions.get(m.limit, "")))
         for m in measurements
     )
+
+
+def _adopted(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator[str]:
+    """Yield what a reader must know of an adopted analysis, the first of all."""
+    adoption = analyses[0].adoption
+    if adoption is None:
+        return
+    decided = f"adopted by {adoption.operator} on {adoption.adopted_at:%Y-%m-%d %H:%M} UTC: {adoption.why}"
+    yield f"The verdict and all values are of a re-analysis by recipe {recipe!r}, {decided}. Earlier ones are kept."
+    for earlier in analyses:
+        if earlier.calibration is not None:
+            yield f"Calibration {earlier.calibration}, which an earlier analysis of this run issued, is still stored."
 
 
 def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:

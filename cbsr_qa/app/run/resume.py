@@ -1,6 +1,7 @@
 """Resume an interrupted run from the database."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
 
@@ -9,7 +10,7 @@ from cbsr_qa.app.gate import ASKED_AGAIN, GateRequest, Override, ask_gate, gate_
 from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
-from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
+from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded, deliver_verdict
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -73,9 +74,13 @@ def resume_run(
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
-    with open_store(url, create=False, durable=on_real_clock) as store, store.writing_alone(run, operator):
+    with ExitStack() as held:
+        store = held.enter_context(open_store(url, create=False, durable=on_real_clock))
+        held.enter_context(store.writing_alone(run, operator))
+        stored = store.identity(run)
+        held.enter_context(store.sensor_claimed(stored.sensor.serial, stored.recipe, operator))
         asked = GateRequest(
-            serial=store.identity(run).sensor.serial,
+            serial=stored.sensor.serial,
             operator=operator,
             database=url,
             folders=(reports_folder(), calibrations_folder()),
@@ -120,7 +125,9 @@ def _resumed(
                 remedy=f"{report_command(run, store)} writes its report and calibration file again",
             )
         check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        return concluded(run, store, configuration, plugins, Stages(tell), changed)
+        outcome = concluded(run, store, configuration, plugins, Stages(tell), changed)
+        deliver_verdict(outcome, identity, configuration, plugins)
+        return outcome
     check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}

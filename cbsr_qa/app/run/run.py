@@ -8,7 +8,16 @@ from itertools import count
 from pathlib import Path
 from typing import Self
 
-from cbsr_qa.app.gate import GateRequest, GateShown, Override, ask_before, gate_outcome, gate_refusal
+from cbsr_qa.app.gate import (
+    GateRequest,
+    GateShown,
+    Override,
+    ask_before,
+    asked_again,
+    asks_pin,
+    gate_outcome,
+    gate_refusal,
+)
 from cbsr_qa.app.run.control import Control, controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
@@ -28,6 +37,7 @@ from cbsr_qa.config import (
     writable_folder,
 )
 from cbsr_qa.domain import ConfigError, RefusedError, filled
+from cbsr_qa.domain.plan import GateCheck
 from cbsr_qa.domain.results import CommandOutcome
 from cbsr_qa.domain.run import GateAnswer, InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
@@ -112,8 +122,12 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
         return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
 
 
-def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
-    """Ask the gate about a run without making it; no instrument is opened, no PIN asked for, nothing written.
+def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -> CommandOutcome[GateShown]:
+    """Ask the gate about a run without making it; no instrument is opened, nothing written.
+
+    Parameters
+    ----------
+    pin : as for :func:`run_sensor`; without it a PIN is not asked for.
 
     Raises
     ------
@@ -122,8 +136,15 @@ def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
     """
     plugins, _ = _checked(request.checked())
     configuration = request.configuration(0)
-    answers = _gate(request, configuration, plugins, preview=True)
-    return gate_outcome(request.serial, configuration.station.name, configuration.recipe.name, answers)
+    answers = _gate(request, configuration, plugins, pin=pin, preview=pin is None)
+    station = configuration.station
+    return gate_outcome(
+        request.serial,
+        station.name,
+        configuration.recipe.name,
+        answers,
+        asks_pin=asks_pin(station.gate, request.operator),
+    )
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
@@ -195,10 +216,10 @@ def _tested(
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
         with Session(
-            configuration, plugins, Stages(tell), ask, why=request.why, gate=gate, control=control, show=show
+            configuration, plugins, Stages(tell), ask, why=request.why, control=control, show=show
         ) as session:
             session.walk().refuse()
-            outcome = _stored_run(request, configuration, plugins, session, control.begins(begun))
+            outcome = _stored_run(request, configuration, plugins, session, gate, control.begins(begun))
         if outcome is not None:
             return outcome
         taken.append(configuration.seed)
@@ -210,9 +231,13 @@ def _stored_run(
     configuration: Configuration,
     plugins: Plugins,
     session: Session,
+    gate: tuple[GateAnswer, ...],
     begun: Callable[[str], None],
 ) -> RunOutcome | None:
-    """Run a checked session; None, with nothing moved, if another run of the sensor has its seed."""
+    """Run a checked session; None, with nothing moved, if another run of the sensor has its seed.
+
+    RefusedError if another run of the sensor began, or ended, since the gate was asked, and it now refuses a retest.
+    """
     for folder in _folders():
         writable_folder(folder)
     # Frames of a virtual clock can be simulated again after a power cut; those of a bench are lost.
@@ -224,6 +249,10 @@ def _stored_run(
             claim = store.seed_claimed(request.serial, configuration.seed, request.operator)
             if not held.enter_context(claim):
                 return None
+        tested_by = held.enter_context(store.sensor_claimed(request.serial, identity.recipe, request.operator))
+        # No other run of the sensor can begin now, and one that has ended is stored.
+        asked = _gate_request(request, tested_by=tested_by)
+        session.gate = asked_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
         begun(run)
         held.enter_context(store.writing_alone(run, request.operator))
         return session.run(identity, store)
@@ -254,7 +283,13 @@ def _gate(
     pin: Callable[[str], str] | None = None,
     preview: bool = False,
 ) -> tuple[GateAnswer, ...]:
-    asked = filled(
+    return ask_before(_gate_request(request, pin=pin, preview=preview), configuration, plugins)
+
+
+def _gate_request(
+    request: RunRequest, *, pin: Callable[[str], str] | None = None, preview: bool = False, tested_by: str = ""
+) -> GateRequest:
+    return filled(
         GateRequest,
         request,
         database=database_url(request.database),
@@ -262,8 +297,8 @@ def _gate(
         pin=pin,
         preview=preview,
         resumed=False,
+        tested_by=tested_by,
     )
-    return ask_before(asked, configuration, plugins)
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:

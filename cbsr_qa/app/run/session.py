@@ -3,7 +3,7 @@
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Self
@@ -23,6 +23,7 @@ from cbsr_qa.domain.run import (
     InstrumentIdentity,
     PhaseFinished,
     PhaseStarted,
+    RunConcluded,
     RunEnded,
     RunEvent,
     RunIdentity,
@@ -150,10 +151,11 @@ class Session:
         self._stages = stages
         self._asks = ask
         self._why = why
-        self._gate = gate
+        self.gate = tuple(gate)
         self._show = show
         self._done = done or Done()
         self._progress: RunProgress | None = None
+        self._events = 0
         self.warnings: list[str] = []
         self._plan = plan_of(configuration, plugins)
         self._clock = station_clock(configuration)
@@ -202,11 +204,13 @@ class Session:
             If the run or its result could not be stored or read back; stored rows are kept.
         """
         self.warnings += filter(None, [store.from_the_future()])
-        self.warnings += gate_warnings(self._gate)
+        self.warnings += gate_warnings(self.gate)
         with self._stages.stage("running the station"):
             ended = self._drive(identity, store)
         _refuse_unstored(identity.run, ended, store)
-        return concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
+        outcome = concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
+        deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
+        return outcome
 
     def _asked(self, text: str) -> str:
         """Ask the operator; progress display pauses meanwhile."""
@@ -223,7 +227,7 @@ class Session:
             indenter=configuration.station.indenter,
             tell=on_stderr,
             why=self._why,
-            gate=self._gate,
+            gate=self.gate,
         )
         sinks = EventSinks(configuration.station.events, self._plugins, identity, self.warnings.append)
         watching = self._watching()
@@ -244,6 +248,7 @@ class Session:
                     warn=self.warnings.append,
                 )
         finally:
+            self._events = sinks.number
             with _concluding(identity.run, store):
                 sinks.end()
 
@@ -268,6 +273,22 @@ class Session:
                     tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.index])
 
         return plugin_hooks
+
+
+def deliver_verdict(
+    outcome: RunOutcome, identity: RunIdentity, configuration: Configuration, plugins: Plugins, *, number: int = 0
+) -> None:
+    """Tell the station's sinks of events the verdict, anew: those of the run have ended, and their losses are stored.
+
+    Parameters
+    ----------
+    number : of events of the session before this one.
+    """
+    with suppress(AbortedError), stoppable():
+        sinks = EventSinks(configuration.station.events, plugins, identity, on_stderr, first=number)
+        files = {"report": str(outcome.report or ""), "calibration": str(outcome.calibration or "")}
+        sinks(filled(RunConcluded, outcome, **files))
+        sinks.end()
 
 
 def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:

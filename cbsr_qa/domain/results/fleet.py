@@ -97,6 +97,7 @@ class RunLine:
         version) pairs.
     simulated : in words; empty for a real bench.
     of_check : whether it is a golden sensor's, made to check its station.
+    overridden_to : of the latest override of that analysis; None without one.
     """
 
     run: str
@@ -114,6 +115,12 @@ class RunLine:
     of_check: bool = False
     operator: str = ""
     reason: str = ""
+    overridden_to: Outcome | None = None
+
+    @property
+    def verdict(self) -> Outcome | None:
+        """What counts: the outcome, or what it was overridden to; None without an analysis."""
+        return self.outcome if self.overridden_to is None else self.overridden_to
 
     @property
     def finished(self) -> bool:

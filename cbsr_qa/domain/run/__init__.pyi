@@ -47,6 +47,7 @@ from .run import (
     PhaseFinished as PhaseFinished,
     PhaseRecord as PhaseRecord,
     PhaseStarted as PhaseStarted,
+    RunConcluded as RunConcluded,
     RunEnded as RunEnded,
     RunEvent as RunEvent,
     RunIdentity as RunIdentity,

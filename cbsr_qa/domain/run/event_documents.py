@@ -15,7 +15,7 @@ import numpy as np
 from cbsr_qa.domain.filling import filled
 from cbsr_qa.domain.plan import Step
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
 from cbsr_qa.domain.run.loads import EasedStrain
 from cbsr_qa.domain.run.run import (
@@ -24,6 +24,7 @@ from cbsr_qa.domain.run.run import (
     LoadFinished,
     PhaseFinished,
     PhaseStarted,
+    RunConcluded,
     RunEnded,
     RunEvent,
     RunIdentity,
@@ -38,7 +39,7 @@ from cbsr_qa.domain.run.run import (
 EVENT_SCHEMA_VERSION: Final = 1
 
 
-def event_document(event: RunEvent) -> dict[str, Any]:
+def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
     """Return an event as a document that JSON can hold: ``{"type": "load_finished", "time_s": …, …}``.
 
     Times are seconds on the run's clock. Frames and samples are summarised.
@@ -56,7 +57,7 @@ def _number(value: np.generic) -> Any:
 
 
 @singledispatch
-def _document(event: RunEvent) -> "EventDocument":
+def _document(event: RunEvent | RunConcluded) -> "EventDocument":
     raise TypeError(f"{type(event).__name__} has no document")
 
 
@@ -370,6 +371,24 @@ def _run_ended(event: RunEnded) -> RunEndedDocument:
     return filled(RunEndedDocument, event, type="run_ended", spent_s=dict(event.spent))
 
 
+@dataclass(frozen=True, slots=True)
+class RunConcludedDocument:
+    """The verdict is stored. ``report`` and ``calibration`` are files on the station's computer."""
+
+    type: Literal["run_concluded"]
+    end: EndReason
+    outcome: Outcome
+    reason: str
+    report: str | None = None
+    calibration: str | None = None
+
+
+@_document.register
+def _run_concluded(event: RunConcluded) -> RunConcludedDocument:
+    files = {"report": event.report or None, "calibration": event.calibration or None}
+    return filled(RunConcludedDocument, event, type="run_concluded", **files)
+
+
 #: The document of any event.
 EventDocument = (
     RunStartedDocument
@@ -386,6 +405,7 @@ EventDocument = (
     | PromptShownDocument
     | PromptAnsweredDocument
     | RunEndedDocument
+    | RunConcludedDocument
 )
 
 

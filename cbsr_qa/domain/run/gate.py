@@ -29,6 +29,7 @@ class GateAnswer:
     remedy : what to do about it; empty where nothing is to be done.
     by, why : who overrode a refusal, for what reason; empty otherwise.
     session : 0 when the run began; counts its resumptions.
+    command : how the remedy is done at the command line; not stored.
     """
 
     check: GateCheck
@@ -39,6 +40,12 @@ class GateAnswer:
     by: str = ""
     why: str = ""
     session: int = 0
+    command: str = ""
+
+    @property
+    def instruction(self) -> str:
+        """The remedy as it is done at the command line."""
+        return ": ".join(filter(None, [self.remedy, self.command]))
 
     @property
     def sentence(self) -> str:

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run.attendance import AskedPrompt, AttendanceEvent, Pause
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.loads import Indenter, LoadRecord
@@ -314,6 +314,20 @@ class RunEnded:
     detail: str
     time_s: float
     spent: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunConcluded:
+    """The result of a run's session is stored; follows its last event, for sinks alone.
+
+    ``report`` and ``calibration`` are files; empty for none.
+    """
+
+    end: EndReason
+    outcome: Outcome
+    reason: str
+    report: str
+    calibration: str
 
 
 RunEvent = (

@@ -26,7 +26,7 @@ class RunChannel:
     def __init__(self, connection: socket.socket, timeout_s: float) -> None:
         self._connection, self._timeout_s = connection, timeout_s
         self._received, self._number = b"", 0
-        self.hello = next(self.lines(), {"type": "refused", "why": "the run has ended"})
+        self.hello: dict[str, Any] = next(self.lines(), {"type": "refused", "why": "the run has ended"})
         if self.hello["type"] != "hello":
             raise RefusedError(self.hello["why"])
 

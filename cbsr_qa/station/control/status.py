@@ -33,6 +33,8 @@ class RunStatus:
     Parameters
     ----------
     clock_speed : station seconds per second; None if the clock does not wait.
+
+    Of ``load``, the press under way, and ``next``, which one is next, one is None.
     """
 
     clock_speed: float | None
@@ -43,6 +45,7 @@ class RunStatus:
             "phases": 0,
             "step": "opening the bench",
             "load": None,
+            "next": None,
             "remaining_s": None,
             "time_s": 0.0,
             "force_N": None,
@@ -68,11 +71,12 @@ class RunStatus:
                 entry = {"phase": self._names[key[0]], **place, "strain": load.strain, "trial": load.trial}
                 self._keys.append(key)
                 self._loads.append({**entry, "done": key in done})
+            self._facts["next"] = self._next()
 
     def doing(self, what: str) -> None:
         """State what is done outside of the plan, e.g. that the result is computed."""
         with self._lock:
-            self._facts |= {"step": what, "load": None}
+            self._facts |= {"step": what, "load": None, "next": None}
 
     def warn(self, text: str) -> None:
         with self._lock:
@@ -117,7 +121,12 @@ class RunStatus:
             case StepRetried(attempt=attempt, why=why) if len(self._warnings) < _MOST_WARNINGS:
                 self._warnings.append(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded(end=end, detail=detail):
-                self._facts |= {"ended": {"end": str(end), "detail": detail}, "load": None, "remaining_s": 0.0}
+                self._facts |= {
+                    "ended": {"end": str(end), "detail": detail},
+                    "load": None,
+                    "next": None,
+                    "remaining_s": 0.0,
+                }
 
     def _step(self, event: StepStarted) -> None:
         self._facts |= {
@@ -127,7 +136,7 @@ class RunStatus:
             "remaining_s": event.remaining_s,
         }
         if isinstance(event.step, Press):
-            self._facts["load"] = self._pressed(event)
+            self._facts |= {"load": self._pressed(event), "next": None}
 
     def _pressed(self, event: StepStarted) -> dict[str, Any] | None:
         """Name the load that begins: the first of its phase with this place, strain and trial that is not done."""
@@ -143,3 +152,10 @@ class RunStatus:
     def _finished(self, key: LoadKey) -> None:
         if key in self._keys:
             self._loads[self._keys.index(key)]["done"] = True
+        self._facts |= {"load": None, "next": self._next()}
+
+    def _next(self) -> dict[str, int] | None:
+        """Return which press is the first that is not done; None if all are."""
+        of = len(self._loads)
+        left = (number + 1 for number, load in enumerate(self._loads) if not load["done"])
+        return next(({"number": number, "of": of} for number in left), None)

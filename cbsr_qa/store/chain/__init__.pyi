@@ -1,4 +1,10 @@
-from .check import IDENTITY as IDENTITY, RESULTS as RESULTS, check_run as check_run, unreadable as unreadable
+from .check import (
+    IDENTITY as IDENTITY,
+    RESULTS as RESULTS,
+    check_run as check_run,
+    data_digest as data_digest,
+    unreadable as unreadable,
+)
 from .fleet import (
     AT_ONCE as AT_ONCE,
     Figures as Figures,

@@ -9,7 +9,8 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain.links import SigningKey, key_id_of, link_digest, signing_key
+from cbsr_qa.store.archives import checked_bytes
+from cbsr_qa.store.chain.links import SigningKey, few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
@@ -17,12 +18,13 @@ from cbsr_qa.store.chain.run_documents import (
     covered,
     documents,
     phase_end,
+    sha256,
     shown,
     stored_figures,
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -30,6 +32,8 @@ RESULTS: Final = frozenset(
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
+#: Documents that state what followed from the data of a run, or what people decided.
+_CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
 _REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
@@ -55,6 +59,17 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         return _checked(connection, run, kinds)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise unreadable(connection, run, error) from error
+
+
+def data_digest(connection: Connection, run: str) -> str:
+    """Return the digest of everything that was measured in a run: the chain up to the last link of its data.
+
+    Without a chain, the digest of the rows, which hold the digests of frames and samples.
+    """
+    link = LinkRow
+    of_data = select(link.sha256).where(link.run == run, link.kind.not_in(_CONCLUDED))
+    head = connection.scalar(of_data.order_by(link.number.desc()).limit(1))
+    return head or sha256(*map("/".join, _documents(connection, run, ALL_KINDS - _CONCLUDED)))
 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
@@ -86,6 +101,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise _broken(run, f"link {min(missing)} in run_links is missing")
     for link in links:
         _check_link(run, link, key_id, key)
+    if not kinds:
+        checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
     if not key_id:
         return ChainState("chained")
@@ -100,7 +117,11 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
         .where(link.run == run)
         .order_by(link.number)
     )
-    return connection.execute(query.where(link.kind.in_(kinds)) if kinds else query).all()
+    if kinds:
+        query = query.where(link.kind.in_(kinds))
+        if not set(kinds).intersection(MANY_LINKS):
+            query = query.where(few_links())
+    return connection.execute(query).all()
 
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:

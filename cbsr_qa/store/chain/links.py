@@ -11,11 +11,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-from sqlalchemy import Connection, Insert, bindparam, func, insert, select
+from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, select, text
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
-from cbsr_qa.store.tables import LinkRow, RunRow
+from cbsr_qa.store.tables import FEW_LINKS, LinkRow, RunRow
 
 VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
 _LEAST: Final = 16
@@ -105,6 +105,11 @@ def new_chain(connection: Connection) -> str:
 def key_id_of(chain: str) -> str:
     """Return the key that signs a chain; empty if unsigned."""
     return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
+
+
+def few_links() -> TextClause:
+    """Return the condition under which links are found by an index of their kind; a database must see it in words."""
+    return text(f"{LinkRow.__tablename__}.{FEW_LINKS}")
 
 
 def link_digest(before: str, kind: str, document: str, content: str) -> str:

@@ -32,6 +32,7 @@ from sqlalchemy import (
 )
 
 from cbsr_qa.store.tables import (
+    AdoptionRow,
     AnalysisRow,
     AttendanceRow,
     Base,
@@ -47,6 +48,7 @@ from cbsr_qa.store.tables import (
     MeasurementRow,
     OverlapBandRow,
     PhaseRow,
+    ReanalysisRow,
     RelaxationRow,
     RunRow,
     RunStateRow,
@@ -57,7 +59,7 @@ from cbsr_qa.store.tables import (
     VerdictOverrideRow,
     WarningRow,
 )
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 _JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
@@ -88,6 +90,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (FitParameterRow, ("calibration",)),
         (OverlapBandRow, ("calibration",)),
         (VerdictOverrideRow, ("override_id",)),
+        (ReanalysisRow, ("reanalysis",)),
+        (AdoptionRow, ("analysis",)),
     )
 }
 #: Columns that are filled in later. The end of a phase has its own link; that a calibration is superseded follows
@@ -116,6 +120,7 @@ _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
     (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),
     (JSON, lambda value: value),
     (Word, str),
+    (Digest, str),
 )
 
 

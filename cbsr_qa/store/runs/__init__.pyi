@@ -1,4 +1,12 @@
-from . import attendance as attendance, live as live, outcomes as outcomes, runs as runs, sessions as sessions
+from . import (
+    archiving as archiving,
+    attendance as attendance,
+    live as live,
+    outcomes as outcomes,
+    runs as runs,
+    sessions as sessions,
+)
+from .archiving import ArchivedRun as ArchivedRun
 from .codec import (
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,

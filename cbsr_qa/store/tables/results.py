@@ -71,6 +71,42 @@ class MeasurementRow(Base):
     limit_qualifier: Mapped[str | None]
 
 
+class ReanalysisRow(Base):
+    """One re-analysis of a run, on trial: it decides nothing until it is adopted as an analysis.
+
+    The key is the digest of what the values follow from: the run's data, the recipe and the software.
+    """
+
+    __tablename__ = "reanalyses"
+    __table_args__ = (Index(None, "run", "key_sha256"),)
+
+    reanalysis: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    key_sha256: Mapped[str] = mapped_column(Word(64))
+    recipe: Mapped[str]  #: canonical JSON of the file
+    analysed_at: Mapped[datetime]
+    software: Mapped[list[Any]]  #: [[distribution, version], …]
+    outcome: Mapped[str] = mapped_column(Word(16))
+    reason: Mapped[str]
+    noise_weighting: Mapped[str] = mapped_column(Word(16))
+    weight_ratio: Mapped[float | None]
+    compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
+    warnings: Mapped[list[Any]]
+    measurements: Mapped[list[Any]]  #: rows as in the table of measurements, without empty columns
+
+
+class AdoptionRow(Base):
+    """Somebody made a re-analysis the valid analysis of its run."""
+
+    __tablename__ = "adoptions"
+
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"), primary_key=True)
+    reanalysis: Mapped[str] = mapped_column(Identifier, ForeignKey("reanalyses.reanalysis"))
+    operator: Mapped[str]
+    why: Mapped[str]
+    adopted_at: Mapped[datetime]
+
+
 class CalibrationRow(Base):
     """Calibration issued for the sensor of a passed run: its file, and searchable columns."""
 

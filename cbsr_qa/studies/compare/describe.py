@@ -23,6 +23,7 @@ from cbsr_qa.stats import (
 from cbsr_qa.studies.compare.groups import PASSED, Grouping, decides
 from cbsr_qa.studies.compare.terms import Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
+from cbsr_qa.studies.selection import BY_OPERATOR
 
 #: Shares of sensors below a quantile.
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -97,11 +98,15 @@ def _group(
     tests = grouping.tests[name]
     members = [index for indices in tests.values() for index in indices]
     last = [decides(runs, indices, terms.policy) for indices in tests.values()]
-    outcomes = [runs[index].outcome for index in last]
-    bad = np.array([index for index in last if runs[index].outcome not in PASSED], dtype=np.intp)
+    outcomes = [runs[index].verdict for index in last]
+    bad = np.array([index for index in last if runs[index].verdict not in PASSED], dtype=np.intp)
     failures = Counter({label: int(failed[bad].sum()) for label, failed in failing if failed[bad].any()})
+    if decided := sum(
+        runs[index].verdict is Outcome.FAIL and runs[index].outcome is not Outcome.FAIL for index in bad
+    ):
+        failures[BY_OPERATOR] = decided
     passed = _yield(outcomes, terms)
-    first = _yield([runs[decides(runs, indices, Policy.FIRST)].outcome for indices in tests.values()], terms)
+    first = _yield([runs[decides(runs, indices, Policy.FIRST)].verdict for indices in tests.values()], terms)
     return Group(
         name=name,
         n=len(tests),

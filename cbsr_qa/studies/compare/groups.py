@@ -88,7 +88,7 @@ def decides(runs: Sequence[RunLine], tests: Sequence[int], policy: Policy) -> in
     if policy is Policy.FIRST:
         return tests[0]
     if policy is Policy.ANY:
-        return next((index for index in tests if runs[index].outcome in PASSED), tests[-1])
+        return next((index for index in tests if runs[index].verdict in PASSED), tests[-1])
     return tests[-1]
 
 

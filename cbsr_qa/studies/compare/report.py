@@ -41,8 +41,8 @@ _NOTE: Final = "{metrics}: {text}."
 _RULES: Final = (
     "Yield counts one finished run per sensor (--policy {policy}); first-pass yield counts the first.",
     "Sensors that could not be measured count apart from yields, or as failed (--quarantine {quarantine}).",
-    "Yields, means, quantiles and capability are those of values as measured, not adjusted for stations. Verdicts"
-    " are those of the analysis; overrides (cbsr-qa verdict override) do not count.",
+    "Yields, means, quantiles and capability are those of values as measured, not adjusted for stations. A"
+    " verdict that was overridden (cbsr-qa verdict override) counts as it was overridden, its values as measured.",
     "Each interval has a confidence of {confidence:g} %. p values (--adjust {adjustment}) are adjusted over all"
     " metrics and groups, separately for differences, stations and equivalence; those of places by Holm.",
     "If a metric has one value per load, the value of a sensor is their mean over the loads of its recipe;"

@@ -171,7 +171,7 @@ def _analysed(run: RunLine) -> bool:
 
 
 def _not_good(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
-    bad = [run for run in runs if not (_analysed(run) and run.outcome in _GOOD)]
+    bad = [run for run in runs if not (_analysed(run) and run.verdict in _GOOD)]
     fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
     if bad and not choice.include_failed:
         raise RefusedError(
@@ -184,6 +184,8 @@ def _not_good(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
 def _fate(run: RunLine) -> str:
     if run.end is not EndReason.FINISHED:
         return str(run.end)
+    if run.overridden_to is not None:
+        return f"overridden to {run.overridden_to}"
     return "never analysed" if run.outcome is None else f"{run.outcome}: {run.reason}"
 
 

@@ -1,4 +1,5 @@
 from .lists import (
+    LATEST_RUNS as LATEST_RUNS,
     ListRequest as ListRequest,
     RunEntry as RunEntry,
     RunList as RunList,

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import EndReason, ListedRun, Outcome, RunSelection
@@ -13,6 +13,12 @@ from cbsr_qa.report import plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.selection import check_names, nearest
 from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, local_day, summarised
+
+#: Runs that are listed if nothing says which: reading 100 000 takes a quarter of a minute.
+LATEST_RUNS: Final = 50
+_LATEST: Final = (
+    "the latest {shown} of {count} runs are listed and counted; --latest N takes more, --today or --since DAY others"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +188,10 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
     runs = kept = _listed(store, request)
     if request.failed or request.limit:
         kept = [run for run in runs if _failed(run, request.limit)][-(request.latest or 0) :]
-    return RunList(summarised(kept), tuple(map(RunEntry.of, kept)), _notes(request, runs, kept))
+    notes = _notes(request, runs, kept)
+    if kept is runs and request.latest is not None and (count := store.run_count(request.selection)) > len(kept):
+        notes = (_LATEST.format(shown=len(kept), count=count), *notes)
+    return RunList(summarised(kept), tuple(map(RunEntry.of, kept)), notes)
 
 
 def list_sensors(store: Repository, request: ListRequest) -> SensorList:

@@ -4,16 +4,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time, timedelta
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field
 
 from cbsr_qa.domain.results import ListedRun, MetricKey, Outcome, RunSelection
 from cbsr_qa.stats import Yield, passed_share
 from cbsr_qa.store import Repository
-
-#: Reason of a failure that no limit gave: an operator decided it.
-BY_OPERATOR: Final = "decided by an operator"
+from cbsr_qa.studies.selection import BY_OPERATOR
 
 
 @dataclass(frozen=True, slots=True)

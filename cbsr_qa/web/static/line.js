@@ -82,13 +82,19 @@ document.addEventListener("submit", async (event) => {
   const mine = ++turn;
   button?.setAttribute("aria-busy", "true");
   say.textContent = "";
+  say.classList.remove("unsent");
   document.querySelector(":popover-open")?.hidePopover();
   try {
-    const answer = await fetch(form.action, { method: "POST", body: new URLSearchParams(new FormData(form)) });
+    const fields = new URLSearchParams(new FormData(form));
+    const answer = await fetch(form.action, { method: "POST", body: fields, signal: AbortSignal.timeout(30000) });
     if (latest && mine !== turn) return;
     if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json());
     else say.textContent = await answer.text();
-  } catch { lost(true); } finally { button?.removeAttribute("aria-busy"); }
+  } catch {
+    lost(true);
+    say.classList.add("unsent");
+    say.textContent = form.dataset.unsent ?? body.dataset.unsent;
+  } finally { button?.removeAttribute("aria-busy"); }
 });
 
 // What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is

@@ -8,7 +8,16 @@ import pytest
 from stored_lots import judged, store_run
 from stored_runs import identity, journalled, short_run
 
-from cbsr_qa.app.gate import GateRequest, Override, ReleaseRequest, ask_gate, gate_refusal, release_file
+from cbsr_qa.app.gate import (
+    GateRequest,
+    Override,
+    ReleaseRequest,
+    ask_gate,
+    asks_pin,
+    gate_refusal,
+    list_releases,
+    release_file,
+)
 from cbsr_qa.config import load_material, load_recipe, load_sensor_type, load_station, merge
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
@@ -51,6 +60,8 @@ def ask(tmp_path, merged, plugins, store):
         of = replace(of, station=station, recipe=replace(of.recipe, name="short"))
         request = GateRequest("S-1", f"sqlite:///{tmp_path / 'runs.db'}", (tmp_path,), **(asked or {}))
         (answer,) = ask_gate(request, of, plugins, store, [GateCheck(check)])
+        assert "cbsr-qa " not in answer.remedy  # a page shows it: command lines are apart
+        assert "--" not in answer.remedy
         return answer
 
     return one
@@ -212,8 +223,13 @@ def test_the_operator_is_listed_and_gives_the_pin(ask):
     for name, asked in (("Zoë Ōtani", {"preview": True}), ("Ada", {})):
         assert ask("operator", asked={"operator": name, **asked}, operators=listed).outcome is GateOutcome.PASSED
     assert "Eve is not on the list" in ask("operator", asked={"operator": "Eve"}, operators=listed).words
-    assert "--station" in ask("operator", asked={"operator": "Ada", "resumed": True}).remedy
+    assert "--station" in ask("operator", asked={"operator": "Ada", "resumed": True}).command
     assert listed[0].pin not in repr(listed)
+    asks = {policy: GateSettings({GateCheck.OPERATOR: policy}, operators=listed) for policy in GatePolicy}
+    assert asks_pin(asks[GatePolicy.REFUSE], "Zoë Ōtani")
+    assert asks_pin(asks[GatePolicy.WARN], "Zoë Ōtani")
+    assert not asks_pin(asks[GatePolicy.OFF], "Zoë Ōtani")
+    assert not any(asks_pin(asks[GatePolicy.REFUSE], name) for name in ("Ada", "Eve", ""))
 
 
 def test_a_pin_has_a_salt_and_no_hash_costs_more_than_a_station_can_pay():
@@ -239,6 +255,16 @@ def test_files_are_released_by_their_content_until_that_is_withdrawn(ask, store,
     answer = ask("released")
     assert answer.outcome is GateOutcome.REFUSED
     assert "recipe nine-locations (withdrawn by Grace" in answer.words
+    shown = list_releases(database)
+    assert [(one.name, one.action, one.holds) for one in shown.result.releases] == [
+        ("simulated", "released", True),
+        ("nine-locations", "released", False),
+        ("disc-100mm", "released", True),
+        ("cbsr-8wt", "released", True),
+        ("base", "released", True),
+        ("nine-locations", "withdrawn", True),
+    ]
+    assert shown.page.banner.headline == "4 contents released"
     with pytest.raises(ConfigError, match="is not released"):
         release_file(ReleaseRequest(str(own), "Grace", "twice", withdraw=True, database=database))
 

@@ -14,11 +14,13 @@ from stored_runs import force, frames, record, short_run
 
 from cbsr_qa.domain.plan import AcquireFrames, Press
 from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
+from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import (
     EventMessage,
     FramesTaken,
     Load,
     LoadFinished,
+    RunConcluded,
     RunEvent,
     SamplesTaken,
     StepStarted,
@@ -29,10 +31,15 @@ from cbsr_qa.domain.run.event_documents import EventDocument
 
 def test_the_events_of_a_run_are_all_documented():
     assert {type(event) for event in short_run("run-1")} == set(get_args(RunEvent))
-    assert len(get_args(EventDocument)) == len(get_args(RunEvent))
+    assert len(get_args(EventDocument)) == len(get_args(RunEvent)) + 1  # and the verdict
 
 
-@pytest.mark.parametrize("event", short_run("run-1"), ids=lambda event: type(event).__name__)
+CONCLUDED = RunConcluded(
+    EndReason.FINISHED, Outcome.PASS, "all limits are met", "var/reports/S-1.html", "var/calibrations/S-1.h5"
+)
+
+
+@pytest.mark.parametrize("event", [*short_run("run-1"), CONCLUDED], ids=lambda event: type(event).__name__)
 def test_a_document_has_the_keys_of_its_schema_and_survives_json(event):
     document = event_document(event)
     assert json.loads(json.dumps(document, allow_nan=False)) == document
@@ -89,7 +96,7 @@ def test_the_reference_shows_a_message_and_an_example_of_every_event():
     message, *examples = [json.loads(block) for block in blocks(page, "json")]
     assert list(message) == [field.name for field in fields(EventMessage)]
     TypeAdapter(EventMessage).validate_python(message)
-    real = {document["type"]: document for document in map(event_document, short_run("run-1"))}
+    real = {document["type"]: document for document in map(event_document, [*short_run("run-1"), CONCLUDED])}
     assert [example["type"] for example in examples] == re.findall(
         r"`(\w+)`", "".join(re.findall(r"^### .*", page.read_text(), re.M))
     )

@@ -64,6 +64,12 @@ def test_a_metric_is_the_mean_of_its_loads_and_a_retest_decides_by_policy(url):
     assert {d["groups"][0]["first_pass_yield"] for d in (last, first, some)} == {0.0}
     assert first["groups"][0]["failures"] == [{"metric": f"{ERROR} (nine locations)", "sensors": 3}]
     assert last["groups"][0]["failures"] == []
+    with open_store(url, durable=False) as store:
+        latest = {line.serial: line.run for line in store.run_lines()}
+        store.override_verdict(latest["S-0"], Outcome.FAIL, operator="Zoë", why="scratched")
+    again = json_of(compared(url))["groups"][0]
+    assert again["yield"] == pytest.approx(2 / 3)
+    assert again["failures"] == [{"metric": "decided by an operator", "sensors": 1}]
     # Capability is of the worst load: of 3, 4 and 5 mm against 6.5 mm.
     assert last["distributions"][0]["capability"]["cpk"]["value"] == pytest.approx((6.5 - 4.0) / 3)
 

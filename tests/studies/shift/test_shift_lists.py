@@ -12,7 +12,7 @@ from cbsr_qa.cli import guarded
 from cbsr_qa.domain.results import EndReason, Measurement, Outcome, RunSelection
 from cbsr_qa.stats import passed_share
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.shift import ListRequest, list_sensors, local_day, sensor_runs, shift_summary
+from cbsr_qa.studies.shift import LATEST_RUNS, ListRequest, list_sensors, local_day, sensor_runs, shift_summary
 
 ERROR, DRIFT = "centre_of_mass_error", "drift"
 
@@ -150,3 +150,22 @@ def test_a_table_shows_verdicts_yields_and_reasons(shift, capsys):
     assert "2 of 4, 50 %" in out
     assert "overridden by Bob: scratched" in " ".join(out.split())
     assert "Reasons for failure" in out
+
+
+def test_plain_runs_lists_the_latest_and_says_how_many_there_are(tmp_path, capsys):
+    database = str(tmp_path / "many.db")
+    with open_store(f"sqlite:///{database}", durable=False) as store:
+        for number in range(LATEST_RUNS + 3):
+            store_run(store, f"S-{number:02d}", values())
+
+    def printed(*options):
+        assert guarded(["runs", "--database", database, *options]) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    plain = printed()
+    assert f"the latest {LATEST_RUNS} of {LATEST_RUNS + 3} runs are listed and counted" in plain
+    assert ("S-02 " in plain, "S-03 " in plain, "S-52 " in plain) == (False, True, True)
+    assert "of 53 runs" in printed("--latest", "2")
+    assert "the latest" not in printed("--latest", "53")
+    assert len(json.loads(printed("--json"))["runs"]) == LATEST_RUNS + 3
+    assert "the latest" not in printed("--station", "bench-α")

@@ -1,0 +1,58 @@
+"""What is released: every release and withdrawal, and which of them hold."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import filled
+from cbsr_qa.domain.results import Cell, CommandOutcome, Outcome, Section
+from cbsr_qa.domain.run import Release
+from cbsr_qa.report import answer, plural, text_table
+from cbsr_qa.store import open_store
+
+#: Digits of a digest that are shown; ``--json`` has all.
+_DIGITS: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRelease(Release):
+    """A release or withdrawal. ``holds``: whether it is the latest of its kind and content."""
+
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseList:
+    """Releases and withdrawals in the order they were made in."""
+
+    releases: tuple[ListedRelease, ...]
+
+
+def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
+    """List releases. StoreError if there is no database, or it cannot be read."""
+    with open_store(database_url(database), create=False) as store:
+        releases = store.all_releases()
+    latest = {(one.kind, one.sha256): one.release for one in releases}
+    listed = tuple(filled(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases)
+    released = sum(one.holds and one.action == "released" for one in listed)
+    table = text_table(
+        "Releases and withdrawals, the last one below; the latest of a content holds.",
+        ("when (UTC)", "kind", "name", "SHA-256", "what", "by", "why"),
+        [_row(one) for one in listed],
+    )
+    outcome = answer(ReleaseList(listed), f"{plural(released, 'content')} released")
+    return replace(outcome, sections=(Section("Releases", (table,)),)) if listed else outcome
+
+
+def _row(release: ListedRelease) -> tuple[str | Cell, ...]:
+    what = release.action if release.holds else f"{release.action}, superseded"
+    passes = release.holds and release.action == "released"
+    return (
+        f"{release.at:%Y-%m-%d %H:%M}",
+        release.kind,
+        release.name,
+        release.sha256[:_DIGITS],
+        Cell(what, Outcome.PASS if passes else None),
+        release.by,
+        release.why,
+    )
