@@ -39,6 +39,7 @@ from .database import (
     upgrade_database as upgrade_database,
 )
 from .export import Exported as Exported, ExportRequest as ExportRequest, export_data as export_data
+from .imaging import ImagedFrames as ImagedFrames, image_frames as image_frames, imaged_outcome as imaged_outcome
 from .keeping import (
     Backup as Backup,
     DatabaseCheck as DatabaseCheck,

@@ -10,6 +10,7 @@ from .preflight import (
 )
 from .render import (
     Rendered as Rendered,
+    outcome_of_stored as outcome_of_stored,
     render_stored as render_stored,
     rendered_outcome as rendered_outcome,
     with_versions as with_versions,

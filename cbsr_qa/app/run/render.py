@@ -9,12 +9,14 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis import characterise_run, evaluate_run
 from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
+from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
-from cbsr_qa.config import database_url, reports_folder
+from cbsr_qa.config import database_url, reports_folder, restore
 from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, filled
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
@@ -116,11 +118,45 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     return CommandOutcome(rendered, page)
 
 
-def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
+def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutcome:
+    """Return the outcome of a stored run without imaging it: ``reconstruction`` and ``place`` are None.
+
+    Files are named where they are in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If the run was altered.
+    """
+    result, _ = rebuilt(run, store, plugins, imaged=False)
+    identity = result.record.identity
+    report = reports_folder() / report_name(identity.sensor.serial, identity.run)
+    calibration = calibration_path(identity)
+    why = "" if result.characterisation is None else why_no_material(result)
+    material = None if result.characterisation is None or why else material_path(result)
+    return RunOutcome.of(
+        result,
+        report=report if report.exists() else None,
+        calibration=calibration if result.calibration is not None and calibration.exists() else None,
+        material=(material if material is not None and material.exists() else None, why),
+        warnings=result.warnings,
+        compute_s=sum(seconds for _, seconds in result.compute_s),
+        seed=restore(store.configuration(run)).seed,
+        resume="" if result.record.end is EndReason.FINISHED else resume_command(run, store),
+    )
+
+
+def rebuilt(
+    run: str, store: Repository, plugins: Plugins, *, imaged: bool = True
+) -> tuple[RunResult, tuple[str, ...]]:
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
     stored frames and configuration. A run that was never analysed is analysed here, without storing the result.
+
+    Parameters
+    ----------
+    imaged : whether to compute the images of a run whose analysis is stored, which takes seconds.
 
     Returns
     -------
@@ -136,7 +172,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _computed(record, recipe, plugins)
+    observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -163,9 +199,12 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
 
 
 def _computed(
-    record: RunRecord, recipe: Recipe, plugins: Plugins
+    record: RunRecord, recipe: Recipe, plugins: Plugins | None
 ) -> tuple[RunObservation | None, Characterisation | None, str]:
-    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason."""
+    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason.
+
+    Without plugins nothing is imaged.
+    """
     if record.end is not EndReason.FINISHED:
         return None, None, ""
     try:
@@ -173,8 +212,8 @@ def _computed(
             return None, characterise_run(record, recipe.characterisation), ""
     except NumericsError as error:
         return None, None, f"the material cannot be characterised: {error.reason}"
-    if all(phase.frames is None for phase in record.phases):
-        return None, None, "the run holds no frames, so that there are no images"
+    if plugins is None or all(phase.frames is None for phase in record.phases):
+        return None, None, "" if plugins is None else "the run holds no frames, so that there are no images"
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), None, ""
