@@ -93,7 +93,7 @@ def new_plugin(
         *(("file", str(made.folder / file)) for file in made.files),
         ("change", str(made.folder / made.module / f"{made.kind}.py")),
         ("check", f"cbsr-qa plugins check {made.folder}/"),
-        ("install", f"python -m pip install --no-deps --editable {made.folder}"),
+        ("install", f"python -m pip install --no-deps --no-build-isolation {_path(made.folder)}"),
     )
     show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
 
@@ -115,6 +115,11 @@ def check_plugin(
     targets = targets_of(name, kind_named(kind))
     with Counting("checks") as counting:
         return show(checks_outcome(check_plugins(targets, counting.stage)), as_json=as_json)
+
+
+def _path(folder: Path) -> str:
+    """Return a folder as pip takes it, which would look for a bare name on the net."""
+    return str(folder) if folder.is_absolute() else f"./{folder}"
 
 
 def _section(plugin: "PluginReference") -> "Section":

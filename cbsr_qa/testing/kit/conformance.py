@@ -160,7 +160,11 @@ def check_documentation(plugins: Plugins, kind: Kind, name: str) -> Checked:
     has_docstring = bool(vars(plugins.factory(kind, name)).get("__doc__"))
     lacks = [*([] if has_docstring else ["the plugin"]), *(f"option {option}" for option in missing)]
     assert not lacks, f"no description of {', '.join(lacks)}"
-    return Checked("documentation", "; ".join(["summary", *(option.name for option in reference.options)]))
+    return Checked(
+        "documentation",
+        "summary"
+        + ("; options: " + ", ".join(option.name for option in reference.options)) * bool(reference.options),
+    )
 
 
 def check_unknown_option(factory: Factory, kind: Kind) -> Checked:
@@ -215,7 +219,7 @@ def check_example(plugins: Plugins, kind: Kind, name: str, answer: list[Example]
         options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT))).read(example.options)
     except ConfigError as error:
         example.close()
-        raise AssertionError(f"{error.reason}: {error.remedy}".removesuffix(": ")) from error
+        raise AssertionError("; ".join(filter(None, (error.reason, error.remedy)))) from error
     answer.append(example)
     return Checked("example", f"options {dict(example.options)}" if example.options else "default options")
 
