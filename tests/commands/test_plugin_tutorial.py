@@ -40,9 +40,7 @@ def _typed(folder, line):
     """Type a line; the package is installed into a folder of the test, not beside the program."""
     words = shlex.split(line)
     if words[0] == "cbsr-qa":
-        done = typed(
-            folder, line, check=False, fresh=True, PYTHONPATH=str(folder / "site")
-        )
+        done = typed(folder, line, check=False, fresh=True, PYTHONPATH=str(folder / "site"))
         return done.returncode, f"{done.stderr} {done.stdout}"
     if words[:4] == ["python", "-m", "pip", "install"]:
         command = [sys.executable, *words[1:], "--no-index", "--quiet", "--target", "site"]

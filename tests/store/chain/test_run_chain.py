@@ -216,8 +216,10 @@ READ_ALL = (
 
 
 #: Nothing is stored in these here, or nobody reads it.
-EMPTY = ("sensors", "configuration_changes", "releases", "archives", *(f"calibration_{what}" for what in
-         ("settling", "relaxations", "parameters", "overlap_bands", "forces")))  # fmt: skip
+EMPTY = (
+    *("sensors", "configuration_changes", "releases", "archives", "outbox", "sync_accepts", "sync_refusals"),
+    *(f"calibration_{what}" for what in ("settling", "relaxations", "parameters", "overlap_bands", "forces")),
+)
 
 
 def add_checks(store, run):
