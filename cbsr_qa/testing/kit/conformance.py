@@ -180,7 +180,7 @@ def check_unknown_option(factory: Factory, kind: Kind) -> Checked:
     else:
         raise AssertionError("any option is accepted, so a misspelt one would go unnoticed")
     assert _UNKNOWN in refusal, f"the refusal does not name it: {refusal}"
-    return Checked("unknown option", "refused by name")
+    return Checked("unknown option", "refused, and the message names it")
 
 
 def check_hooks(plugins: Plugins, kind: Kind, name: str) -> Checked:

@@ -299,7 +299,7 @@ def check_delivery(sink: Any, example: Example) -> Checked:
 
     Remedy: give ``received`` in the ``Example``; return from ``deliver`` only when the messages are taken.
     """
-    assert example.received is not None, "no `received`, so nobody knows what arrived"
+    assert example.received is not None, "no `received`, so what arrived is unknown"
     before = len(example.received())
     check_sink(sink, lambda: example.received()[before:] if example.received else [])
     assert math.isfinite(sink.largest_batch), "no largest batch"

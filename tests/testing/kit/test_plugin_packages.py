@@ -32,12 +32,8 @@ def own_path(monkeypatch):
 
 @pytest.mark.parametrize("kind", [kind for kind in Kind if kind is not Kind.RECONSTRUCTION])
 def test_a_new_package_conforms_without_being_installed(made, kind):
+    """A reconstruction takes seconds; tests/commands/test_plugin_tutorial.py checks one."""
     assert_conforms(made[kind].folder)
-
-
-@pytest.mark.rest
-def test_a_new_reconstruction_conforms_without_being_installed(made):
-    assert_conforms(made[Kind.RECONSTRUCTION].folder)
 
 
 def _done(*words, cwd, **environment):
