@@ -32,6 +32,7 @@ PARTS = (
     "force",
     "pressed_places",
     "fleet",
+    "sync",
 )
 _HEAD = """# Performance
 

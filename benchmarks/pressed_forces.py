@@ -3,25 +3,37 @@
 ``python -m benchmarks.pressed_forces`` prints the table of docs/explanation/place.md: sheets of 16 electrodes that
 answer by 20 % more or less over some 20 mm, pressed with 1 to 5 N, with noise of 10 % of a median change; half of
 them have rectifying front ends. Places are found to half a millimetre along each axis (``--learn`` learns them too:
-half a minute a sheet). Of each sheet 300 other presses are told.
+half a minute a sheet). Of each sheet 300 other presses are told. ``--skins`` prints the table of two real skins,
+whose readings are multiplied by a force of 1 to 5 N over 3 N: presses at random, and the first of the session, tell
+others, at random and its last ones, with and without the search for drift.
 """
 
 import argparse
 import sys
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from cbsr_qa.calibration.place import PlaceEstimator, Places, QuantityEstimator, learn_place, learn_quantity
+from cbsr_qa.calibration.place import (
+    PlaceEstimator,
+    PlaceLearned,
+    Places,
+    QuantityEstimator,
+    learn_place,
+    learn_quantity,
+)
+from cbsr_qa.domain.results import LearnedQuantity
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
-from pressed_sheets import Pressed, pressed_sheet
+from pressed_sheets import Pressed, pressed_sheet, skin
 
 Array = NDArray[np.float64]
 _TOLD = 300
+_SKINS = Path("../shared/data/skins")
 _FOUND_MM = 0.5
 _EDGES_N = (1.0, 2.0, 3.0, 4.0, 5.0)
 
@@ -46,8 +58,7 @@ def errors(count: int, seed: int, *, learn: bool) -> tuple[Array, Array, Array]:
     some, rest = slice(0, count), slice(count, None)
     if learn:
         place = learn_place(sheet.changes[some], sheet.labels_mm[some], sheet.pairs, 16)
-        forces = sheet.force_N[place.held_out.presses]
-        model = learn_quantity(forces, place.strength, place.held_out.found_mm, place.model.centre_mm)
+        model = _learned(place, sheet.force_N[some], drift=True)
         told = QuantityEstimator(model)(PlaceEstimator(place.model)(sheet.changes[rest]))
     else:
         at = found(sheet, seed)
@@ -57,6 +68,38 @@ def errors(count: int, seed: int, *, learn: bool) -> tuple[Array, Array, Array]:
     truth = sheet.force_N[rest]
     held = [(low <= truth) & (truth <= high) for low, high in (told.within_68.T, told.within_95.T)]
     return truth, told.values - truth, np.array(held)
+
+
+def skin_rows(name: str, count: int, *, late: bool, draws: int) -> Iterator[str]:
+    """Rows of the table of skins: means over draws, with standard errors from their differences."""
+    sheet, results = skin(_SKINS, name), []
+    for seed in range(draws):
+        random = np.random.default_rng([seed, count])
+        force_N, order = random.uniform(1.0, 5.0, len(sheet.labels_mm)), random.permutation(len(sheet.labels_mm))
+        changes = sheet.changes * force_N[:, None] / 3
+        some, rest = np.sort(order[_TOLD : _TOLD + count]), order[:_TOLD]
+        if late:
+            some, rest = np.arange(count), np.arange(len(force_N) - _TOLD, len(force_N))
+        place = learn_place(changes[some], sheet.labels_mm[some], sheet.pairs, 16)
+        at, truth = PlaceEstimator(place.model)(changes[rest]), force_N[rest]
+        results.append([])
+        for drift in (False, True):
+            told = QuantityEstimator(_learned(place, force_N[some], drift=drift))(at)
+            inside = [((low <= truth) & (truth <= high)).mean() for low, high in (told.within_68.T, told.within_95.T)]
+            results[-1].append([np.abs(told.values - truth).mean(), *inside])
+    for drift, (means, stderrs) in enumerate(map(_over, zip(*results, strict=True))):
+        inside = [
+            f"{100 * mean:.0f} ± {100 * stderr:.0f}" for mean, stderr in zip(means[1:], stderrs[1:], strict=True)
+        ]
+        words = ("the last" if late else "at random", "yes" if drift else "no")
+        yield f"| {name} | {count} | {' | '.join(words)} | {means[0]:.3f} ± {stderrs[0]:.3f} | {' | '.join(inside)} |"
+
+
+def _learned(place: PlaceLearned, force_N: Array, *, drift: bool) -> LearnedQuantity:
+    found = place.found
+    further = {"session": found.session, "drifts": found.drifts, "visits": found.visits} if drift else {}
+    values = force_N[found.presses]
+    return learn_quantity(values, found.strength, found.place_mm, place.model.centre_mm, **further)
 
 
 def row(count: int, sheets: int, *, learn: bool) -> str:
@@ -72,7 +115,7 @@ def row(count: int, sheets: int, *, learn: bool) -> str:
     return f"| {count} | {sheets} | {' | '.join(cells)} |"
 
 
-def _over(sheets: list[Array]) -> tuple[Array, Array]:
+def _over(sheets: Sequence[ArrayLike]) -> tuple[Array, Array]:
     """Means over sheets and their standard errors."""
     values = np.array(sheets)
     return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
@@ -83,7 +126,15 @@ def main() -> None:
     parser.add_argument("--learn", action="store_true", help="learn the places too")
     parser.add_argument("--presses", type=int, nargs="+", default=[20, 39, 100, 400])
     parser.add_argument("--sheets", type=int, default=12)
+    parser.add_argument("--skins", action="store_true", help="of two real skins, with known forces")
     chosen = parser.parse_args()
+    if chosen.skins:
+        print("| skin | presses | told | drift | error [N] | 68 % hold | 95 % hold |\n|" + " --- |" * 7)
+        for name in ("no_pattern", "parallel_lines"):
+            for count in chosen.presses:
+                for late in (False, True):
+                    print("\n".join(skin_rows(name, count, late=late, draws=chosen.sheets)), flush=True)
+        return
     bins = [f"{low:g} to {high:g} N" for low, high in pairwise(_EDGES_N)]
     print(f"| presses | sheets | {' | '.join(bins)} | 68 % hold | 95 % hold |\n|{' --- |' * (len(bins) + 4)}")
     for count in chosen.presses:

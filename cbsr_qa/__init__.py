@@ -1,44 +1,12 @@
 """Calibration and quality assurance of soft pressure sensors read by electrical impedance tomography.
 
-Importing this package loads nothing heavy: no scipy, no database, no plugin. Everything a plugin author
-needs is in :mod:`cbsr_qa.domain` (the words of the trade) and :mod:`cbsr_qa.plugin` (what to implement, and
-how to be found).
+``import cbsr_qa as qa`` offers the names of its stub to notebooks and scripts; importing it loads nothing heavy: no
+scipy, no database, no plugin. What a plugin author needs is in :mod:`cbsr_qa.domain` (the words of the trade) and
+:mod:`cbsr_qa.plugin` (what to implement, and how to be found).
 """
 
-import ast
-from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
-from typing import Any, Final
+from cbsr_qa.lazy import door as door
 
-__version__: Final = "0.1.0"
+__version__ = "0.1.0"
 
-
-def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Make what a package's stub lists importable from the package, each name loaded when it is first used.
-
-    As ``lazy_loader.attach_stub``, which a robot does not have: there numpy, scipy and h5py are all there is.
-
-    Parameters
-    ----------
-    package, file : ``__name__`` and ``__file__`` of the package; the stub is beside its file, ``__init__.pyi``.
-
-    Returns
-    -------
-    ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
-    """
-    stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
-    modules = {
-        alias.name: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    }
-    names = sorted(modules)
-
-    def load(name: str) -> Any:
-        if name not in modules:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = import_module(f"{package}.{modules[name] or name}")
-        value = getattr(module, name) if modules[name] else module
-        vars(import_module(package))[name] = value  # found without this function from now on
-        return value
-
-    return load, lambda: names, names
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -4,10 +4,10 @@ from alembic import context
 from sqlalchemy import Connection, create_engine
 
 from cbsr_qa.store import create_views, drop_views
-from cbsr_qa.store.tables import AnalysisRow, Base
+from cbsr_qa.store.tables import AnalysisRow, Base, OutboxRow
 
 # Importing the results' tables registers them beside the runs'.
-assert AnalysisRow.metadata is Base.metadata
+assert AnalysisRow.metadata is OutboxRow.metadata is Base.metadata
 
 
 def _migrate(connection: Connection) -> None:

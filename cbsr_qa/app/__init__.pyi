@@ -13,6 +13,7 @@ from .apply_places import (
     places_csv as places_csv,
     places_outcome as places_outcome,
 )
+from .archive import Archived as Archived, archive_runs as archive_runs, unarchive_runs as unarchive_runs
 from .calibrate import PressesCalibrated as PressesCalibrated, calibrate_from_presses as calibrate_from_presses
 from .calibration_file import (
     Converted as Converted,
@@ -38,4 +39,20 @@ from .database import (
     upgrade_database as upgrade_database,
 )
 from .export import Exported as Exported, ExportRequest as ExportRequest, export_data as export_data
+from .imaging import ImagedFrames as ImagedFrames, image_frames as image_frames, imaged_outcome as imaged_outcome
+from .keeping import (
+    Backup as Backup,
+    DatabaseCheck as DatabaseCheck,
+    Restored as Restored,
+    back_up as back_up,
+    check_database as check_database,
+    restore_backup as restore_backup,
+)
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration
+from .sync import (
+    Synchronised as Synchronised,
+    decide_item as decide_item,
+    keep_synchronised as keep_synchronised,
+    sync_status as sync_status,
+    synchronise as synchronise,
+)

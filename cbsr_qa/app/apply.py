@@ -12,7 +12,7 @@ from pydantic import Field, InstanceOf
 from cbsr_qa.analysis.recording import read_recording_file
 from cbsr_qa.app.calibration_file import check_free, write_text
 from cbsr_qa.calibration.file import read_contained
-from cbsr_qa.calibration.runtime import Calibration, Flag
+from cbsr_qa.calibration.runtime import Calibration, Flag, SettlingForces
 from cbsr_qa.config import validate_serial
 from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, filled
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
@@ -127,11 +127,15 @@ def _against_own(calibration: Calibration, recording: Recording, voltages: Array
     return (voltages - own) * ratio + reference, (remark,)
 
 
+_NO_TIMES: Final = (
+    "frames have no times, or not in order: whether loads had settled is not known; until then forces read low, and"
+    " after a release high"
+)
 #: Called with each step, in words.
 Tell = Callable[[str], None]
 
 #: Frames processed between two messages.
-_AT_ONCE: Final = 5000
+_AT_ONCE: Final = 500
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
 _SAID: Final = {
@@ -151,12 +155,18 @@ _SAID: Final = {
     Flag.SATURATED: "readings stand at one extreme value: left out",
     Flag.OFFSET: "one offset on all readings",
     Flag.MISSING: "some readings are missing: left out",
+    Flag.UNSETTLED: "has not settled",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class FrameForce:
-    """Force in one frame, or None; ``flags`` in words."""
+    """Force in one frame, or None; ``flags`` in words.
+
+    Parameters
+    ----------
+    settled_in_s : until the force counts, 0 where it does; None where that is not known.
+    """
 
     time_s: float | None
     force_N: float | None
@@ -165,6 +175,7 @@ class FrameForce:
     y_mm: float | None
     place_stderr_mm: float | None
     detectability: float | None
+    settled_in_s: float | None
     flags: str
 
 
@@ -226,8 +237,9 @@ def apply_calibration(
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
             voltages, scaled = recorded_frames(sensor, recording, request.reference)
-            forces = tuple(_forces(sensor, recording, voltages, request, tell))
-            applied.append(Applied(path, forces, (*scaled, *remarks)))
+            in_order = _in_order(recording.frames.time_s)
+            forces = tuple(_forces(sensor, recording, voltages, request, tell, in_order=in_order))
+            applied.append(Applied(path, forces, (*scaled, *remarks, *(() if in_order else (_NO_TIMES,)))))
         except CbsrError as error:
             applied.append(Applied(path, refused=filled(Refusal, error), error=error))
     return AppliedCalibration(calibration, tuple(applied))
@@ -246,16 +258,23 @@ def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
     return ()
 
 
+def _in_order(time_s: Array) -> bool:
+    """Whether loads can be followed over the times of frames."""
+    return bool(np.isfinite(time_s).all() and (np.diff(time_s) > 0).all())
+
+
 def _forces(
-    sensor: Calibration, recording: Recording, voltages: Array, request: ApplyRequest, tell: Tell
+    sensor: Calibration, recording: Recording, voltages: Array, request: ApplyRequest, tell: Tell, *, in_order: bool
 ) -> Iterator[FrameForce]:
-    count = len(voltages)
+    count, settling = len(voltages), SettlingForces(sensor)
     for first in range(0, count, _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
         f = sensor.force(voltages[part], place_mm=request.place_mm)
-        times = recording.frames.time_s[part]
-        columns = (times, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability)
+        times, settled_in_s = recording.frames.time_s[part], np.full(len(f.force_N), np.nan)
+        if in_order:
+            f, settled_in_s = settling(times, voltages[part], f)
+        columns = (times, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability, settled_in_s)
         for *values, flags in zip(*columns, f.flags.tolist(), strict=True):
             row: list[Any] = [float(value) if np.isfinite(value) else None for value in values]
             row.append(flag_words(flags))
@@ -292,11 +311,8 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
     )
 
 
-#: What the stated errors of forces do not cover.
-_STEADY: Final = (
-    "Errors are those of steady loads: until a hold has settled its force reads low, and for some seconds after a"
-    " release it reads high."
-)
+_HEADINGS: Final = ("time [s]", "force [N]", "x [mm]", "y [mm]", "flags", "settled in [s]")
+_SETTLED: Final = "A force that has not settled is predicted; it counts after the time in the last column."
 
 
 def _table(recording: Applied) -> Table:
@@ -307,10 +323,16 @@ def _table(recording: Applied) -> Table:
     for frame in (recording.frames[n] for n in chosen):
         force = "–" if frame.force_N is None else with_uncertainty(frame.force_N, frame.stderr_N)
         time, x, y = ("–" if value is None else fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm))
-        rows.append((time, force, x, y, frame.flags))
+        rows.append((time, force, x, y, frame.flags, _settled_words(frame)))
     spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
-    caption = f"{spread}Force with one standard error, and where the head presses. {_STEADY}"
-    return text_table(caption, ("time [s]", "force [N]", "x [mm]", "y [mm]", "flags"), rows, (0, 1, 2, 3))
+    caption = f"{spread}Force with one standard error, and where the head presses. {_SETTLED}"
+    return text_table(caption, _HEADINGS, rows, (0, 1, 2, 3, 5))
+
+
+def _settled_words(frame: FrameForce) -> str:
+    if frame.settled_in_s is None:
+        return "–"
+    return fixed(frame.settled_in_s, 0) if frame.settled_in_s else ""
 
 
 def write_table(path: Path, table: str) -> None:

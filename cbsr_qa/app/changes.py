@@ -1,19 +1,22 @@
 """Changes of configuration files, control limits and verdicts; overriding a verdict."""
 
+import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
-from cbsr_qa.app.run import check_decided
-from cbsr_qa.config import database_url, restore, validate_operator, validate_reason
+from cbsr_qa.app.run import check_decided, judging_recipe
+from cbsr_qa.config import database_url, validate_operator, validate_reason
 from cbsr_qa.domain import ConfigError, filled
 from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride, run_named
 from cbsr_qa.report import answer, number, plural, unit_shown
 from cbsr_qa.store import made_at, open_store
+from cbsr_qa.store.results import AdoptedRuns
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
+_PLURALS: Final = {"analysis": "analyses"}
 _AT: Final = "%Y-%m-%d %H:%M"
 
 
@@ -31,15 +34,22 @@ class Changes:
     changes: tuple[ConfigurationChange, ...]
     chart_references: tuple[ChartChange, ...]
     overrides: tuple[VerdictOverride, ...]
+    adoptions: tuple[AdoptedRuns, ...]
 
 
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
-        changes = Changes(store.changes(), tuple(_chart_changes(store.all_chart_references())), store.overrides())
+        charts = tuple(_chart_changes(store.all_chart_references()))
+        changes = Changes(store.changes(), charts, store.overrides(), store.adoptions())
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
-    listed = {"file": changes.changes, "control chart": changes.chart_references, "verdict": changes.overrides}
-    counts = ", ".join(plural(len(rows), noun) for noun, rows in listed.items() if rows)
+    listed = {
+        "file": changes.changes,
+        "control chart": changes.chart_references,
+        "verdict": changes.overrides,
+        "analysis": changes.adoptions,
+    }
+    counts = ", ".join(plural(len(rows), noun, _PLURALS.get(noun, "")) for noun, rows in listed.items() if rows)
     outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED)
     return replace(outcome, sections=tuple(_sections(changes, lambda run: names.get(run, run))))
 
@@ -69,6 +79,10 @@ def _sections(changes: Changes, named: Callable[[str], str]) -> Iterator[Section
     for override in changes.overrides:
         title = f"{override.at:{_AT}}  verdict of {named(override.run)}, by {override.by}"
         yield _section(title, override.why, f"{override.verdict} overridden to {override.outcome}")
+    for adopted in changes.adoptions:
+        name = json.loads(adopted.recipe)["recipe"]["name"]
+        title = f"{adopted.first_at:{_AT}}  re-analyses by recipe {name} adopted, by {adopted.operator}"
+        yield _section(title, adopted.why, f"{plural(adopted.runs, 'run')}, until {adopted.last_at:{_AT}}")
 
 
 def _section(title: str, why: str, *lines: str) -> Section:
@@ -144,10 +158,11 @@ def override_verdict(
             raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
-        for latest in store.analyses(run)[:1]:
-            check_decided(store.load_run(run), latest, restore(store.configuration(run)).recipe.limits)
+        analyses = store.analyses(run)
+        for latest in analyses[:1]:
+            check_decided(store.load_run(run), latest, judging_recipe(store, run, latest).limits)
         override = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
-        calibration = store.analyses(run)[0].calibration
+        calibration = next((one.calibration for one in analyses if one.calibration is not None), None)
         identity, report = store.identity(run), report_command(run, store)
     note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:

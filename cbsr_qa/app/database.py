@@ -1,9 +1,12 @@
 """Upgrading the database, and its status."""
 
+import shlex
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.command_hints import database_option
+from cbsr_qa.app.keeping import Count, stamped
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import CommandOutcome, EndReason
@@ -15,6 +18,7 @@ from cbsr_qa.store import (
     READER,
     STATION,
     Age,
+    copy_database,
     found_version,
     made_at,
     open_engine,
@@ -22,6 +26,7 @@ from cbsr_qa.store import (
     parsed_url,
     refusal,
     roles_script,
+    sqlite_file,
     upgrade,
 )
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
@@ -32,12 +37,13 @@ _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
 
 @dataclass(frozen=True, slots=True)
 class Upgrade:
-    """The upgrade of a database; ``before`` is None if it was empty."""
+    """The upgrade of a database; ``before`` is None if it was empty, ``backup`` if none was made."""
 
     url: str
     before: str | None
     after: str
     changed: bool
+    backup: Path | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,26 +119,37 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
     )
 
 
-def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
+def upgrade_database(
+    option: str | None, count: Count = lambda what, done, of: None, *, backup: bool = True
+) -> CommandOutcome[Upgrade]:
     """Upgrade a database to this program's schema; create it if missing.
 
     Parameters
     ----------
     option : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
+    backup : copy a SQLite file before it is changed; a server's database is not copied.
 
     Raises
     ------
-    StoreError
-        If it cannot be opened, belongs to another program, or is newer; it is not changed.
+    RefusedError, StoreError
+        If it cannot be opened or copied, belongs to another program, or is newer; it is not changed.
     """
     engine = open_engine(parsed_url(database_url(option)))
     try:
+        file, version = sqlite_file(engine.url), found_version(engine)
+        kept = None
+        if backup and file is not None and version.age is Age.OLDER:
+            kept = stamped(file, f"schema-{version.revision}")
+            copy_database(engine, kept, count)
         before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
     url, found = engine.url.render_as_string(hide_password=True), before.revision
-    done = Upgrade(url, found, HEAD, changed=found != HEAD)
-    return answer(done, url, f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date")
+    done = Upgrade(url, found, HEAD, found != HEAD, kept)
+    words = f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
+    undo = f"cbsr-qa db restore {shlex.quote(str(kept))}{database_option(option)}"
+    printed = (("Backup", str(kept)), ("Undone by", undo)) if kept else ()
+    return answer(done, url, words, printed=printed)
 
 
 @dataclass(frozen=True, slots=True)

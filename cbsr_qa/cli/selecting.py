@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.options import to_day
-from cbsr_qa.domain import RefusedError
 
 if TYPE_CHECKING:
     from cbsr_qa.studies.shift import ListRequest
@@ -40,21 +39,18 @@ def list_request(
     checks: bool = False,
 ) -> "ListRequest":
     """Return which runs the options select. RefusedError if two of them exclude each other."""
-    from cbsr_qa.domain.results import RunSelection
-    from cbsr_qa.studies.shift import ListRequest, local_day
+    from cbsr_qa.studies.shift import list_request as request
 
-    if today and (since or until):
-        raise RefusedError("--today with --since or --until", remedy="give one of them")
-    begins, ends = local_day() if today else (None, None)
-    selection = RunSelection(
+    return request(
+        today=today,
+        since=to_day(since),
+        until=to_day(until),
+        failed=failed,
+        limit=limit,
+        latest=latest,
+        checks=checks,
         recipe=recipe,
         batch=batch,
         stations=tuple(station or ()),
         operators=tuple(operator or ()),
-        since=to_day(since),
-        until=to_day(until),
-        checks=checks,
-        from_moment=begins,
-        before_moment=ends,
     )
-    return ListRequest(selection, failed=failed, limit=limit, latest=latest)

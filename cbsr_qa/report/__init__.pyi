@@ -8,6 +8,7 @@ from .gate import gate_blocks as gate_blocks, gate_table as gate_table, gate_wor
 from .page import answer as answer, recording_page as recording_page, run_page as run_page
 from .render import (
     check_replaceable as check_replaceable,
+    render_fragment as render_fragment,
     render_recording as render_recording,
     render_run as render_run,
     render_sections as render_sections,

@@ -20,6 +20,8 @@ from cbsr_qa.system import side_by_side, writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
+_FRAGMENT: Final = "fragment.html.j2"
+_FRAGMENT_STYLE: Final = "fragment.css"
 #: What every page begins with.
 _PAGE: Final = "<!DOCTYPE html>"
 
@@ -66,6 +68,23 @@ def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequen
         If a section holds what cannot be shown safely.
     """
     return _page(page, [_prepared(section, f"s{number}") for number, section in enumerate(sections, 1)], warnings)
+
+
+def render_fragment(page: Page, sections: Sequence[Section]) -> str:
+    """Render a page as one element for a page of others, such as a notebook; see :func:`render_sections`.
+
+    Its style applies to it alone (CSS ``@scope``); where a browser does not know that, it has no style.
+    """
+    environment, style = _environment(), re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", _style(_STYLE))
+    style = re.sub(r"(?m)^@page .*\n", "", style)
+    shown = [_prepared(section, "") for section in sections]
+    return environment.get_template(_FRAGMENT).render(
+        page=page,
+        sections=shown,
+        warnings=page.warnings,
+        style=Markup(style + _style(_FRAGMENT_STYLE)),
+        anchors=False,
+    )
 
 
 def write_report(path: Path, html: str) -> None:
@@ -133,11 +152,21 @@ def _render(
 
 
 def _page(page: Page, shown: Sequence[_Shown], warnings: Sequence[str]) -> str:
-    environment = _environment()
-    style, _, _ = PackageLoader("cbsr_qa._reports", ".").get_source(environment, _STYLE)
-    return environment.get_template(_TEMPLATE).render(
-        page=page, sections=shown, warnings=(*page.warnings, *warnings), style=Markup(style)
+    return (
+        _environment()
+        .get_template(_TEMPLATE)
+        .render(
+            page=page,
+            sections=shown,
+            warnings=(*page.warnings, *warnings),
+            style=Markup(_style(_STYLE)),
+            anchors=True,
+        )
     )
+
+
+def _style(name: str) -> str:
+    return PackageLoader("cbsr_qa._reports", ".").get_source(_environment(), name)[0]
 
 
 def _environment() -> Environment:

@@ -41,15 +41,25 @@ class RunProgress:
     Parameters
     ----------
     status : knows which press of how many is under way; it must see every event first.
+    tell : called with every line instead; no bar is shown then.
     """
 
-    def __init__(self, phases: int, clock: Clock, status: RunStatus, *, stream: TextIO | None = None) -> None:
+    def __init__(
+        self,
+        phases: int,
+        clock: Clock,
+        status: RunStatus,
+        *,
+        stream: TextIO | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         self._phases = phases
         self._clock = clock
         self._status = status
         self._noise = NoiseSoFar()
         self._said_s = time.monotonic()
         self._stream = stream or sys.stderr
+        self._tell = tell
         self._phase: PhaseStarted | None = None
         self._bar: _Bar | None = None
         self._announced = False
@@ -63,7 +73,7 @@ class RunProgress:
     def __call__(self, event: RunEvent) -> None:
         self._noise(event)
         match event:
-            case RunStarted() if self._stream.isatty():
+            case RunStarted() if self._tell is None and self._stream.isatty():
                 self._bar = _Bar(self._clock, self._stream)
             case PhaseStarted():
                 self._phase, self._announced = event, False
@@ -141,6 +151,8 @@ class RunProgress:
         self._said_s = time.monotonic()
         if self._bar is not None:
             self._bar.say(line)
+        elif self._tell is not None:
+            self._tell(line)
         else:
             print(line, file=self._stream, flush=True)
 

@@ -34,6 +34,11 @@ _KNOWN = (
     ("could not translate host", "has an unknown host", "correct its address in the database URL"),
     ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
     ("server closed the connection", "closed the connection", "check the server; all committed data is kept"),
+    ("connection is lost", "closed the connection", "check the server; all committed data is kept"),
+    ("connection is closed", "closed the connection", "check the server; all committed data is kept"),
+    ("timeout expired", "does not answer", "start the server, or correct its address in the database URL"),
+    ("ssl syscall error", "closed the connection", "check the server; all committed data is kept"),
+    ("consuming input failed", "closed the connection", "check the server; all committed data is kept"),
     ("terminating connection", "closed the connection", "check the server; everything committed so far is kept"),
 )
 
@@ -67,13 +72,19 @@ def shown(url: URL) -> str:
     """Write a URL with its password hidden, or the path of a SQLite file."""
     if url.get_backend_name() == "sqlite":
         return f"database {url.database or 'in memory'}"
-    return f"database {url.render_as_string(hide_password=True)}"
+    return f"database {without_password(url)}"
+
+
+def without_password(url: URL) -> str:
+    """Return a URL with its password hidden, in its query too."""
+    hidden = {name: "***" for name in url.query if "password" in name.lower()}
+    return url.update_query_dict(hidden).render_as_string(hide_password=True)
 
 
 def address(url: URL) -> str:
     """Return the value of ``--database`` for a database: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
-    return str(url.database) if sqlite else url.render_as_string(hide_password=True)
+    return str(url.database) if sqlite else without_password(url)
 
 
 @contextmanager

@@ -30,6 +30,14 @@ _PATIENCE_MS = 1_000
 #: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
 
+#: How long a server may be silent before the connection counts as lost (libpq; [s], the last one [ms]).
+_PATIENCE: Final = {
+    "connect_timeout": 10,
+    "keepalives_idle": 30,
+    "keepalives_interval": 10,
+    "tcp_user_timeout": 60_000,
+}
+
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
 
@@ -77,8 +85,9 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     StoreError
         If the driver of this kind of database is not installed.
     """
+    given = {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
     try:
-        engine = create_engine(url)
+        engine = create_engine(url, connect_args=given)
     except ModuleNotFoundError as error:
         raise StoreError(
             f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"
@@ -153,6 +162,32 @@ def use_write_ahead_log(engine: Engine) -> None:
         connection = engine.raw_connection()
         try:
             connection.cursor().execute("PRAGMA journal_mode = WAL")
+        finally:
+            connection.close()
+
+
+def size_bytes(engine: Engine) -> int:
+    """Return the size of a database: of a SQLite file with its log, or of a whole PostgreSQL database."""
+    file = sqlite_file(engine.url)
+    if file is not None:
+        log = file.with_name(f"{file.name}-wal")
+        return file.stat().st_size + (log.stat().st_size if log.exists() else 0)
+    with reading(engine) as connection:
+        return int(connection.exec_driver_sql("SELECT pg_database_size(current_database())").scalar() or 0)
+
+
+def shrink(engine: Engine) -> None:
+    """Give the free pages of a SQLite file back to the disk, which needs room for a copy of what remains.
+
+    StoreError if there is none, or another program reads the file; it is then as it was.
+    """
+    if sqlite_file(engine.url) is None:
+        return
+    with translated(engine.url):
+        connection = engine.raw_connection()
+        try:
+            connection.cursor().execute("VACUUM")
+            connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)")
         finally:
             connection.close()
 

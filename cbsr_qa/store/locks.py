@@ -55,6 +55,20 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
 
 
 @contextmanager
+def sending_alone(engine: Engine, who: str) -> Iterator[None]:
+    """Hold the right to send what waits in a database's outbox; StoreError names another process that holds it."""
+    release = _acquired(engine, "sync", who)
+    if isinstance(release, str):
+        raise StoreError(
+            f"{release} sends from {shown(engine.url)} already", remedy="let it finish; nothing is sent twice"
+        )
+    try:
+        yield
+    finally:
+        release()
+
+
+@contextmanager
 def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -> Iterator[None]:
     """Hold the right to create or change tables; wait for the current holder.
 

@@ -7,6 +7,7 @@ from sqlalchemy import Engine, Row, insert, select
 from cbsr_qa.domain.run import Release
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.outbox import Kind, announce
 from cbsr_qa.store.tables import ReleaseRow
 
 
@@ -22,6 +23,7 @@ def save_release(engine: Engine, release: Release) -> None:
     )
     with writing(engine) as connection:
         connection.execute(insert(ReleaseRow), values)
+        announce(connection, Kind.RELEASE, [release.release])
 
 
 def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:

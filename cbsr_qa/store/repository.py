@@ -12,12 +12,18 @@ from sqlalchemy import Engine
 from cbsr_qa.domain.results import Outcome, RunResult
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
+from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, soundness, stations
 from cbsr_qa.store.damage import address, shown
-from cbsr_qa.store.engine import look_afresh, parsed_url
+from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
 from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
-from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
-from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
+from cbsr_qa.store.results import (
+    Reanalysis,
+    analyses as analysed,
+    calibrations as issued,
+    calibrations_of_before as of_before,
+    reanalyses,
+)
+from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -121,6 +127,13 @@ class Repository:
     incomplete_runs = _of_engine(sessions.incomplete_runs)
     counts = _of_engine(sessions.counts)
 
+    archivable = _of_engine(archiving.archivable)
+    archive_folder = _of_engine(archiving.archive_folder)
+    archive_run = _of_engine(archiving.archive_run)
+    unarchive_run = _of_engine(archiving.unarchive_run)
+    size_bytes = _of_engine(size_bytes)
+    shrink = _of_engine(shrink)
+
     change_notice = _of_engine(ChangeNotice)
     run_tail = _of_engine(live.run_tail)
     frames_between = _of_engine(live.frames_between)
@@ -128,6 +141,10 @@ class Repository:
     look_at = _of_engine(live.look_at)
 
     analyses = _of_engine(analysed.analyses_of)
+    data_sha256 = _of_engine(reanalyses.data_sha256)
+    find_reanalysis = _of_engine(reanalyses.find_reanalysis)
+    reanalysis = _of_engine(reanalyses.load_reanalysis)
+    adoptions = _of_engine(reanalyses.adoptions)
     run_lines = _of_engine(fleets.run_lines)
     fleet = _of_engine(fleets.fleet_table)
     listed_runs = _of_engine(listed_runs)
@@ -149,6 +166,10 @@ class Repository:
     latest_golden_check = _of_engine(stations.latest_golden_check)
     runs_since = _of_engine(stations.runs_since)
     station_check_ring = _of_engine(stations.ring_of)
+
+    file_problems = _of_engine(soundness.file_problems)
+    check_stored_run = _of_engine(soundness.check_stored_run)
+    ring_problems = _of_engine(soundness.ring_problems)
 
     save_release = _of_engine(releases.save_release)
     latest_release = _of_engine(releases.latest_release)
@@ -182,6 +203,18 @@ class Repository:
         )
         look_afresh(self._engine)
         self.analyses(result.record.identity.run)
+        return analysis
+
+    def save_reanalysis(self, made: Reanalysis) -> str:
+        """Store a re-analysis beside the valid analysis of its run, and return its identifier."""
+        reanalysis = self.new_id()
+        reanalyses.save_reanalysis(self._engine, made, reanalysis=reanalysis, analysed_at=self._wall())
+        return reanalysis
+
+    def adopt(self, reanalysis: str, *, operator: str, why: str) -> str:
+        """Make a re-analysis the valid analysis of its run, and return that; see :mod:`.results.reanalyses`."""
+        analysis, now = self.new_id(), self._wall()
+        reanalyses.adopt(self._engine, reanalysis, analysis=analysis, operator=operator, why=why, adopted_at=now)
         return analysis
 
     def change_history(self, record: RunRecord) -> ChangeHistory:

@@ -5,7 +5,7 @@ from textwrap import fill
 from typing import Final
 
 from cbsr_qa.store.schema import VERSION_TABLE
-from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
+from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, OutboxRow, ReleaseRow, RunRow
 from cbsr_qa.store.views import VIEWS
 
 STATION: Final = "cbsr_station"
@@ -48,7 +48,8 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     station, reader : names of the roles, in lower case.
     """
     # All files of tables are registered.
-    assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
+    kinds = (AnalysisRow, ChartReferenceRow, OutboxRow, ReleaseRow)
+    assert {one.metadata for one in kinds} == {RunRow.metadata}
     tables = sorted(RunRow.metadata.tables)
     read = [*tables, VERSION_TABLE, *VIEWS]
     return "\n".join(

@@ -7,7 +7,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Column, Connection, Engine, MetaData, PrimaryKeyConstraint, String, Table, inspect, text
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    MetaData,
+    PrimaryKeyConstraint,
+    String,
+    Table,
+    insert,
+    inspect,
+    text,
+)
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.damage import address, shown
@@ -17,9 +28,11 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 17))
+REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 21))
 HEAD: Final = REVISIONS[-1]
 VERSION_TABLE: Final = "alembic_version"
+#: Oldest schema of databases that may send to one of schema HEAD; the migrations set it too.
+OLDEST_SENDER: Final = "0020"
 
 
 class Age(Enum):
@@ -126,7 +139,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
         case Age.OLDER:
             return StoreError(
                 f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
-                remedy=f"copy it, then run: cbsr-qa db upgrade --database {address(engine.url)}",
+                remedy=f"run: cbsr-qa db upgrade --database {address(engine.url)} (it copies a SQLite file first)",
             )
         case Age.NEWER:
             return StoreError(
@@ -194,11 +207,12 @@ def _create(connection: Connection) -> None:
 
     A test compares them with those that the migrations make.
     """
-    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
+    from cbsr_qa.store.tables import AnalysisRow, Base, ChartReferenceRow, ReleaseRow, RunRow, SyncAcceptsRow
 
     # All files are registered.
-    assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
-    RunRow.metadata.create_all(connection)
+    assert {one.metadata for one in (AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow)} == {Base.metadata}
+    Base.metadata.create_all(connection)
+    connection.execute(insert(SyncAcceptsRow), {"oldest_schema": OLDEST_SENDER})
     key = PrimaryKeyConstraint(name=f"{VERSION_TABLE}_pkc")
     version = Table(
         VERSION_TABLE, MetaData(), Column("version_num", String(32), nullable=False, primary_key=True), key

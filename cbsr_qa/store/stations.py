@@ -22,6 +22,7 @@ from cbsr_qa.domain.run import (
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.outbox import Kind, announce
 from cbsr_qa.store.runs import frame_block, frame_values
 from cbsr_qa.store.tables import (
     ChartReferenceRow,
@@ -47,6 +48,7 @@ def save_references(engine: Engine, references: Sequence[ChartReference]) -> Non
     if references:
         with writing(engine) as connection:
             connection.execute(insert(ChartReferenceRow), [_values(one) for one in references])
+            announce(connection, Kind.CHART_REFERENCE, [one.reference for one in references])
 
 
 def current_references(engine: Engine, station: str, until: str = "") -> tuple[ChartReference, ...]:
@@ -117,6 +119,7 @@ def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None = 
         if ring is not None:
             own = {"check_id": check.check, "resistances_ohm": [float(one) for one in ring.resistances_ohm]}
             connection.execute(insert(StationCheckFramesRow), own | frame_values(ring.frames))
+        announce(connection, Kind.STATION_CHECK, [check.check])
 
 
 def latest_check(engine: Engine, station: str, before: datetime | None = None) -> StationCheck | None:

@@ -10,6 +10,7 @@ by age. Arrays are little-endian and in C order.
 import hashlib
 import re
 import secrets
+import zlib
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from threading import Lock
@@ -18,10 +19,12 @@ from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import DateTime, Dialect, Double, Integer, String, Text
+from sqlalchemy import DateTime, Dialect, Double, Integer, LargeBinary, String, Text
 from sqlalchemy.types import TypeDecorator
 
 _COUNTER_BITS = 12
+#: Of zlib: no header and no checksum, the digest of a row covers what is packed.
+_NO_HEADER: Final = -15
 #: An identifier can encode later years than a date.
 _YEAR_10000_MS = 253_402_300_800_000
 
@@ -114,6 +117,53 @@ def unpacked_flags(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     return np.frombuffer(data, dtype=np.uint8).reshape(shape).copy()
 
 
+def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
+    """Return numbers as stored: deflated, the first bytes of all numbers first, or as they are if that is shorter.
+
+    Parameters
+    ----------
+    data : little-endian numbers.
+    width : bytes of a number.
+    steps : whether each number is replaced by its distance from the one before, as 64-bit integers: for times, whose
+        steps are alike. Exact: the bits of a float64 are taken as an integer, and integers wrap around.
+    """
+    if len(data) == width:
+        return data
+    numbers = np.frombuffer(data, dtype=f"<u{width}")
+    if steps:
+        before, numbers = numbers, numbers.copy()
+        numbers[1:] -= before[:-1]
+    columns = numbers.view(np.uint8).reshape(-1, width).T.tobytes() if width > 1 else data
+    deflating = zlib.compressobj(1, wbits=-12, memLevel=6)
+    deflated = deflating.compress(columns) + deflating.flush()
+    return deflated if len(deflated) < len(data) else data
+
+
+def restored(data: bytes, size: int, width: int, *, steps: bool = False) -> bytes:
+    """Return the numbers that :func:`compact` was given.
+
+    Parameters
+    ----------
+    size : bytes of all numbers; data of this length are as they were.
+
+    Raises
+    ------
+    ValueError
+        If the data are not of that size.
+    """
+    if len(data) == size:
+        return data
+    inflating = zlib.decompressobj(wbits=_NO_HEADER)
+    try:
+        columns = inflating.decompress(data, size + 1)
+    except zlib.error as error:
+        raise ValueError(str(error)) from error
+    if len(columns) != size or not inflating.eof or inflating.unused_data:
+        raise ValueError(f"{len(data)} bytes do not hold {size}")
+    numbers = np.ascontiguousarray(np.frombuffer(columns, dtype=np.uint8).reshape(width, -1).T).view(f"<u{width}")
+    return (np.cumsum(numbers, dtype=numbers.dtype) if steps else numbers).tobytes()
+
+
 def digest(header: str, parts: Iterable[bytes]) -> str:
     """SHA-256 over a description (unit, shape, current…) and the bytes it describes, hexadecimal."""
     total = hashlib.sha256(header.encode())
@@ -174,6 +224,23 @@ class Word(_Typed[str]):
     impl = String
     cache_ok = True
     _kinds = str
+
+
+class Digest(_Typed[str]):
+    """A SHA-256 or HMAC-SHA256: 32 bytes in the database, 64 hexadecimal digits in Python."""
+
+    impl = LargeBinary(32)
+    cache_ok = True
+    _kinds = bytes
+
+    def process_bind_param(self, value: Any, dialect: Dialect) -> Any:
+        return None if value is None else bytes.fromhex(value)
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> str | None:
+        data: Any = super().process_result_value(value, dialect)
+        if data is not None and len(data) != 32:
+            raise TypeError(f"a cell holds {len(data)} bytes")
+        return None if data is None else data.hex()
 
 
 class PlainText(_Typed[str]):

@@ -5,5 +5,5 @@ from .fleet_demo import (
     THIRD_ON_ALL as THIRD_ON_ALL,
     build_fleet as build_fleet,
 )
-from .selection import measuring_digest as measuring_digest
+from .selection import check_names as check_names, measuring_digest as measuring_digest
 from .simulated import configuration_of as configuration_of, shipped as shipped, simulated_run as simulated_run

@@ -123,10 +123,15 @@ def several_recipes(recipes: Collection[str]) -> str:
     return f"{len(recipes)} recipes: {named(sorted(recipes))}"
 
 
-def measuring_digest(configuration: str) -> str:
-    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation."""
+def measuring_digest(configuration: str, adopted: str = "") -> str:
+    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation.
+
+    Parameters
+    ----------
+    adopted : recipe of an adopted re-analysis, in place of the run's own; empty without one.
+    """
     content = json.loads(configuration)
-    recipe = _table(content, "recipe")
+    recipe = json.loads(adopted) if adopted else _table(content, "recipe")
     measuring = {
         "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
         "sensor_type": {key: _measuring(table) for key, table in _table(content, "sensor_type").items()},

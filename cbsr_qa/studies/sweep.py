@@ -1,20 +1,15 @@
 """Long sweeps: pieces of work on every core, each stored when done, so that a sweep can resume."""
 
 import json
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.system import writing
+from cbsr_qa.system import heard_later, worker_pool, writing
 
 #: Called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
@@ -133,57 +128,18 @@ def finished(
         for job in jobs:
             yield job, run(job)
         return
-    # Spawned: threads of numerical libraries do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker) as pool:
-        others = multiprocessing.active_children()
-        failed: BaseException | None = None
-        try:
-            with _heard_later():
-                futures = {pool.submit(run, job): job for job in jobs}
-            for future in as_completed(futures):
-                if future.cancelled():
-                    continue
-                if (error := future.exception()) is None:
-                    yield futures[future], future.result()
-                elif failed is None:
-                    failed = error
-                    for other in futures:
-                        other.cancel()  # running jobs are finished and stored
-        except BaseException:
-            _stop(set(multiprocessing.active_children()) - set(others))
-            raise
+    failed: BaseException | None = None
+    with worker_pool(processes) as pool:
+        with heard_later():
+            futures = {pool.submit(run, job): job for job in jobs}
+        for future in as_completed(futures):
+            if future.cancelled():
+                continue
+            if (error := future.exception()) is None:
+                yield futures[future], future.result()
+            elif failed is None:
+                failed = error
+                for other in futures:
+                    other.cancel()  # running jobs are finished and stored
     if failed is not None:
         raise failed
-
-
-@contextmanager
-def _heard_later() -> Iterator[None]:
-    """Block Ctrl-C while processes start: they inherit that, and ignore it while they import."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the main process, and end with it: once killed, it cannot stop this one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    never = threading.Event()
-    while os.getppid() == parent:
-        never.wait(1.0)
-    os._exit(1)
-
-
-def _stop(workers: Iterable[BaseProcess]) -> None:
-    """Stop processes in the middle of a piece, which may take minutes more."""
-    for worker in workers:
-        worker.terminate()

@@ -25,3 +25,4 @@ from .pins import (
 )
 from .redelivery import Redelivery as Redelivery
 from .untrusted import CONTAINED as CONTAINED, largest_content as largest_content, read_untrusted as read_untrusted
+from .workers import heard_later as heard_later, worker_pool as worker_pool

@@ -9,8 +9,7 @@ from typing import Any
 
 from typer.main import get_command
 
-from cbsr_qa.cli.command import commands, documents
-from cbsr_qa.cli.main import app
+from cbsr_qa.cli import app, commands, documents
 
 _BEGIN = """\
 # Commands

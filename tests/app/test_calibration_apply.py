@@ -13,7 +13,7 @@ from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
-from cbsr_qa.app.apply import flag_words, recorded_frames
+from cbsr_qa.app.apply import _in_order, flag_words, recorded_frames
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.cli import app
@@ -130,16 +130,24 @@ def test_a_recording_of_something_else_is_refused_by_name(calibration, recording
     assert caught.value.reason.startswith("press.h5 ")
 
 
-def test_a_frame_with_a_missing_or_saturated_reading_has_no_force(calibration):
+def test_a_missing_or_saturated_reading_is_left_out(calibration):
     flags = np.zeros((7, 16, 16), np.uint8)
     flags[4, 0, 5] = ReadingFlag.MISSING
     flags[5, 3, 9] = ReadingFlag.SATURATED
     flags[6, 0, 0] = ReadingFlag.SATURATED  # of a driven pair: not used
     found = _force(calibration, _recording(flags=flags))
-    assert np.isnan(found.force_N).tolist() == [False] * 4 + [True, True, False]
-    assert (found.flags[4:] & Flag.UNREADABLE > 0).tolist() == [True, True, False]
+    assert found.force_N == pytest.approx(_force(calibration, _recording()).force_N, abs=0.1)
+    assert (found.flags & Flag.MISSING > 0).tolist() == [False] * 4 + [True, True, False]
     with pytest.raises(RecordingError, match=r"first 5 frames of press\.h5 is missing or saturated"):
         recorded_frames(calibration, _recording(flags=flags), 5)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "in_order"),
+    [([], True), ([0.0, 2.5], True), ([2.5, 0.0], False), ([1.0, 1.0], False), ([np.nan], False)],
+)
+def test_loads_are_followed_only_over_times_in_order(time_s, in_order):
+    assert _in_order(np.array(time_s)) is in_order
 
 
 def test_every_flag_has_words():
@@ -175,7 +183,8 @@ def test_apply_prints_a_row_a_frame(folder, calibration):
     assert [float(row["force_N"]) for row in rows] == pytest.approx(expected.force_N.tolist(), rel=1e-9)
     assert [float(row["time_s"]) for row in rows] == [2.5 * n for n in range(7)]
     assert rows[0]["flags"] == "no load detected"
-    assert rows[5]["flags"] == ""
+    assert rows[5]["flags"] == "has not settled"  # two frames after the first with a load
+    assert float(rows[5]["settled_in_s"]) > 40
     assert "frames 1 to 7 of 7" in done.stderr
 
 

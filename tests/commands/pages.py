@@ -13,13 +13,16 @@ HOW_TO = TOP / "docs" / "how-to"
 #: Pages with commands, and the test that types them as printed.
 TYPED = {
     "README.md": "commands/test_documentation.py",
+    "docs/how-to/back-up-a-station.md": "commands/test_keeping_pages.py",
     "docs/how-to/bring-up-a-station.md": "commands/test_documentation.py",
     "docs/how-to/build-this-bench.md": "commands/test_documentation.py",
     "docs/how-to/calibrate-from-presses.md": "commands/test_documentation.py",
+    "docs/how-to/central-database.md": "commands/test_synchronisation_commands.py",
     "docs/how-to/characterise-a-material.md": "commands/test_characterisation.py",
     "docs/how-to/choose-a-recipe.md": "commands/test_documentation.py",
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
+    "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",

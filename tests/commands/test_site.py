@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import pytest
 from pages import TOP
 
-from cbsr_qa.cli.command import commands, documents
+from cbsr_qa.cli import commands, documents
 from cbsr_qa.plugin import hooks
 
 pytestmark = pytest.mark.rest

@@ -1,10 +1,12 @@
 """The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 from calibration_samples import sample_force
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, record, short_run
@@ -22,7 +24,8 @@ from cbsr_qa.domain.run import (
     RunStarted,
     StationCheck,
 )
-from cbsr_qa.store import open_store
+from cbsr_qa.store import open_store, reading, writing
+from cbsr_qa.store.chain import add_links
 
 pytestmark = pytest.mark.postgres
 
@@ -148,3 +151,25 @@ def test_a_fleet_is_read_as_it_was_stored(repository):
     assert {(run.material, run.finished, run.batch) for run in table.runs} == {("cbsr-8wt", True, "F")}
     for place, run in enumerate(table.runs):
         assert sorted(table.value[table.run == place]) == sorted(told[run.run])
+
+
+def test_programs_that_add_to_one_run_follow_one_another(repository):
+    """The second waits for the first to commit, and then follows its link: it sees no older state."""
+    run, engine = repository.new_id(), repository._engine
+    journalled(repository, short_run(run))
+
+    def add(document):
+        with writing(engine) as connection:
+            add_links(connection, run, [("verdict_overrides", document, "0" * 64)])
+
+    waiting = sa.text("SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND NOT granted")
+    with ThreadPoolExecutor(1) as second:
+        with writing(engine) as connection:
+            add_links(connection, run, [("verdict_overrides", "first", "0" * 64)])
+            later = second.submit(add, "second")
+            while not connection.scalar(waiting):
+                assert not later.done(), later.result()
+        later.result(timeout=10)
+    with reading(engine) as connection:
+        links = sa.text("SELECT document FROM run_links WHERE run = :run ORDER BY number DESC LIMIT 2")
+        assert connection.scalars(links, {"run": run}).all() == ["second", "first"]

@@ -1,4 +1,4 @@
-from .analyse import AnalyseRequest as AnalyseRequest, analyse_file as analyse_file
+from .analyse import AnalyseRequest as AnalyseRequest, analyse_file as analyse_file, analyse_frames as analyse_frames
 from .outcome import (
     Analysed as Analysed,
     AnalysedFiles as AnalysedFiles,

@@ -211,22 +211,54 @@ def _analysed(
     datasets: tuple[str, ...],
     tell: Tell,
 ) -> Analysed:
+    result, unknown = _result(recording, reconstruction, request, tell)
+    analysed = replace(Analysed.of(path, result), datasets=datasets or None)
+    if (error := _no_signal(path, result)) is not None:
+        return analysed.with_refusal(error)
+    report, missing = _report(path, result, request, plugins)
+    return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
+
+
+def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
+    """Analyse frames in memory as :func:`analyse_file` does those of a file; no report is written.
+
+    Raises
+    ------
+    RecordingError
+        If they hold no signal of a sensor, or do not fit the sensor type.
+    CbsrError
+        As the analysis of a file is refused.
+    """
+    reconstruction = _reconstruction(request, discover())
+    tell(f"analysing {len(recording.frames)} frames")
+    result, unknown = _result(recording, reconstruction, request, tell)
+    if (error := _no_signal(recording.path, result)) is not None:
+        raise error
+    return replace(Analysed.of(recording.path, result), warnings=(*result.warnings, *unknown))
+
+
+def _result(
+    recording: Recording, reconstruction: Reconstruction, request: AnalyseRequest, tell: Tell
+) -> tuple[RecordingResult, list[str]]:
+    """Analyse a recording; returns remarks on its sensor type too."""
     sensor_type, unknown = _sensor_type(recording, request)
     choices = AnalysisChoices(request.correct_carry_over, sensor_type, request.chosen)
-    result = analyse_recording(recording, reconstruction, choices, tell=tell)
-    analysed = replace(Analysed.of(path, result), datasets=datasets or None)
+    return analyse_recording(recording, reconstruction, choices, tell=tell), unknown
+
+
+def _no_signal(path: Path, result: RecordingResult) -> RecordingError | None:
+    """Return the refusal of readings that show no sensor; None if they do."""
+    recording = result.recording
     if result.channels.not_connected:
-        error = RecordingError(
+        return RecordingError(
             f"{path.name} holds no signal: all {len(recording.frames)} frames read"
             f" {recording.frames.voltages.flat[0]:g} {recording.frames.unit.value} everywhere, nothing is connected",
             remedy="connect the sensor and record again",
         )
-        return analysed.with_refusal(error)
     if len(result.channels.saturated) == recording.frames.voltages[0].size:
         remedy = "lower the drive current or the amplifier's gain, and record again"
-        return analysed.with_refusal(RecordingError(f"{path.name} is {result.events_why}", remedy=remedy))
-    report, missing = _report(path, result, request, plugins)
-    return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
+        return RecordingError(f"{path.name} is {result.events_why}", remedy=remedy)
+    return None
 
 
 def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorType | None, list[str]]:

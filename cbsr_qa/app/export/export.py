@@ -10,14 +10,14 @@ from typing import BinaryIO, Final
 from cbsr_qa.analysis import write_recording
 from cbsr_qa.app.export.eidors import write_eidors
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable, check_target, format_of
-from cbsr_qa.app.export.frames import run_frames
+from cbsr_qa.app.export.frames import joined_samples, run_frames
 from cbsr_qa.app.export.junit import suite, suites
-from cbsr_qa.app.export.netcdf import netcdf_file
+from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
 from cbsr_qa.app.export.recording import as_recording
-from cbsr_qa.app.export.tables import rows_of, table_writer
+from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import RefusedError, did_you_mean
-from cbsr_qa.domain.results import CommandOutcome, ListedRun, RunSelection
+from cbsr_qa.domain.results import CommandOutcome, ListedRun, Outcome, RunSelection
 from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import answer, plural
@@ -25,8 +25,6 @@ from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.shift import ListRequest, RunPage, run_pages
 from cbsr_qa.system import writing, written_whole
 
-#: Runs in memory at a time.
-_PAGE: Final = 1000
 #: Progress is shown so many times at most.
 _STEPS: Final = 10
 
@@ -159,17 +157,18 @@ def _write_frames(
 ) -> int:
     """Write frames for other programs; returns their number."""
     frames = run_frames(record, phases)
-    attributes = _attributes(record, listed)
+    attributes = run_attributes(record, listed.verdict)
     with writing(to), written_whole(to) as file:
         if kind is ExportFormat.EIDORS:
             write_eidors(file, record, frames, attributes)
         else:
-            file.write(netcdf_file(record, phases, frames, attributes))
+            variables = frame_variables(record.sensor_type, frames, joined_samples(phases))
+            file.write(netcdf_file(variables, attributes))
     return len(frames.frames)
 
 
-def _attributes(record: RunRecord, listed: ListedRun) -> dict[str, str | float]:
-    """Return what traces the frames, for the file as a whole."""
+def run_attributes(record: RunRecord, verdict: Outcome | None) -> dict[str, str | float]:
+    """Return what traces the frames of a run, for the file as a whole."""
     identity = record.identity
     return {
         "title": f"Frames of {identity.words}",
@@ -184,7 +183,7 @@ def _attributes(record: RunRecord, listed: ListedRun) -> dict[str, str | float]:
         "operator": identity.operator,
         "started_at": identity.started_at.astimezone(UTC).isoformat(),
         "end": str(record.end),
-        "verdict": str(listed.verdict or "none"),
+        "verdict": str(verdict or "none"),
         "software": ", ".join(f"{name} {version}" for name, version in identity.software),
         "head": record.indenter.words(),
     }
@@ -201,7 +200,7 @@ def _export_runs(
     to = request.to
     chosen = request.runs or ListRequest(RunSelection(checks=False))
     of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
-    pages = run_pages(store, of_run or chosen, _PAGE)
+    pages = run_pages(store, of_run or chosen, AT_ONCE)
     runs = rows = 0
     with writing(to), written_whole(to) as file:
         with _writer(store, file, kind, table) as write:
@@ -247,8 +246,8 @@ def _writer(
 
 def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
     """Report every tenth part of many runs."""
-    before = max(page.done - _PAGE, 0)
-    if page.total > _PAGE and page.done * _STEPS // page.total > before * _STEPS // page.total:
+    before = max(page.done - AT_ONCE, 0)
+    if page.total > AT_ONCE and page.done * _STEPS // page.total > before * _STEPS // page.total:
         tell(f"{page.done} of {page.total} runs")
 
 

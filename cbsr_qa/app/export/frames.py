@@ -1,5 +1,6 @@
 """Frames of a run with what was going on at each: phase, press, place, strain."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -77,17 +78,22 @@ def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
     measured = [(p, p.frames) for p in phases if p.frames is not None and len(p.frames)]
     if not measured:
         raise no_frames(record, phases)
-    loads = tuple((n, load) for n, (p, _) in enumerate(measured) for load in _loads(p))
-    counts = [len(frames) for _, frames in measured]
+    return frames_of([(p.name, frames, _loads(p)) for p, frames in measured])
+
+
+def frames_of(measured: Sequence[tuple[str, FrameBlock, Sequence[LoadRecord]]]) -> RunFrames:
+    """Join named blocks of frames, each with its presses. Raises as :func:`run_frames`."""
+    loads = tuple((n, load) for n, (_, _, own) in enumerate(measured) for load in own)
+    counts = [len(frames) for _, frames, _ in measured]
     which = np.repeat(np.arange(len(measured), dtype=np.int32), counts)
-    currents = [np.nan if frames.current_A is None else frames.current_A for _, frames in measured]
-    frames = _joined([frames for _, frames in measured])
+    currents = [np.nan if frames.current_A is None else frames.current_A for _, frames, _ in measured]
+    frames = _joined([frames for _, frames, _ in measured])
     return RunFrames(
         frames,
         np.repeat(np.array(currents, dtype=np.float64), counts),
         which,
         *_loaded(frames.time_s, which, loads),
-        tuple(p.name for p, _ in measured),
+        tuple(name for name, _, _ in measured),
         loads,
     )
 

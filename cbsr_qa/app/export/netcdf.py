@@ -4,16 +4,16 @@ A netCDF-4 file is an HDF5 file whose dimensions are HDF5 dimension scales; h5py
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.app.export.frames import LoadStage, RunFrames, joined_samples
+from cbsr_qa.app.export.frames import LoadStage, RunFrames
 from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
-from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import SensorType
 
 #: Values of a variable that are packed together; whole frames go together.
 _CHUNK_VALUES: Final = 1 << 16
@@ -30,23 +30,26 @@ class Variable(NamedTuple):
     more: Mapping[str, Any] = {}
 
 
-def netcdf_file(
-    record: RunRecord, phases: tuple[PhaseRecord, ...], frames: RunFrames, attributes: Mapping[str, str | float]
-) -> bytes:
-    """Return the content of the file.
-
-    Parameters
-    ----------
-    phases : whose samples are written beside the frames.
-    frames : of these phases.
-    attributes : of the run, for the file as a whole.
-    """
-    coordinates = [*_of_frames(frames), *_of_pairs(record)]
+def frame_variables(
+    sensor_type: SensorType, frames: RunFrames, samples: Sequence[SampleBlock]
+) -> tuple[Variable, ...]:
+    """Return frames, what was going on at each, their pairs and electrodes, and the samples taken beside them."""
+    coordinates = [*_of_frames(frames), *_of_pairs(sensor_type)]
     named = " ".join(variable.name for variable in coordinates)
-    variables = [*_dimensions(record, frames), *coordinates, *_readings(frames, named), *_electrodes(record)]
+    variables = [
+        *_dimensions(sensor_type, frames),
+        *coordinates,
+        *_readings(frames, named),
+        *_electrodes(sensor_type),
+    ]
     taken = {variable.name for variable in variables}
-    for block in joined_samples(phases):
+    for block in samples:
         variables += _samples(block, taken)
+    return tuple(variables)
+
+
+def netcdf_file(variables: Sequence[Variable], attributes: Mapping[str, str | float]) -> bytes:
+    """Return the content of the file; ``attributes`` are those of the file as a whole."""
     # Built in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file.
     with h5py.File("frames.nc", "w", driver="core", backing_store=False, track_order=True) as file:
         file.attrs.update({"Conventions": "CF-1.11", **attributes})
@@ -56,12 +59,12 @@ def netcdf_file(
         return bytes(file.id.get_file_image())
 
 
-def _dimensions(record: RunRecord, frames: RunFrames) -> Iterator[Variable]:
+def _dimensions(sensor_type: SensorType, frames: RunFrames) -> Iterator[Variable]:
     yield Variable("time", ("time",), frames.frames.time_s, "middle of the frame, on the run's clock", "s")
     drives, measures = frames.frames.voltages.shape[1:]
     yield Variable("drive", ("drive",), np.arange(drives, dtype=np.int32), "drive pair")
     yield Variable("measure", ("measure",), np.arange(measures, dtype=np.int32), "measure pair")
-    count = record.sensor_type.electrodes.count
+    count = sensor_type.electrodes.count
     yield Variable("electrode", ("electrode",), np.arange(count, dtype=np.int32), "electrode")
 
 
@@ -99,8 +102,8 @@ def _of_frames(frames: RunFrames) -> Iterator[Variable]:
         )
 
 
-def _of_pairs(record: RunRecord) -> Iterator[Variable]:
-    pattern = record.sensor_type.pattern
+def _of_pairs(sensor_type: SensorType) -> Iterator[Variable]:
+    pattern = sensor_type.pattern
     drive, measure = np.array(pattern.drive, dtype=np.int32), np.array(pattern.measure, dtype=np.int32)
     yield Variable("drive_source", ("drive",), drive[:, 0], "electrode at which current flows in")
     yield Variable("drive_sink", ("drive",), drive[:, 1], "electrode at which current flows out")
@@ -110,8 +113,8 @@ def _of_pairs(record: RunRecord) -> Iterator[Variable]:
     yield Variable("usable", ("drive", "measure"), usable, "1: the reading touches no driven electrode")
 
 
-def _electrodes(record: RunRecord) -> Iterator[Variable]:
-    places_mm = record.sensor_type.electrodes.positions_mm()
+def _electrodes(sensor_type: SensorType) -> Iterator[Variable]:
+    places_mm = sensor_type.electrodes.positions_mm()
     for axis, name in enumerate("xy"):
         place_mm = np.ascontiguousarray(places_mm[:, axis])
         yield Variable(f"electrode_{name}", ("electrode",), place_mm, "place from the sheet's centre", "mm")

@@ -1,6 +1,6 @@
 """Runs and measurements as CSV or Parquet, page by page: memory does not grow with what is selected."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from importlib import import_module
@@ -11,10 +11,13 @@ from cbsr_qa.app.export.formats import ExportFormat, ExportTable
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import ListedRun
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.shift import RunEntry, table_cell
+from cbsr_qa.studies.shift import ListRequest, RunEntry, run_pages, table_cell
 from cbsr_qa.system import csv_text
 
 Rows: TypeAlias = list[tuple[Any, ...]]
+
+#: Runs in memory at a time.
+AT_ONCE: Final = 1000
 
 #: Columns of a table and the types of their values, ``tuple`` for several texts. Any value but a key may be absent.
 _RUN: Final[dict[str, type]] = {
@@ -82,6 +85,14 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
     # By position: a row is looked up by name ten times slower, and there are millions of cells.
     pick = itemgetter(*(measured[0]._fields.index(name) for name in _MEASURED)) if measured else tuple
     return [(*of_run[row.run], *pick(row)) for row in measured]
+
+
+def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:
+    """Return columns with their types, and all rows, of the selected runs. Raises as :func:`rows_of`."""
+    rows: Rows = []
+    for page in run_pages(store, request, AT_ONCE):
+        rows += rows_of(store, table, page.runs)
+    return _COLUMNS[table], rows
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-from .decided_again import check_decided as check_decided
+from .decided_again import check_decided as check_decided, judging_recipe as judging_recipe
 from .material_output import material_of as material_of, why_no_material as why_no_material
 from .outcome import RunOutcome as RunOutcome, run_outcome as run_outcome
 from .outputs import report_sections as report_sections
@@ -10,6 +10,7 @@ from .preflight import (
 )
 from .render import (
     Rendered as Rendered,
+    outcome_of_stored as outcome_of_stored,
     render_stored as render_stored,
     rendered_outcome as rendered_outcome,
     with_versions as with_versions,

@@ -1,17 +1,28 @@
-"""Checks that a stored verdict follows from its stored measurements."""
+"""Checks that a stored verdict follows from its stored measurements, by the recipe that judged them."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Final
 
 from cbsr_qa.analysis import judge
+from cbsr_qa.config import load_recipe, restore
 from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, Verdict, decide
 from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
 
 _REMEDY: Final = "restore the database from a copy; nothing is shown of a verdict that does not follow"
+
+
+def judging_recipe(store: Repository, run: str, stored: StoredAnalysis | None) -> Recipe:
+    """Return the recipe that an analysis follows from: the run's own, or the one of an adopted re-analysis."""
+    if stored is None or stored.adoption is None:
+        return restore(store.configuration(run)).recipe
+    return load_recipe(json.loads(stored.adoption.recipe)).value
 
 
 def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Limit]) -> None:

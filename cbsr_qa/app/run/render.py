@@ -1,6 +1,6 @@
 """Reports rendered again from the store."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,8 +9,10 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis import characterise_run, evaluate_run
 from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.app.run.decided_again import check_decided
+from cbsr_qa.app.command_hints import resume_command
+from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
+from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
@@ -116,18 +118,53 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     return CommandOutcome(rendered, page)
 
 
-def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
+def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutcome:
+    """Return the outcome of a stored run without imaging it: ``reconstruction`` and ``place`` are None.
+
+    Files are named where they are in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If the run was altered.
+    """
+    result, _ = rebuilt(run, store, plugins, imaged=False)
+    identity = result.record.identity
+    report = reports_folder() / report_name(identity.sensor.serial, identity.run)
+    calibration = calibration_path(identity)
+    why = "" if result.characterisation is None else why_no_material(result)
+    material = None if result.characterisation is None or why else material_path(result)
+    return RunOutcome.of(
+        result,
+        report=report if report.exists() else None,
+        calibration=calibration if result.calibration is not None and calibration.exists() else None,
+        material=(material if material is not None and material.exists() else None, why),
+        warnings=result.warnings,
+        compute_s=sum(seconds for _, seconds in result.compute_s),
+        seed=restore(store.configuration(run)).seed,
+        resume="" if result.record.end is EndReason.FINISHED else resume_command(run, store),
+    )
+
+
+def rebuilt(
+    run: str, store: Repository, plugins: Plugins, *, imaged: bool = True
+) -> tuple[RunResult, tuple[str, ...]]:
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
     stored frames and configuration. A run that was never analysed is analysed here, without storing the result.
 
+    Parameters
+    ----------
+    imaged : whether to compute the images of a run whose analysis is stored, which takes seconds.
+
     Returns
     -------
     The result, and the sections its recipe names.
     """
-    record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
-    stored = next(iter(store.analyses(run)), None)
+    record, analyses = store.load_run(run), store.analyses(run)
+    stored = next(iter(analyses), None)
+    recipe = judging_recipe(store, run, stored)
     check = store.latest_station_check(record.identity.station, record.identity.started_at)
     history = store.change_history(record)
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
@@ -135,7 +172,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _computed(record, recipe, plugins)
+    observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -145,7 +182,11 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         calibration=calibration,
         calibration_why=unseen or stored.calibration_why,
         compute_s=stored.compute_s,
-        warnings=tuple(dict.fromkeys((*_warnings(stored, why), *record.chain.warnings, *earlier.changed))),
+        warnings=tuple(
+            dict.fromkeys(
+                (*_adopted(analyses, recipe.name), *_warnings(stored, why), *record.chain.warnings, *earlier.changed)
+            )
+        ),
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
@@ -158,9 +199,12 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
 
 
 def _computed(
-    record: RunRecord, recipe: Recipe, plugins: Plugins
+    record: RunRecord, recipe: Recipe, plugins: Plugins | None
 ) -> tuple[RunObservation | None, Characterisation | None, str]:
-    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason."""
+    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason.
+
+    Without plugins nothing is imaged.
+    """
     if record.end is not EndReason.FINISHED:
         return None, None, ""
     try:
@@ -168,8 +212,8 @@ def _computed(
             return None, characterise_run(record, recipe.characterisation), ""
     except NumericsError as error:
         return None, None, f"the material cannot be characterised: {error.reason}"
-    if all(phase.frames is None for phase in record.phases):
-        return None, None, "the run holds no frames, so that there are no images"
+    if plugins is None or all(phase.frames is None for phase in record.phases):
+        return None, None, "" if plugins is None else "the run holds no frames, so that there are no images"
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), None, ""
@@ -221,6 +265,18 @@ def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) 
         m if m.limit is None else replace(m, limit=replace(m.limit, version=versions.get(m.limit, "")))
         for m in measurements
     )
+
+
+def _adopted(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator[str]:
+    """Yield what a reader must know of an adopted analysis, the first of all."""
+    adoption = analyses[0].adoption
+    if adoption is None:
+        return
+    decided = f"adopted by {adoption.operator} on {adoption.adopted_at:%Y-%m-%d %H:%M} UTC: {adoption.why}"
+    yield f"The verdict and all values are of a re-analysis by recipe {recipe!r}, {decided}. Earlier ones are kept."
+    for earlier in analyses:
+        if earlier.calibration is not None:
+            yield f"Calibration {earlier.calibration}, which an earlier analysis of this run issued, is still stored."
 
 
 def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:

@@ -159,6 +159,7 @@ def run_sensor(
     begun: Callable[[str], None] = lambda run: None,
     answers: bool = False,
     pin: Callable[[str], str] | None = None,
+    show: Callable[[str], None] | None = None,
 ) -> RunOutcome:
     """Test one sensor. Meanwhile nobody else uses the station, and its control channel is served.
 
@@ -170,6 +171,7 @@ def run_sensor(
     begun : called with the run's identifier before anything is stored.
     answers : whether prompts are answered over the control channel, instead of with ``ask``.
     pin : shows a text and returns the PIN of the operator; called only if the station file has one.
+    show : called with lines on what the station does; None shows them on stderr.
 
     Returns
     -------
@@ -189,7 +191,7 @@ def run_sensor(
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
-        return _tested(request, plugins, configuration, gate, control, control.telling(tell), ask, begun)
+        return _tested(request, plugins, configuration, gate, control, control.telling(tell), ask, begun, show)
 
 
 def _tested(
@@ -201,6 +203,7 @@ def _tested(
     tell: Callable[[str], None],
     ask: Callable[[str], str] | None,
     begun: Callable[[str], None],
+    show: Callable[[str], None] | None,
 ) -> RunOutcome:
     taken: list[int] = []
     while True:
@@ -212,7 +215,9 @@ def _tested(
             )
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
-        with Session(configuration, plugins, Stages(tell), ask, why=request.why, control=control) as session:
+        with Session(
+            configuration, plugins, Stages(tell), ask, why=request.why, control=control, show=show
+        ) as session:
             session.walk().refuse()
             outcome = _stored_run(request, configuration, plugins, session, gate, control.begins(begun))
         if outcome is not None:

@@ -126,6 +126,7 @@ class Session:
     why : operator's reason for files that differ from those of earlier runs.
     gate : answers of the checks before this session.
     control : takes requests and prompts of others; None: nobody is served.
+    show : called with lines on what the station does; None shows them on stderr.
 
     Raises
     ------
@@ -143,6 +144,7 @@ class Session:
         why: str = "",
         gate: Sequence[GateAnswer] = (),
         control: Control | None = None,
+        show: Callable[[str], None] | None = None,
     ) -> None:
         self._configuration = configuration
         self._plugins = plugins
@@ -150,6 +152,7 @@ class Session:
         self._asks = ask
         self._why = why
         self.gate = tuple(gate)
+        self._show = show
         self._done = done or Done()
         self._progress: RunProgress | None = None
         self._events = 0
@@ -230,7 +233,7 @@ class Session:
         watching = self._watching()
         status = RunStatus(None) if self._control is None else self._control.status
         try:
-            with RunProgress(len(self._plan.phases), self._clock, status) as progress:
+            with RunProgress(len(self._plan.phases), self._clock, status, tell=self._show) as progress:
                 self._progress = progress
                 return execute(
                     self._plan,

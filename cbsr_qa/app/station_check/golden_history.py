@@ -82,7 +82,9 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
         if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
             continue
         analyses = store.analyses(other.run)
-        if not analyses or measuring_digest(store.configuration(other.run)) != digest:
+        adoption = analyses[0].adoption if analyses else None
+        measuring = measuring_digest(store.configuration(other.run), "" if adoption is None else adoption.recipe)
+        if not analyses or measuring != digest:
             unlike += 1
             continue
         runs.append(GoldenRun(other.run, other.station, figures_of(analyses[0].measurements)))

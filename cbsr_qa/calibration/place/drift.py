@@ -21,7 +21,6 @@ _FUNCTIONS: Final = 6  # they hold 97 % of the variance of a walk
 _WALKS: Final = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 #: Variance of the offset and gain that all presses have in common.
 _COMMON: Final = 1.0
-#: Random orders of the presses that a drift must exceed.
 _SHUFFLES: Final = 49
 _SEED: Final = [int.from_bytes(b"drift"), 0]
 #: Presses of a re-check at least, their largest share of all, and how many times as many before them it is told from.
@@ -41,35 +40,68 @@ class Drift:
     later : one standard deviation of what may be added later, in all features together.
     late : how many presses at the end are a re-check.
     horizon : sessions after the last press that a calibration is stated for.
+    variances : (2,) of what is added until then to the offset and to the gain, in mean squares of errors and, of the
+        gain, of expected features over their root mean square.
     """
 
     since: Array
     later: Array
     late: int
     horizon: float
+    variances: Array
 
 
-def find_drift(errors: Array, expected: Array, time_s: Array | None) -> Drift | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """When presses were made.
+
+    Parameters
+    ----------
+    time : (n,) in lengths of the session.
+    late : how many presses at the end are a re-check.
+    """
+
+    time: Array
+    late: int
+
+    @property
+    def horizon(self) -> float:
+        """Sessions after the last press that a calibration is stated for."""
+        return 1.0 if self.late else SESSIONS
+
+    def of(self, presses: Indices) -> "Session":
+        """The same of some presses, in rising order."""
+        late = int(np.count_nonzero(presses >= len(self.time) - self.late))
+        return Session(self.time[presses], late)
+
+
+def session_of(errors: Array, time_s: Array | None) -> Session:
+    """Find when presses were made, and which are a re-check.
+
+    Parameters
+    ----------
+    errors : (n, m) of presses that were left out, seen less expected features.
+    time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
+    """
+    return Session(*_sessions(_in_deviations(errors)[0], time_s, _orders(len(errors))))
+
+
+def find_drift(errors: Array, expected: Array, session: Session, *, certain: bool = False) -> Drift | None:
     """Fit the drift of features; None where presses in random order would show as much in one case of fifty.
 
     Parameters
     ----------
     errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
-    time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
+    certain : whether the presses are known to drift, by others of their features.
     """
-    random = np.random.default_rng(_SEED)
-    orders = [random.permutation(len(errors)) for _ in range(_SHUFFLES)]
-    deviation = np.sqrt((errors**2).mean(axis=0))
-    scaled = errors / np.where(deviation > 0, deviation, 1.0)
-    size = np.sqrt((expected**2).mean(axis=0))
-    relative = expected / np.where(size > 0, size, 1.0)
-    sessions, late = _sessions(scaled, time_s, orders)
-    walk, horizon = _Walk.over(sessions), 1.0 if late else SESSIONS
-    if walk.score(scaled, relative) <= max(
-        replace(walk, at=walk.at[order]).score(scaled, relative) for order in orders
+    scaled, deviation = _in_deviations(errors)
+    relative, _ = _in_deviations(expected)
+    walk, late = _Walk.over(session.time), session.late
+    if not certain and walk.score(scaled, relative) <= max(
+        replace(walk, at=walk.at[order]).score(scaled, relative) for order in _orders(len(errors))
     ):
         return None
-    variances = walk.likely(scaled, relative)
+    variances, expected_variances = walk.likely(scaled, relative)
     found = walk.fitted(scaled, relative, variances)
     since = _added(walk.at[-1] - walk.at, found, relative)
     for press in range(len(scaled) - late, len(scaled)):
@@ -79,7 +111,26 @@ def find_drift(errors: Array, expected: Array, time_s: Array | None) -> Drift | 
             walk.at[[press]] - walk.at[: len(scaled) - late].mean(axis=0), less, relative[[press]]
         )[0]
     further = _added((walk.at[-1] - walk.at[0])[None], found, relative)
-    return Drift(deviation * since, deviation * np.sqrt(horizon / np.ptp(sessions)) * further, late, horizon)
+    sessions = session.horizon / float(np.ptp(session.time))
+    return Drift(
+        deviation * since,
+        deviation * np.sqrt(sessions) * further,
+        late,
+        session.horizon,
+        sessions * expected_variances,
+    )
+
+
+def _in_deviations(values: Array) -> tuple[Array, Array]:
+    """Values (n, m) over their root mean squares (m,), and these; one where all are zero."""
+    deviation = np.sqrt((values**2).mean(axis=0))
+    return values / np.where(deviation > 0, deviation, 1.0), deviation
+
+
+def _orders(count: int) -> list[Indices]:
+    """Random orders of presses that a drift must exceed."""
+    random = np.random.default_rng(_SEED)
+    return [random.permutation(count) for _ in range(_SHUFFLES)]
 
 
 def _added(functions: Array, coefficients: Array, relative: Array) -> Array:
@@ -110,11 +161,18 @@ class _Walk:
         along = (at.T @ scaled) ** 2 + (at.T @ (scaled * relative)) ** 2
         return float((self.variances @ along).sum())
 
-    def likely(self, scaled: Array, relative: Array) -> tuple[float, float]:
-        """Variances of offset and gain of largest marginal likelihood."""
+    def likely(self, scaled: Array, relative: Array) -> tuple[tuple[float, float], Array]:
+        """Variances of offset and gain of largest marginal likelihood, in those of noise.
+
+        And the means (2,) over all, in squared errors, of which features have one on average.
+        """
         problem = self._problem(scaled, relative)
         tried = [(offset, gain) for offset in _WALKS for gain in _WALKS]
-        return max(tried, key=lambda variances: self._solved(problem, variances)[0])
+        solved = [self._solved(problem, variances) for variances in tried]
+        likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solved]).T
+        weights = np.exp((likelihoods - likelihoods.max()) / 2)
+        means: Array = (weights / weights.sum() * noise) @ np.array(tried)
+        return tried[int(likelihoods.argmax())], means
 
     def fitted(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
         """Coefficients (2, k, m) of offset and gain."""
@@ -136,15 +194,17 @@ class _Walk:
         along = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
         return gram, along, (scaled**2).sum(axis=0)
 
-    def _solved(self, problem: tuple[Array, Array, Array], variances: tuple[float, float]) -> tuple[float, Array]:
-        """Logarithm of the likelihood, each reading's noise found with it, and means (m, 2 k + 2)."""
+    def _solved(
+        self, problem: tuple[Array, Array, Array], variances: tuple[float, float]
+    ) -> tuple[float, Array, Array]:
+        """Twice the logarithm of the likelihood, means (m, 2 k + 2), and each reading's variance of noise (m,)."""
         gram, along, total = problem
         root = np.sqrt(np.concatenate([[_COMMON, *(each * self.variances)] for each in variances]))
         precision = np.eye(len(root)) + gram * np.outer(root, root)
         means = root * np.linalg.solve(precision, (root * along)[:, :, None])[:, :, 0]
         left = np.maximum(total - (along * means).sum(axis=1), np.finfo(float).tiny)
         likelihood = -len(self.at) * np.log(left).sum() - np.linalg.slogdet(precision)[1].sum()
-        return float(likelihood), means
+        return float(likelihood), means, left / len(self.at)
 
 
 def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) -> tuple[Array, int]:

@@ -83,3 +83,41 @@ def _offset(changes: Array, ceiling: Array) -> Mask:
     relative = changes[:, ceiling > 0] / ceiling[ceiling > 0]
     off: Mask = np.asarray(np.abs(np.median(relative, axis=1)) > 1)
     return off
+
+
+#: Readings of an electrode are noise in a press if they miss what other presses let expect by so many times as much
+#: as the others of the press, each in its usual error, and there are so many presses. Sound presses of two simulated
+#: sheets stay below 6.3, those with noise of 20 median changes are above 15.
+_NOISY: Final = 7.0
+_FEWEST: Final = 30
+_MAD_TO_SIGMA: Final = 1.4826
+
+
+def noisy_readings(pairs: Indices, features: Array, errors: Array) -> Mask:
+    """Find readings (n, m) of the one electrode of a press, if any, whose readings are noise there.
+
+    Parameters
+    ----------
+    pairs : (m, 4) source, sink, plus and minus.
+    features, errors : (n, m) of presses, and what they differ by from what the others let expect. A press whose size
+        noise raises has all its features reduced, so what is expected is scaled to the other electrodes' readings.
+    """
+    worst, off = np.zeros(features.shape, dtype=np.bool_), np.full(len(features), _NOISY)
+    usual = _MAD_TO_SIGMA * np.median(np.abs(errors), axis=0)
+    used = usual > 0
+    if len(features) < _FEWEST:
+        return worst
+    weights = np.where(used, 1 / np.where(used, usual, 1.0), 0.0)
+    seen, expected = features * weights, (features - errors) * weights
+    for electrode in np.unique(pairs):
+        inside = (pairs == electrode).any(axis=1)
+        group, others = used & inside, used & ~inside
+        if group.sum() < FEWEST_OF_PAIR or not others.any():
+            continue
+        power = np.maximum((expected[:, others] ** 2).sum(axis=1), np.finfo(float).tiny)
+        scale = (seen[:, others] * expected[:, others]).sum(axis=1) / power
+        left = (seen - scale[:, None] * expected) ** 2
+        times = np.sqrt(left[:, group].mean(axis=1) / np.maximum(left[:, others].mean(axis=1), 1.0))
+        worse = times > off
+        worst[worse], off[worse] = group, times[worse]
+    return worst

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from cbsr_qa.calibration.place.drift import Drift, find_drift
+from cbsr_qa.calibration.place.drift import Drift, Session, find_drift, session_of
+from cbsr_qa.calibration.place.faulty import noisy_readings
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
@@ -64,17 +65,33 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceLearned:
-    """A learned place, its errors on left-out presses, and remarks.
+class FoundPresses:
+    """Presses (k,) as they were found when they were left out, a re-check at the end with them.
 
     Parameters
     ----------
-    strength : (count,) of the changes by presses left out; see :class:`~cbsr_qa.calibration.place.Places`.
+    presses : (k,) their indices, in the order in which they were made.
+    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.Places`.
+    visits : (k,) the same for presses at one place.
+    session : when they were made.
+    drifts : whether readings were found to drift over it.
     """
+
+    presses: Indices
+    place_mm: Array
+    strength: Array
+    visits: Indices
+    session: Session
+    drifts: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceLearned:
+    """A learned place, its errors on left-out presses, and remarks."""
 
     model: LearnedPlace
     held_out: HeldOut
-    strength: Array
+    found: FoundPresses
     warnings: tuple[str, ...] = ()
 
 
@@ -122,21 +139,20 @@ def learn_place(
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
     about = places_mm - centre
-    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
-    missing &= scaling.ceiling > 0
-    less = np.ones(len(changes))
-    if missing.any():
-        known, sheet = sheet.features, sheet.filled(missing)
-        fault = more_than_spikes(missing, scaling.ceiling > 0)
-        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
-        sheet = replace(sheet, features=sheet.features * less[:, None])
+    sheet, less = _sheet(turns, changes, about @ axes.T, missing, scaling)
     tell("finding how readings drift")
+    noisy = noisy_readings(pairs, sheet.features, sheet.template_learning().left_out()[0])
+    if noisy.any():
+        changes = np.where(noisy, 0.0, changes)
+        sheet, less = _sheet(turns, changes, about @ axes.T, missing | noisy, scaling)
     learning = sheet.template_learning()
-    drift = find_drift(*learning.left_out(), time_s)
-    growth, later, late = 1.0, None, 0
+    apart = learning.left_out()
+    session = session_of(apart[0], time_s)
+    drift = find_drift(*apart, session)
+    growth, later = 1.0, None
+    late = 0 if drift is None else drift.late
     if drift is not None:
-        growth = sheet.misfit_growth(learning, drift.horizon)
-        later, late = drift.later, drift.late
+        growth, later = sheet.misfit_growth(learning, drift.horizon), drift.later
         sheet = replace(sheet, features=sheet.features + drift.since)
         learning = sheet.template_learning()
     tell("locating presses that were left out")
@@ -163,14 +179,45 @@ def learn_place(
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
     held_out = coverage_of(early, sheet.places_mm)
-    like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
-    strength = strengths(changes[early.presses], like / less[early.presses], scaling)
-    found_mm = held_out.found_mm @ axes + centre
-    held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
-    warnings = [*_warnings(held_out, sheet, process.scales)]
-    if drift is not None:
-        warnings.append(_drift_words(drift, np.sqrt(growth * wider)))
-    return PlaceLearned(model, held_out, strength, tuple(warnings))
+    left_mm = sheet.places_mm[out.presses] - out.apart(mixture, sheet.places_mm)[0]
+    left_mm[~rechecks] = held_out.found_mm
+    like = at_places(model.templates.grid_mm, out.likeness, left_mm) / less[out.presses]
+    strength, visits = strengths(changes[out.presses], like, scaling), sheet.visits[out.presses]
+    found = FoundPresses(
+        order[out.presses],
+        left_mm @ axes + centre,
+        strength,
+        visits,
+        session.of(out.presses),
+        drifts=drift is not None,
+    )
+    held_out = replace(held_out, presses=order[held_out.presses], found_mm=held_out.found_mm @ axes + centre)
+    drifts = () if drift is None else (_drift_words(drift, np.sqrt(growth * wider)),)
+    warnings = *_warnings(held_out, sheet, process.scales), *_noise_words(noisy[np.argsort(order)]), *drifts
+    return PlaceLearned(model, held_out, found, warnings)
+
+
+def _sheet(
+    turns: PatternTurns, changes: Array, places_mm: Array, missing: Mask, scaling: FeatureScaling
+) -> tuple[PressedSheet, Array]:
+    """Features of presses, whose missing readings (n, m) are filled in, and how much less their sizes are (n,)."""
+    sheet, less = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
+    missing = missing & (scaling.ceiling > 0)
+    if missing.any():
+        known, sheet = sheet.features, sheet.filled(missing)
+        fault = more_than_spikes(missing, scaling.ceiling > 0)
+        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
+        sheet = replace(sheet, features=sheet.features * less[:, None])
+    return sheet, less
+
+
+def _noise_words(noisy: Mask) -> Iterator[str]:
+    rows = np.flatnonzero(noisy.any(axis=1))
+    if rows.size:
+        yield (
+            f"presses in which the readings of one electrode are noise, and are left out: {rows.size}; the first is"
+            f" press {rows[0] + 1} of those used"
+        )
 
 
 def _check(changes: Array, places_mm: Array) -> None:

@@ -9,10 +9,12 @@ spread. y is a Gaussian process of the covariance
 with a place p at the distance r from the centre, k Matérn's of smoothness 5/2 and noise of the variance s₁ + s₂
 exp(−2u): a straight line of any slope, variation of the response with the place, symmetric about the centre or not,
 and a bend. Hyperparameters maximise the marginal likelihood. Places are those found for left-out presses, with the
-same uncertainty as later ones. Errors of left-out presses, in closed form, give the width of intervals.
+same uncertainty as later ones. Errors of presses left out with all others at their place, in closed form, give the
+width of intervals. A drift of gains adds to y, one of offsets adds in proportion to exp(−u): presses are brought to
+the last one as features are (:mod:`cbsr_qa.calibration.place.drift`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,8 +22,9 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 from scipy.special import stdtrit
 
+from cbsr_qa.calibration.place.drift import Drift, Session, find_drift
 from cbsr_qa.calibration.place.features import matern, squared_distances
-from cbsr_qa.calibration.place.held_out import evenly
+from cbsr_qa.calibration.place.held_out import evenly, mean_by_place
 from cbsr_qa.calibration.place.mixture import LEVELS
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.domain import Array, Indices, Mask
@@ -72,7 +75,7 @@ class QuantityEstimator:
     """
 
     def __init__(self, learned: LearnedQuantity) -> None:
-        self._quantiles, self._process = learned.quantiles, _Process.given(learned)
+        self._learned, self._process = learned, _Process.given(learned)
 
     def __call__(self, places: Places) -> Quantities:
         """Return the quantity of presses at places."""
@@ -81,65 +84,124 @@ class QuantityEstimator:
         least, most = process.y.min(), process.y.max()
         beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
         for_lost = process.change(places.strength, places.place_mm, places.unsure)
-        half = np.hypot(self._quantiles[:, None] * stderr, _NORMAL[:, None] * for_lost) + beyond
+        later = process.later(places.strength, self._learned.drift, self._learned.weak_drift)
+        half = (
+            np.hypot(self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(for_lost, later)) + beyond
+        )
         inner, outer = (process.unscaled(np.stack([y - each, y + each], axis=1)) for each in half)
         return Quantities(process.unscaled(y), inner, outer, below=y < least, above=y > most)
 
 
-def learn_quantity(values: Array, strength: Array, places_mm: Array, centre_mm: Array) -> LearnedQuantity:
+def learn_quantity(
+    values: Array,
+    strength: Array,
+    places_mm: Array,
+    centre_mm: Array,
+    *,
+    visits: Indices | None = None,
+    session: Session | None = None,
+    drifts: bool = False,
+) -> LearnedQuantity:
     """Learn a quantity from its values (n,) for presses.
 
     Parameters
     ----------
     strength, places_mm : (n,) and (n, 2) as found for each press when it was left out.
     centre_mm : (2,) the sheet's, in the frame of the presses.
+    visits : (n,) the same for presses at one place; by default all are at different places.
+    session : when they were made; without it no drift is searched for.
+    drifts : whether other features of the presses are known to drift.
     """
-    some = evenly(len(values), _KEPT)
+    late = 0 if session is None else session.late
+    some = np.append(evenly(len(values) - late, _KEPT - late), np.arange(len(values) - late, len(values)))
     values = values[some]
-    data = bool((values > 0).all()), centre_mm, strength[some], places_mm[some], values
-    errors = np.empty(len(some))
-    for half in (0, 1):  # with hyperparameters of the other half
-        others = _Process(_likely_scales(*data, np.arange(1 - half, len(some), 2)), *data)
-        errors[half::2] = others.left_out()[0][half::2]
-    scales = _likely_scales(*data, np.arange(len(some)))
-    process = _Process(scales, *data)
-    stderr = process.left_out()[1]
-    ratio, missed = np.abs(errors) / stderr, np.abs(values - process.unscaled(process.y - errors))
+    visits = np.arange(len(some)) if visits is None else np.unique(visits[some], return_inverse=True)[1]
+    data = _Data(bool((values > 0).all()), centre_mm, strength[some], places_mm[some], values)
+    errors = _errors(data, visits)
+    drift = None
+    if session is not None:
+        weak = np.median(data.strength) / data.strength
+        drift = find_drift(errors[:, None], weak[:, None], session.of(some), certain=drifts)
+    added = (0.0, 0.0)
+    if drift is not None:
+        added = _added_later(drift, errors, weak)
+        process = _Process(_likely_scales(data, np.arange(len(some))), data)
+        data = replace(data, values=process.unscaled(process.y + drift.since[:, 0]))
+        errors = _errors(data, visits)
+    scales = _likely_scales(data, np.arange(len(some)))
+    process = _Process(scales, data)
+    stderr = process.left_out(visits)[1]
+    early = np.arange(len(some) - late)
+    ratio, missed = (
+        (np.abs(errors) / stderr)[early],
+        np.abs(data.values - process.unscaled(process.y - errors))[early],
+    )
+    half = visits[early] % 2 == 1
     covered = [
-        np.mean([(ratio[one::2] <= _quantile(ratio[1 - one :: 2], level)).mean() for one in (0, 1)])
+        np.mean([(ratio[here] <= _quantile(ratio[~here], level)).mean() for here in (half, ~half)])
         for level in LEVELS
     ]
+    error, error_stderr = mean_by_place(missed, visits[early])
     return LearnedQuantity(
-        *data[:1],
+        data.logarithmic,
         scales,
-        *data[1:],
+        data.centre_mm,
+        data.strength,
+        data.places_mm,
+        data.values,
         quantiles=np.array([_quantile(ratio, level) for level in LEVELS]),
-        error=float(missed.mean()),
-        error_stderr=float(missed.std(ddof=1) / np.sqrt(len(missed))),
+        error=error,
+        error_stderr=error_stderr,
         covered=np.array(covered),
+        drift=added[0],
+        weak_drift=added[1],
     )
+
+
+def _errors(data: "_Data", visits: Indices) -> Array:
+    """Errors (n,) of presses left out with all at their place, with hyperparameters of half of the other places."""
+    errors = np.empty(len(visits))
+    for half in (0, 1):
+        here = np.flatnonzero(visits % 2 == half)
+        process = _Process(_likely_scales(data, np.flatnonzero(visits % 2 != half)), data)
+        errors[here] = process.left_out(visits)[0][here]
+    return errors
+
+
+def _added_later(drift: Drift, errors: Array, weak: Array) -> tuple[float, float]:
+    """Standard deviations of what drift adds later, to all values and, times 1 / strength, to a median press."""
+    size = np.sqrt(drift.variances * (errors**2).mean())
+    return float(size[0]), float(size[1] / np.sqrt((weak**2).mean()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """Presses as in :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
+
+    logarithmic: bool
+    centre_mm: Array
+    strength: Array
+    places_mm: Array
+    values: Array
+
+    def of(self, presses: Indices) -> "_Data":
+        return replace(
+            self, strength=self.strength[presses], places_mm=self.places_mm[presses], values=self.values[presses]
+        )
 
 
 class _Process:
     """Gaussian process given presses, see :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
 
-    def __init__(
-        self,
-        scales: QuantityScales,
-        logarithmic: bool,
-        centre_mm: Array,
-        strength: Array,
-        places_mm: Array,
-        values: Array,
-    ) -> None:
-        self._scales, self._logarithmic, self._centre_mm = scales, logarithmic, centre_mm
-        self._log_strength = float(np.log(np.median(strength)))
-        transformed = np.log(values) if logarithmic else values
+    def __init__(self, scales: QuantityScales, data: _Data) -> None:
+        self._scales, self._logarithmic, self._centre_mm = scales, data.logarithmic, data.centre_mm
+        self._log_strength = float(np.log(np.median(data.strength)))
+        transformed = np.log(data.values) if data.logarithmic else data.values
         self._middle, self._spread = float(np.median(transformed)), float(transformed.std())
         self.y: Array = (transformed - self._middle) / self._spread
-        self._u, self._about = self._scaled(strength, places_mm)
+        self._u, self._about = self._scaled(data.strength, data.places_mm)
         covariance = _covariance(scales, self._u, self._about, self._u, self._about)
-        covariance[np.diag_indices(len(values))] += _noise(scales, self._u)
+        covariance[np.diag_indices(len(self.y))] += _noise(scales, self._u)
         factor = cholesky(covariance, lower=True, check_finite=False)
         self._inverse: Array = cho_solve((factor, True), np.eye(len(factor)), check_finite=False)
         self._weights: Array = self._inverse @ self.y
@@ -147,8 +209,8 @@ class _Process:
 
     @classmethod
     def given(cls, learned: LearnedQuantity) -> "_Process":
-        data = learned.centre_mm, learned.strength, learned.places_mm, learned.values
-        return cls(learned.scales, learned.logarithmic, *data)
+        data = learned.logarithmic, learned.centre_mm, learned.strength, learned.places_mm, learned.values
+        return cls(learned.scales, _Data(*data))
 
     def expected(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         """Scaled values (k,) and their standard errors."""
@@ -165,10 +227,23 @@ class _Process:
         above, below = (self.expected(strength * np.exp(way * deviation), places_mm)[0] for way in (1, -1))
         return np.asarray(above - below) / 2
 
-    def left_out(self) -> tuple[Array, Array]:
-        """Errors (n,) of presses estimated from all others, and stated ones (Rasmussen & Williams 2006, Eq. 5.12)."""
-        diagonal = np.diag(self._inverse)
-        return self._weights / diagonal, 1 / np.sqrt(diagonal)
+    def later(self, strength: Array, drift: float, weak_drift: float) -> Array:
+        """Standard deviation (k,) of what drift may add to scaled values."""
+        weak = np.exp(self._log_strength) / np.maximum(strength, np.finfo(float).tiny)
+        added: Array = np.hypot(drift, weak_drift * weak)
+        return added
+
+    def left_out(self, visits: Indices) -> tuple[Array, Array]:
+        """Errors (n,) of presses estimated from those of other visits (n,), and stated ones.
+
+        Rasmussen & Williams 2006, Eq. 5.12, for blocks.
+        """
+        errors, stderr = np.empty(len(visits)), np.empty(len(visits))
+        for visit in np.unique(visits):
+            block = np.flatnonzero(visits == visit)
+            covariance = np.linalg.inv(self._inverse[np.ix_(block, block)])
+            errors[block], stderr[block] = covariance @ self._weights[block], np.sqrt(np.diag(covariance))
+        return errors, stderr
 
     def unscaled(self, y: Array) -> Array:
         transformed: Array = self._middle + self._spread * y
@@ -192,23 +267,14 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
     return variance
 
 
-def _likely_scales(
-    logarithmic: bool, centre_mm: Array, strength: Array, places_mm: Array, values: Array, presses: Indices
-) -> QuantityScales:
+def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:
     """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
-    some = presses[evenly(len(presses), _FOR_SCALES)]
+    some = data.of(presses[evenly(len(presses), _FOR_SCALES)])
     start = np.log(_MEDIANS)
-    start[-1] += np.log(np.linalg.norm(places_mm - centre_mm, axis=1).max())
+    start[-1] += np.log(np.linalg.norm(data.places_mm - data.centre_mm, axis=1).max())
 
     def surprise(logs: Array) -> float:
-        process = _Process(
-            QuantityScales(*np.exp(logs).tolist()),
-            logarithmic,
-            centre_mm,
-            strength[some],
-            places_mm[some],
-            values[some],
-        )
+        process = _Process(QuantityScales(*np.exp(logs).tolist()), some)
         return 0.5 * float((((logs - start) / _DEVIATIONS) ** 2).sum()) - process.log_likelihood
 
     bounds = Bounds(start - _FURTHEST * _DEVIATIONS, start + _FURTHEST * _DEVIATIONS)

@@ -241,8 +241,16 @@ def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> Le
     if not np.ptp(values):
         raise CalibrationError(f"every press that changes a reading has the same {name}: {values[0]:g}")
     tell(f"learning the {name}")
-    found = learned.held_out
-    return learn_quantity(values[found.presses], learned.strength, found.found_mm, learned.model.centre_mm)
+    found = learned.found
+    return learn_quantity(
+        values[found.presses],
+        found.strength,
+        found.place_mm,
+        learned.model.centre_mm,
+        visits=found.visits,
+        session=found.session,
+        drifts=found.drifts,
+    )
 
 
 def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:

@@ -10,6 +10,7 @@ from .force import (
 from .interpolation import interpolated as interpolated
 from .pressed_place import PressedPlace as PressedPlace, row_readings as row_readings
 from .runtime import Calibration as Calibration
+from .settling_forces import SettlingForces as SettlingForces
 from .template_matching import (
     Matches as Matches,
     TemplateFilter as TemplateFilter,

@@ -23,6 +23,8 @@ _CLIPPED: Final = 3
 _APART: Final = 6.0
 #: With a larger share of dead pairs a frame is not of this sensor.
 _MOST: Final = 0.75
+#: A frame that lost a larger share of its readings is not read.
+_MOST_MISSING: Final = 0.5
 #: Larger readings than this, in the largest unloaded one, are of no pair's spread, and their squares may overflow.
 _LARGEST: Final = 1e6
 
@@ -34,7 +36,7 @@ class FrameFaults:
     Parameters
     ----------
     left_out : (n, m) bool, readings that say nothing of the sheet.
-    flags : (n,) of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE`` and ``SATURATED``.
+    flags : (n,) of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE``, ``SATURATED`` and ``MISSING``.
     """
 
     left_out: Mask
@@ -70,15 +72,18 @@ class FaultFinder:
         self._member: Array = self._members.T.astype(np.float64)
 
     def __call__(self, readings: Array) -> FrameFaults:
-        """Find the faults of frames (n, m); readings that are not finite count as none of them."""
-        readings = np.where(np.isfinite(readings), readings, self._reference)
+        """Find the faults of frames (n, m); in frames that lost most readings, those that are not finite count."""
+        missing: Mask = ~np.isfinite(readings)
+        readings = np.where(missing, self._reference, readings)
         clipped = self._clipped(readings)
-        left_out: Mask = clipped.copy()
+        missing &= (missing.mean(axis=1) <= _MOST_MISSING)[:, None]
+        left_out: Mask = clipped | missing
         flags: Indices = np.where(clipped.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
+        flags |= np.where(missing.any(axis=1), int(Flag.MISSING), 0)
         if len(self._members):
-            slope, spread = self._following(readings, (~clipped).astype(np.float64))
+            slope, spread = self._following(readings, (~left_out).astype(np.float64))
             for frame in np.flatnonzero(((slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)).any(axis=1)).tolist():
-                dead, flag = self._dead(readings[frame], clipped[frame])
+                dead, flag = self._dead(readings[frame], left_out[frame])
                 left_out[frame] |= dead
                 flags[frame] |= flag
         return FrameFaults(left_out, flags)
@@ -114,17 +119,17 @@ class FaultFinder:
         enough = count >= FEWEST_OF_PAIR
         return np.where(enough, slope, 1.0), np.where(enough, spread, 1.0)
 
-    def _dead(self, readings: Array, clipped: Mask) -> tuple[Mask, int]:
+    def _dead(self, readings: Array, lost: Mask) -> tuple[Mask, int]:
         """Readings (m,) to be left out of a frame because of their pairs, and its flags.
 
         A dead pair takes readings from all others that it drives or measures with: the worst is taken out first.
         """
-        kept = (~clipped[None]).astype(np.float64)
+        kept = (~lost[None]).astype(np.float64)
         slope, spread = (each[0] for each in self._following(readings[None], kept))
         silent: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
         dead = silent.copy()
         while True:
-            kept[0] = ~(clipped | self._members[dead].any(axis=0))
+            kept[0] = ~(lost | self._members[dead].any(axis=0))
             slope, spread = (each[0] for each in self._following(readings[None], kept))
             further = ~dead & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
             if not further.any():

@@ -35,7 +35,7 @@ class Flag(IntFlag):
     ABOVE_RANGE = 8  #: the force is above the heaviest calibrated load
     WRONG_SIGN = 16  #: the place changes the other way than under a load (an unloading spike, or a residue)
     MORE_THAN_ONE = 32  #: the frame is not of one head of the given size
-    UNREADABLE = 64  #: a used reading is not finite (of a learned place: more than half are lost); there is no force
+    UNREADABLE = 64  #: more than half of the used readings are lost, or too few are left; there is no force
     OTHER_SENSOR = 128  #: the readings as a whole are not of the calibrated sensor; there is no force
     OTHER_HEAD = 256  #: the head's size differs so much from the calibrated one that its field is off by over 3 %
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
@@ -45,6 +45,7 @@ class Flag(IntFlag):
     SATURATED = 8192  #: several readings stood at one extreme value: they were left out
     OFFSET = 16384  #: one offset was added to all readings: it was taken out (a learned place is UNREADABLE)
     MISSING = 32768  #: some readings are not finite numbers: they were left out
+    UNSETTLED = 65536  #: followed over time, the load has not settled: its force is a prediction, or remains of one
 
 
 #: Frames with one of these flags have no force.
@@ -81,6 +82,10 @@ class Forces:
         counts = {flag.name: int(np.count_nonzero(self.flags & flag)) for flag in Flag}
         flagged = "".join(f", {name} in {count}" for name, count in counts.items() if count)
         return f"<Forces in {len(seen)} of {len(self.force_N)} frames{force}{flagged}>"
+
+    def part(self, frames: slice) -> "Forces":
+        """Those of some of the frames."""
+        return Forces(*(getattr(self, column.name)[frames] for column in fields(Forces)))
 
     def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
         """Lowest and highest force (n,) of a central interval, normal about the estimate.

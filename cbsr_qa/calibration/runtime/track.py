@@ -80,6 +80,11 @@ _RESIDUE: Final = 0.02
 #: Without a kernel: duration of a load's settling, and possible later change of its strength.
 _PATIENCE_S: Final = 60.0
 _UNKNOWN_CHANGE: Final = 0.3
+#: Released loads have faded after so many times the slowest constant; and times that are tried.
+_FADED: Final = 3.0
+#: What is left of a load shows in single frames until it is so many standard errors below the threshold of a load.
+_ROOM: Final = 2.0
+_STEPS: Final = 200
 #: Frames after which a place is no longer updated.
 _PLACED: Final = 40
 
@@ -162,24 +167,67 @@ class Track:
 
     def advance(self, time_s: float, frame_s: float, since_last_s: float, model: ForceModel) -> None:
         """Add the strength found in a frame, with the frame's duration and the time since the last one."""
+        self._now_s = time_s
         if self.pressing:
             self._press(time_s, frame_s, model)
         if not self.pressing:
             self._fade(time_s, since_last_s, model)
+
+    def start_unknown(self) -> None:
+        """The load was there when the stream began, or after a long gap: it may have begun to settle long before."""
+        self._changed = (self.since_s, 0.0)
+
+    def settled_in_s(self, model: ForceModel, share: float) -> float:
+        """Time until less than a share of the force is still to come, or what is left of a released load is noise.
+
+        0 where that is so; NaN for a residue that stays.
+        """
+        if not self.pressing:
+            return self._faded_in_s(model)
+        changed_s = self._changed_s()
+        since_s = self.since_s if changed_s is None else changed_s
+        end_s = model.steady_s or _PATIENCE_S
+        after_s = np.linspace(0.0, end_s, _STEPS)
+        if changed_s is not None or model.loading is None:
+            tocome = _UNKNOWN_CHANGE * np.exp(-after_s / patience_s(model))
+        else:
+            at = np.array([kernel_at(model.loading, float(each)) for each in after_s])
+            tocome = np.abs(at / at[-1] - 1)
+        late = np.flatnonzero(tocome > share)
+        settled_s = after_s[min(int(late[-1]) + 1, _STEPS - 1)] if len(late) else 0.0
+        return max(float(since_s + settled_s - self._now_s), 0.0)
+
+    def _faded_in_s(self, model: ForceModel) -> float:
+        least = max(model.threshold - _ROOM, 1.0) / float(np.linalg.norm(self.template))
+        if abs(self.strength) <= least:
+            return 0.0
+        if model.unloading is None:
+            return max(self.since_s + _PATIENCE_S - self._now_s, 0.0) or float("nan")
+        after_s = np.linspace(0.0, _FADED * _slowest_s(model.unloading), _STEPS)
+        held_s = self._now_s - self.since_s
+        left = np.array([self._left(model.unloading, held_s + float(each)) for each in after_s])
+        faded = np.flatnonzero(abs(self.strength) * left <= least * left[0])
+        return float(after_s[faded[0]]) if len(faded) else float("nan")
 
     def steady(self, model: ForceModel) -> tuple[float, float]:
         """Strength after the calibrated hold, and its variance."""
         own = self.strength - self.base_now
         alone = 1 / float(np.linalg.norm(self.template))
         base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
-        if self._changed is not None:
-            change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - self._changed[0]) / _patience_s(model)))
+        if (changed_s := self._changed_s()) is not None:
+            change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - changed_s) / patience_s(model)))
             return own, self.noise**2 + change**2 + base
         if self._hold is None or model.loading is None:
             change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
             return own, self.noise**2 + change**2 + base
         value, stderr = self._hold.predict(model.steady_s)
         return value, stderr**2 + base
+
+    def _changed_s(self) -> float | None:
+        """When the load itself changed; now where its last frame alone says so."""
+        if self._changed is not None:
+            return self._changed[0]
+        return self._now_s if self._off else None
 
     def _press(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         towards = self.sign * self.strength
@@ -189,7 +237,6 @@ class Track:
         self._largest = max(self._largest, towards)
         share = model.residue_share
         self.base_now = self.base * (share + (1 - share) * float(np.exp(-(time_s - self.since_s) / 25.0)))
-        self._now_s = time_s
         self._notice_change(time_s, model)
         if self._changed is None and not self._off:
             self._learn(time_s, frame_s, model)
@@ -207,7 +254,7 @@ class Track:
             expected, stderr = self._hold.predict(held_s)
             off = abs(own - expected) > max(_OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(own))
             off |= self._off_together()
-            self._off = self._off + 1 if off and held_s > _EARLY * _patience_s(model) else 0
+            self._off = self._off + 1 if off and held_s > _EARLY * patience_s(model) else 0
             if self._off >= _BELIEVED:
                 self._changed = (time_s, own)
 
@@ -233,7 +280,9 @@ class Track:
             return
         if self._first is not None:
             first, self._first = self._first, None
-            expected = _kernel(model.loading, first[0] - self.since_s) / _kernel(model.loading, time_s - self.since_s)
+            expected = kernel_at(model.loading, first[0] - self.since_s) / kernel_at(
+                model.loading, time_s - self.since_s
+            )
             self._hold, self._promise = UnsureHold(model.loading, frame_s), UnsureHold(model.loading, frame_s)
             self._last.clear()
             if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
@@ -257,7 +306,7 @@ class Track:
         self._hold = self._promise = self._first = None
 
     def _lightened(self, time_s: float) -> None:
-        self.state, self.since_s, self._now_s = "loading", self._pressed_s, time_s
+        self.state, self.since_s = "loading", self._pressed_s
         self._changed = (time_s, self.strength - self.base_now)
         self._largest = self.sign * self.strength
         self.expected = self.precision = 0.0
@@ -275,9 +324,7 @@ class Track:
         self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
         alone = 1 / float(np.linalg.norm(self.template))
         self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * alone) ** 2
-        fresh = time_s - self.since_s < (
-            3 * float(model.unloading.time_constants_s[-1]) if model.unloading else _PATIENCE_S
-        )
+        fresh = time_s - self.since_s < (_FADED * _slowest_s(model.unloading) if model.unloading else _PATIENCE_S)
         self.state = "unloading" if fresh else "residue"
         self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
 
@@ -285,11 +332,16 @@ class Track:
         return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
 
 
-def _patience_s(model: ForceModel) -> float:
-    return float(model.loading.time_constants_s[-1]) if model.loading and len(model.loading.weights) else _PATIENCE_S
+def patience_s(model: ForceModel) -> float:
+    """Slowest time constant of a press [s]."""
+    return _slowest_s(model.loading) if model.loading else _PATIENCE_S
 
 
-def _kernel(kernel: RelaxationKernel, time_s: float) -> float:
+def _slowest_s(kernel: RelaxationKernel) -> float:
+    return float(kernel.time_constants_s[-1]) if len(kernel.weights) else _PATIENCE_S
+
+
+def kernel_at(kernel: RelaxationKernel, time_s: float) -> float:
     """K(t), at least a twentieth, so that a strength divided by it remains a strength."""
     value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
     return max(value, 0.05)

@@ -11,7 +11,7 @@ from cbsr_qa.calibration.runtime.fewer_readings import offset_between
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
-from cbsr_qa.calibration.runtime.track import KEPT, Track
+from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
 from cbsr_qa.domain import Array, CalibrationError
 
 #: Frames in a row without a residue after which it is discarded.
@@ -42,7 +42,9 @@ class TrackedLoad:
     force_N, stderr_N : of a pressing load: its value after the calibrated hold. 0 ± 0 once released.
     left_N : of a released load: the force equivalent to its residue; else 0. NaN, flagged OUTSIDE, at an impossible
         place.
-    flags : as :class:`~cbsr_qa.calibration.runtime.Flag`.
+    settled_in_s : until what is still to come of a press is less than the error of one frame, or until what is left
+        of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
+    flags : as :class:`~cbsr_qa.calibration.runtime.Flag`; UNSETTLED until then.
     """
 
     number: int
@@ -53,6 +55,7 @@ class TrackedLoad:
     force_N: float
     stderr_N: float
     left_N: float
+    settled_in_s: float
     flags: Flag
 
 
@@ -84,7 +87,8 @@ class ForceStream:
         self._tracks: list[Track] = []
         self._count = 0
         self._time_s = -np.inf
-        self._frame_s = self._since_last_s = 0.0
+        self._frame_s, self._since_last_s = 0.0, np.inf
+        self._late = True
         self._last: list[Array] = []
 
     def update(self, time_s: float, frame: ArrayLike) -> tuple[TrackedLoad, ...]:
@@ -116,6 +120,7 @@ class ForceStream:
             # A station pauses between loads: the frame time is at most the shortest interval so far.
             self._since_last_s = time_s - self._time_s
             self._frame_s = min(self._frame_s or np.inf, self._since_last_s)
+        self._late = not self._since_last_s < patience_s(self._model)
         self._time_s = time_s
         (usable, _, left_out), *_ = self._calibration.sound_parts(voltages)
         changes, bad = usable.changes_of(voltages)
@@ -220,7 +225,10 @@ class ForceStream:
             return False
         self._count += 1
         since_s = self._time_s - self._frame_s / 2
-        self._tracks.append(Track(self._count, match.place_mm[0], template, since_s, self._base(template), sign))
+        track = Track(self._count, match.place_mm[0], template, since_s, self._base(template), sign)
+        if self._late:
+            track.start_unknown()
+        self._tracks.append(track)
         return True
 
     def _place(self, rows: Array) -> None:
@@ -245,6 +253,11 @@ class ForceStream:
             flags |= Flag.OUTSIDE
         if pressing:
             flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
+        alone = self._calibration.inverse.force(self._match(track, value, track.noise**2))[1]
+        share = float(alone[0] / abs(force[0])) if np.isfinite(force[0]) and force[0] else 1.0
+        settled_in_s = track.settled_in_s(self._model, share)
+        if settled_in_s != 0:
+            flags |= Flag.UNSETTLED
         return TrackedLoad(
             number=track.number,
             state=LoadState(track.state),
@@ -254,6 +267,7 @@ class ForceStream:
             force_N=float(force[0]) if pressing else 0.0,
             stderr_N=float(stderr[0]) if pressing else 0.0,
             left_N=0.0 if pressing else float(force[0]),
+            settled_in_s=settled_in_s,
             flags=flags,
         )
 

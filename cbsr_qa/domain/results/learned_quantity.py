@@ -51,6 +51,8 @@ class LearnedQuantity:
     error, error_stderr : mean absolute error of presses left out, and its standard error.
     covered : (2,) share of the presses left out that the intervals of 68 and 95 % hold, as wide as the other half of
         them says.
+    drift, weak_drift : standard deviations of what drift may add later, in the spread of the values: to all, and
+        beside it to a press of median strength; that falls with the strength.
     """
 
     logarithmic: bool
@@ -63,3 +65,5 @@ class LearnedQuantity:
     error: Annotated[float, Kept(units=OWN, least=0, most=_LARGEST)]
     error_stderr: Annotated[float, Kept(units=OWN, least=0, most=_LARGEST)]
     covered: Annotated[Array, Kept(dims="2", least=0, most=1)]
+    drift: Annotated[float, Kept(least=0, most=_LARGEST, since=4)] = 0.0
+    weak_drift: Annotated[float, Kept(least=0, most=_LARGEST, since=4)] = 0.0

@@ -26,6 +26,7 @@ from .force import (
 from .images import (
     ImagePanel as ImagePanel,
     Marker as Marker,
+    draw_image as draw_image,
     image_figure as image_figure,
     sheet_radius as sheet_radius,
     verdict_figure as verdict_figure,
@@ -84,4 +85,10 @@ from .style import (
     plot as plot,
     svg_of as svg_of,
 )
-from .time import Budget as Budget, Span as Span, budget_figure as budget_figure, timeline_figure as timeline_figure
+from .time import (
+    Budget as Budget,
+    Span as Span,
+    budget_figure as budget_figure,
+    draw_timeline as draw_timeline,
+    timeline_figure as timeline_figure,
+)

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
@@ -133,6 +134,15 @@ def image_figure(
     if shared_scale:
         _draw_scale(figure, max(sizes))
     return figure
+
+
+def draw_image(axes: Axes, panel: ImagePanel, sensor: SensorType) -> None:
+    """Draw one image with electrodes and its own scale on the axes of any figure."""
+    largest = float(np.abs(panel.image.values).max())
+    _draw_panel(axes, panel, Raster(panel.image.mesh, sensor.outline, 420), sensor.outline, largest)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+    scale = ScalarMappable(change_norm(100 * largest), CHANGE_MAP)
+    axes.get_figure(root=True).colorbar(scale, ax=axes, label=_SCALE_LABEL, shrink=0.8)  # type: ignore[union-attr]
 
 
 def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float = 0.0) -> tuple[Canvas, list[Axes]]:

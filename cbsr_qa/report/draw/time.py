@@ -103,6 +103,14 @@ def timeline_figure(
     return figure
 
 
+def draw_timeline(axes: Axes, traces: Sequence[Trace], spans: Sequence[Span], *, time_label: str) -> None:
+    """Draw traces of one unit and shaded spans on the axes of any figure."""
+    _draw_traces(axes, list(traces), traces[0].unit)
+    for span in spans:
+        shade(axes, span, named=bool(span.label))
+    axes.set_xlabel(time_label)
+
+
 def shade(axes: Axes, span: Span, *, named: bool) -> None:
     """Shade a stretch of time, tick its peak, and name it above the axes."""
     axes.axvspan(span.start_s, max(span.end_s, span.start_s), color="#f0e3cf", linewidth=0, zorder=0)

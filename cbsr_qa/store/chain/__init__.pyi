@@ -1,4 +1,12 @@
-from .check import IDENTITY as IDENTITY, RESULTS as RESULTS, check_run as check_run, unreadable as unreadable
+from .check import (
+    IDENTITY as IDENTITY,
+    RESULTS as RESULTS,
+    check_run as check_run,
+    data_digest as data_digest,
+    of_run as of_run,
+    stored_documents as stored_documents,
+    unreadable as unreadable,
+)
 from .fleet import (
     AT_ONCE as AT_ONCE,
     Figures as Figures,
@@ -8,6 +16,7 @@ from .fleet import (
 )
 from .links import (
     KEY_OPTION as KEY_OPTION,
+    OF_A_SESSION as OF_A_SESSION,
     SigningKey as SigningKey,
     add_links as add_links,
     add_rows as add_rows,
@@ -20,10 +29,17 @@ from .run_documents import (
     BETWEEN as BETWEEN,
     FIGURES as FIGURES,
     JOINED as JOINED,
+    KEYS as KEYS,
+    PHASE_END as PHASE_END,
     RUN_COLUMNS as RUN_COLUMNS,
+    document_of as document_of,
     documents as documents,
     facts as facts,
     phase_end as phase_end,
+    row_text as row_text,
+    sha256 as sha256,
+    shown as shown,
     stored_figures as stored_figures,
+    tables as tables,
     words as words,
 )

@@ -9,7 +9,8 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain.links import SigningKey, key_id_of, link_digest, signing_key
+from cbsr_qa.store.archives import checked_bytes
+from cbsr_qa.store.chain.links import SigningKey, few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
@@ -17,12 +18,13 @@ from cbsr_qa.store.chain.run_documents import (
     covered,
     documents,
     phase_end,
+    sha256,
     shown,
     stored_figures,
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -30,6 +32,8 @@ RESULTS: Final = frozenset(
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
+#: Documents that state what followed from the data of a run, or what people decided.
+_CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
 _REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
@@ -57,9 +61,20 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         raise unreadable(connection, run, error) from error
 
 
+def data_digest(connection: Connection, run: str) -> str:
+    """Return the digest of everything that was measured in a run: the chain up to the last link of its data.
+
+    Without a chain, the digest of the rows, which hold the digests of frames and samples.
+    """
+    link = LinkRow
+    of_data = select(link.sha256).where(link.run == run, link.kind.not_in(_CONCLUDED))
+    head = connection.scalar(of_data.order_by(link.number.desc()).limit(1))
+    return head or sha256(*map("/".join, stored_documents(connection, run, ALL_KINDS - _CONCLUDED)))
+
+
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
     """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
-    rows = [(table, _of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
+    rows = [(table, of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
     return foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     )
@@ -86,6 +101,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise _broken(run, f"link {min(missing)} in run_links is missing")
     for link in links:
         _check_link(run, link, key_id, key)
+    if not kinds:
+        checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
     if not key_id:
         return ChainState("chained")
@@ -100,7 +117,11 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
         .where(link.run == run)
         .order_by(link.number)
     )
-    return connection.execute(query.where(link.kind.in_(kinds)) if kinds else query).all()
+    if kinds:
+        query = query.where(link.kind.in_(kinds))
+        if not set(kinds).intersection(MANY_LINKS):
+            query = query.where(few_links())
+    return connection.execute(query).all()
 
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:
@@ -120,7 +141,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
     """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-    for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
+    for stored, links in ((stored_documents(connection, run, kinds), linked), (of_figures, figures)):
         for kind, document, content in stored:
             expected = links.pop((kind, document), None)
             if expected is None:
@@ -131,14 +152,17 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
             raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
 
 
-def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
+def stored_documents(
+    connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
+) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, key and content digest of the stored documents of a run, figures left out."""
     for table in (one for one in tables() if one.name in kinds):
         # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
             type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
             for one in covered(table)
         )
-        query = select(*columns).where(_of_run(table, run))
+        query = select(*columns).where(of_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
     if PHASE_END in kinds:
@@ -152,7 +176,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
         yield FIGURES, analysis, stored_figures(connection, analysis)
 
 
-def _of_run(table: Table, run: str) -> Any:
+def of_run(table: Table, run: str) -> Any:
     """Select a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run

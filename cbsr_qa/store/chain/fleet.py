@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Double, Executable, Select, Te
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.store.chain.check import check_run
-from cbsr_qa.store.chain.links import key_id_of, link_digest, signing_key
+from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
 from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow
 
@@ -113,7 +113,7 @@ def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> di
         .join(RunRow, RunRow.run == a.run)
         .join(link, (link.run == a.run) & (link.kind == FIGURES) & (link.document == a.analysis))
         .join(before, (before.run == link.run) & (before.number == link.number - 1))
-        .where(*chosen)
+        .where(*chosen, few_links())
     )
     rows = connection.execute(query.execution_options(yield_per=AT_ONCE))
     return dict(_following(connection, rows))

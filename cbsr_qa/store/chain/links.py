@@ -11,11 +11,23 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-from sqlalchemy import Connection, Insert, bindparam, func, insert, select
+from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, select, text
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
-from cbsr_qa.store.tables import LinkRow, RunRow
+from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.tables import (
+    FEW_LINKS,
+    AttendanceRow,
+    FrameBlockRow,
+    LinkRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    SampleBlockRow,
+    StepRow,
+    UnloadedMarkRow,
+)
 
 VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
 _LEAST: Final = 16
@@ -78,6 +90,12 @@ def _insertion(table: Any) -> Insert:
     return insert(table.__table__)
 
 
+#: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
+OF_A_SESSION: Final = frozenset(
+    one.__tablename__
+    for one in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
+)
+
 _NEWEST: Final = (
     select(RunRow.chain, LinkRow.number, LinkRow.sha256)
     .outerjoin(LinkRow, LinkRow.run == RunRow.run)
@@ -107,6 +125,11 @@ def key_id_of(chain: str) -> str:
     return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
 
 
+def few_links() -> TextClause:
+    """Return the condition under which links are found by an index of their kind; a database must see it in words."""
+    return text(f"{LinkRow.__tablename__}.{FEW_LINKS}")
+
+
 def link_digest(before: str, kind: str, document: str, content: str) -> str:
     """Return the digest of a link, from the previous link's digest (empty for the first)."""
     return sha256(before, kind, document, content)
@@ -130,6 +153,8 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
 def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str, str]]) -> None:
     """Append links of (kind, document, content digest) to a run's chain; an unchained run gets none.
 
+    The run is announced for synchronisation (see :mod:`cbsr_qa.store.outbox`).
+
     Raises
     ------
     StoreError
@@ -141,6 +166,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
     key = key_to_continue(connection, run, chain)
     if chain is None:
+        announce(connection, Kind.RUN, [run])
         return
     number, before = (-1, "") if last is None else (last, before)
     rows = []
@@ -150,6 +176,8 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
         rows.append({"run": run, "number": number, **values})
     connection.execute(_insertion(LinkRow), rows)
+    if any(row["kind"] not in OF_A_SESSION for row in rows):
+        announce(connection, Kind.RUN, [run], number + 1)
 
 
 def chain_head(connection: Connection, run: str) -> str:

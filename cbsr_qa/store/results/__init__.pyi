@@ -1,6 +1,12 @@
-from . import analyses as analyses, calibrations as calibrations, calibrations_of_before as calibrations_of_before
+from . import (
+    analyses as analyses,
+    calibrations as calibrations,
+    calibrations_of_before as calibrations_of_before,
+    reanalyses as reanalyses,
+)
 from .analyses import (
     StoredAnalysis as StoredAnalysis,
     analysis_outcome as analysis_outcome,
     as_measurement as as_measurement,
 )
+from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of

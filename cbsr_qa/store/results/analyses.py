@@ -1,19 +1,45 @@
 """Analyses of runs: appended, never changed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Row, select
 
+from cbsr_qa.domain import fitted
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult, Verdict
 from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, chain_head, check_run, stored_figures
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
-from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, MeasurementRow, RunRow, WarningRow
+from cbsr_qa.store.tables import (
+    AdoptionRow,
+    AnalysisRow,
+    CalibrationRow,
+    MeasurementRow,
+    ReanalysisRow,
+    RunRow,
+    WarningRow,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """How a re-analysis became an analysis.
+
+    Parameters
+    ----------
+    recipe : canonical JSON of the recipe that the values and limits follow from, in place of the run's own.
+    operator, why, adopted_at : who decided, for what reason, and when.
+    """
+
+    reanalysis: str
+    recipe: str
+    operator: str
+    why: str
+    adopted_at: datetime
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +52,7 @@ class StoredAnalysis:
     calibration : issued calibration; if None, ``calibration_why`` gives the reason.
     noise_weighting : ``"equal"`` or ``"measured"``; empty where nothing was imaged.
     weight_ratio : largest over smallest weight of a reading; None if not recorded.
+    adoption : None unless it was adopted from a re-analysis.
     """
 
     analysis: str
@@ -40,6 +67,7 @@ class StoredAnalysis:
     calibration_why: str
     noise_weighting: str
     weight_ratio: float | None
+    adoption: Adoption | None = None
 
 
 def save_result(
@@ -80,12 +108,20 @@ def save_result(
     with writing(engine) as connection:
         if not record.chain_head or chain_head(connection, run) != record.chain_head:
             check_run(connection, run)  # otherwise checked when it was loaded, up to this link
-        add_rows(connection, run, AnalysisRow, [values])
-        add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in result.warnings]))
-        add_rows(connection, run, MeasurementRow, _numbered(analysis, [_values(m) for m in result.measurements]))
-        add_links(connection, run, [(FIGURES, analysis, stored_figures(connection, analysis))])
+        add_analysis(connection, values, result.warnings, map(measurement_values, result.measurements))
         if result.calibration is not None:
             insert_calibration(connection, result.calibration, analysis)
+
+
+def add_analysis(
+    connection: Connection, row: dict[str, Any], warnings: Iterable[str], measurements: Iterable[dict[str, Any]]
+) -> None:
+    """Add the rows and links of one analysis; ``measurements`` are rows without their key."""
+    run, analysis = row["run"], row["analysis"]
+    add_rows(connection, run, AnalysisRow, [row])
+    add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in warnings]))
+    add_rows(connection, run, MeasurementRow, _numbered(analysis, measurements))
+    add_links(connection, run, [(FIGURES, analysis, stored_figures(connection, analysis))])
 
 
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
@@ -98,7 +134,7 @@ def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
         return tuple(_analysis(connection, row) for row in rows)
 
 
-def _numbered(analysis: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _numbered(analysis: str, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
 
 
@@ -112,7 +148,8 @@ _BOUNDS: Final = {
 }
 
 
-def _values(measurement: Measurement) -> dict[str, Any]:
+def measurement_values(measurement: Measurement) -> dict[str, Any]:
+    """Return the columns of a measurement, without its key."""
     limit = measurement.limit
     bounds = {column: getattr(limit, name, None) for column, name in _BOUNDS.items()}
     return row_of(MeasurementRow, measurement, load_index=measurement.load, limited=limit is not None, **bounds)
@@ -129,7 +166,16 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
         measurements=tuple(map(as_measurement, connection.execute(measured.order_by(MeasurementRow.number)))),
         warnings=tuple(connection.scalars(warnings)),
         calibration=connection.scalar(issued),
+        adoption=_adoption(connection, row.analysis),
     )
+
+
+def _adoption(connection: Connection, analysis: str) -> Adoption | None:
+    a = AdoptionRow
+    query = select(a.reanalysis, ReanalysisRow.recipe, a.operator, a.why, a.adopted_at)
+    joined = query.join(ReanalysisRow, ReanalysisRow.reanalysis == a.reanalysis).where(a.analysis == analysis)
+    row = connection.execute(joined).one_or_none()
+    return None if row is None else Adoption(*row)
 
 
 def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
@@ -139,17 +185,22 @@ def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
 
 def as_measurement(row: Row[Any]) -> Measurement:
     """Return the measurement of a row. StoreError if a cell of it is damaged."""
-    key = f"analysis {row.analysis}, measurement {row.number},"
-    return of_row(
+    return stored_measurement(row._mapping, f"analysis {row.analysis}, measurement {row.number},")
+
+
+def stored_measurement(values: Mapping[Any, Any], key: str) -> Measurement:
+    """Return a measurement of its columns. StoreError, which begins with ``key``, if a word in it is invalid."""
+    return fitted(
         Measurement,
-        row,
-        bound=stored(Bound, row.bound, "measurements.bound", key),
-        load=row.load_index,
-        limit=_limit(row) if row.limited else None,
-        outcome=stored(Outcome, row.outcome, "measurements.outcome", key),
+        values,
+        bound=stored(Bound, values["bound"], "measurements.bound", key),
+        load=values["load_index"],
+        limit=_limit(values) if values["limited"] else None,
+        outcome=stored(Outcome, values["outcome"], "measurements.outcome", key),
     )
 
 
-def _limit(row: Row[Any]) -> Limit:
-    bounds = row.lower_limit, row.upper_limit, row.marginal or 0.0
-    return Limit(row.name, row.unit, *bounds, row.limit_phase or "", row.limit_qualifier or "")
+def _limit(values: Mapping[Any, Any]) -> Limit:
+    lower, upper, marginal = (values[column] for column in ("lower_limit", "upper_limit", "marginal"))
+    phase, qualifier = values["limit_phase"] or "", values["limit_qualifier"] or ""
+    return Limit(values["name"], values["unit"], lower, upper, marginal or 0.0, phase, qualifier)

@@ -1,5 +1,15 @@
-from . import attendance as attendance, live as live, outcomes as outcomes, runs as runs, sessions as sessions
+from . import (
+    archiving as archiving,
+    attendance as attendance,
+    live as live,
+    outcomes as outcomes,
+    runs as runs,
+    sessions as sessions,
+)
+from .archiving import ArchivedRun as ArchivedRun
 from .codec import (
+    check_frames as check_frames,
+    check_samples as check_samples,
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,
     decoded_sensor_type as decoded_sensor_type,

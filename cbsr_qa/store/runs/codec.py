@@ -21,7 +21,7 @@ from cbsr_qa.domain.sensor import (
     mesh_of_arrays,
 )
 from cbsr_qa.store.tables import FrameBlockRow
-from cbsr_qa.store.types import digest, packed, packed_flags, unpacked, unpacked_flags
+from cbsr_qa.store.types import compact, digest, packed, packed_flags, restored, unpacked, unpacked_flags
 
 
 def frame_values(block: FrameBlock) -> dict[str, Any]:
@@ -37,10 +37,10 @@ def frame_values(block: FrameBlock) -> dict[str, Any]:
         "current_a": block.current_A,
         "first_s": block.time_s[0],
         "last_s": block.time_s[-1],
-        "time_s": parts[0],
-        "voltages": parts[1],
-        "flags": parts[2],
-        "reading_time_s": own,
+        "time_s": compact(parts[0], 8, steps=True),
+        "voltages": compact(parts[1], 8),
+        "flags": compact(parts[2], 1),
+        "reading_time_s": None if own is None else compact(own, 8, steps=True),
         "sha256": digest(_frame_header(block.voltages.shape, str(block.unit), block.current_A), parts),
     }
 
@@ -54,17 +54,33 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
         If the digest or a length does not match.
     """
     shape = row.frames, row.drives, row.measures
-    parts = row.time_s, row.voltages, row.flags, row.reading_time_s or b""
-    if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
-        raise _damaged("frame", row.run, row.phase, row.block)
+    parts = check_frames(row)
     return FrameBlock(
-        unpacked(row.time_s, shape[:1]),
-        unpacked(row.voltages, shape),
-        unpacked_flags(row.flags, shape),
+        unpacked(parts[0], shape[:1]),
+        unpacked(parts[1], shape),
+        unpacked_flags(parts[2], shape),
         VoltageUnit(row.unit),
         row.current_a,
-        None if row.reading_time_s is None else unpacked(row.reading_time_s, shape),
+        None if row.reading_time_s is None else unpacked(parts[3], shape),
     )
+
+
+def check_frames(row: Row[Any] | FrameBlockRow) -> tuple[bytes, bytes, bytes, bytes]:
+    """Return the arrays of a row as they were measured; StoreError if they do not match their digest."""
+    readings, own = row.frames * row.drives * row.measures, row.reading_time_s
+    try:
+        parts = (
+            restored(row.time_s, 8 * row.frames, 8, steps=True),
+            restored(row.voltages, 8 * readings, 8),
+            restored(row.flags, readings, 1),
+            b"" if own is None else restored(own, 8 * readings, 8, steps=True),
+        )
+    except ValueError as error:
+        raise _damaged("frame", row.run, row.phase, row.block) from error
+    shape = row.frames, row.drives, row.measures
+    if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
+        raise _damaged("frame", row.run, row.phase, row.block)
+    return parts
 
 
 def sample_values(block: SampleBlock) -> dict[str, Any]:
@@ -76,18 +92,27 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
         "channel": block.channel,
         "unit": block.unit,
         "samples": len(block),
-        "time_s": parts[0],
-        "sample_values": parts[1],
+        "time_s": compact(parts[0], 8, steps=True),
+        "sample_values": compact(parts[1], 8),
         "sha256": digest(f"{block.channel}|{block.unit}|{len(block)}", parts),
     }
 
 
 def sample_block(row: Row[Any]) -> SampleBlock:
     """Return the block of a row; StoreError as for :func:`frame_block`."""
-    if digest(f"{row.channel}|{row.unit}|{row.samples}", (row.time_s, row.sample_values)) != row.sha256:
+    return SampleBlock(row.channel, row.unit, *(unpacked(part, (row.samples,)) for part in check_samples(row)))
+
+
+def check_samples(row: Row[Any]) -> tuple[bytes, bytes]:
+    """Return the arrays of a row as they were measured; StoreError if they do not match their digest."""
+    size = 8 * row.samples
+    try:
+        parts = restored(row.time_s, size, 8, steps=True), restored(row.sample_values, size, 8)
+    except ValueError as error:
+        raise _damaged("sample", row.run, row.phase, row.block) from error
+    if digest(f"{row.channel}|{row.unit}|{row.samples}", parts) != row.sha256:
         raise _damaged("sample", row.run, row.phase, row.block)
-    shape = (row.samples,)
-    return SampleBlock(row.channel, row.unit, unpacked(row.time_s, shape), unpacked(row.sample_values, shape))
+    return parts
 
 
 def _frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) -> str:

@@ -43,7 +43,7 @@ from cbsr_qa.store.chain import add_links, add_rows, phase_end
 from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.runs.attendance import attendance_values
-from cbsr_qa.store.runs.codec import encoded, frame_values, sample_values
+from cbsr_qa.store.runs.codec import encoded, frame_values, sample_block, sample_values
 from cbsr_qa.store.runs.gate_answers import add_answers
 from cbsr_qa.store.runs.rows import begin_run, current_state, run_row
 from cbsr_qa.store.tables import (
@@ -56,7 +56,6 @@ from cbsr_qa.store.tables import (
     StepRow,
     UnloadedMarkRow,
 )
-from cbsr_qa.store.types import unpacked
 from cbsr_qa.system import on_tick
 
 
@@ -130,11 +129,11 @@ def _last_samples_s(connection: Connection, run: str, phase: int | None) -> Iter
     if phase is not None:
         of_run = of_run.where(SampleBlockRow.phase == phase)
     last = of_run.subquery()
-    query = select(SampleBlockRow.time_s, SampleBlockRow.samples).join(
+    query = select(*SampleBlockRow.__table__.columns).join(
         last, (SampleBlockRow.phase == last.c.phase) & (SampleBlockRow.block == last.c.block)
     )
-    for packed, samples in connection.execute(query.where(SampleBlockRow.run == run)):
-        yield float(unpacked(packed, (samples,))[-1])
+    for row in connection.execute(query.where(SampleBlockRow.run == run)):
+        yield float(sample_block(row).time_s[-1])
 
 
 class Journal:

@@ -12,6 +12,7 @@ from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
 from cbsr_qa.domain.results import Decision, EndReason, Outcome
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
+from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import stored, translated
 from cbsr_qa.store.engine import reading, sqlite_file
 from cbsr_qa.store.mapping import of_row
@@ -86,7 +87,7 @@ def run_tail(
         return RunTail(
             phases=_phases(connection, run),
             loads=_loads(connection, run),
-            frames=tuple((row.phase, frame_block(row)) for row in frames),
+            frames=tuple((row.phase, frame_block(row)) for row in with_arrays(connection, frames)),
             samples=tuple((row.phase, sample_block(row)) for row in samples),
             frames_seen=_last(frames, frames_after),
             samples_seen=_last(samples, samples_after),
@@ -99,7 +100,7 @@ def frames_between(engine: Engine, run: str, phase: int, start_s: float, end_s: 
     query = select(*table.__table__.columns).where(table.run == run, table.phase == phase)
     query = query.where(table.last_s >= start_s, table.first_s < end_s).order_by(table.block)
     with reading(engine) as connection:
-        blocks = [frame_block(row) for row in connection.execute(query)]
+        blocks = [frame_block(row) for row in with_arrays(connection, connection.execute(query).all())]
     frames = join_frames(blocks).between(start_s, end_s) if blocks else None
     return frames if frames is not None and len(frames) else None
 

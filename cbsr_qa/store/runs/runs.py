@@ -22,6 +22,7 @@ from cbsr_qa.domain.run import (
     pauses_of,
     prompts_of,
 )
+from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
 from cbsr_qa.store.damage import address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
@@ -297,7 +298,8 @@ def _rows(connection: Connection, phase: Row[Any], table: Any, order: Instrument
 
 def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[FrameBlock | None, int]:
     """Return frames that count, and the number that do not."""
-    blocks = [frame_block(row) for row in _rows(connection, phase, FrameBlockRow, FrameBlockRow.block)]
+    rows = _rows(connection, phase, FrameBlockRow, FrameBlockRow.block).all()
+    blocks = [frame_block(row) for row in with_arrays(connection, rows)]
     counted = [within(block.time_s, spans) for block in blocks]
     kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
     return join_frames(kept) if kept else None, sum(int((~inside).sum()) for inside in counted)

@@ -23,6 +23,7 @@ from cbsr_qa.store.tables import (
     FrameBlockRow,
     LoadRow,
     PhaseRow,
+    ReanalysisRow,
     ReleaseRow,
     RunRow,
     RunStateRow,
@@ -164,6 +165,7 @@ def latest_id(engine: Engine) -> str:
         StationCheckRow.check_id,
         ChartReferenceRow.reference,
         VerdictOverrideRow.override_id,
+        ReanalysisRow.reanalysis,
         ReleaseRow.release_id,
     )
     with reading(engine) as connection:

@@ -3,6 +3,9 @@ from .gate import (
     ReleaseRow as ReleaseRow,
 )
 from .records import (
+    FEW_LINKS as FEW_LINKS,
+    MANY_LINKS as MANY_LINKS,
+    ArchiveRow as ArchiveRow,
     ChartReferenceRow as ChartReferenceRow,
     ConfigurationChangeRow as ConfigurationChangeRow,
     LinkRow as LinkRow,
@@ -12,6 +15,7 @@ from .records import (
     VerdictOverrideRow as VerdictOverrideRow,
 )
 from .results import (
+    AdoptionRow as AdoptionRow,
     AnalysisRow as AnalysisRow,
     BaselineRow as BaselineRow,
     CalibrationRow as CalibrationRow,
@@ -19,6 +23,7 @@ from .results import (
     ForceRow as ForceRow,
     MeasurementRow as MeasurementRow,
     OverlapBandRow as OverlapBandRow,
+    ReanalysisRow as ReanalysisRow,
     RelaxationRow as RelaxationRow,
     SettlingRow as SettlingRow,
     WarningRow as WarningRow,
@@ -36,4 +41,9 @@ from .runs import (
     SensorRow as SensorRow,
     StepRow as StepRow,
     UnloadedMarkRow as UnloadedMarkRow,
+)
+from .sync import (
+    OutboxRow as OutboxRow,
+    SyncAcceptsRow as SyncAcceptsRow,
+    SyncRefusalRow as SyncRefusalRow,
 )

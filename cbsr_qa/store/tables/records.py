@@ -5,13 +5,18 @@ frames of the reference ring. Rows are never changed: the latest of a chart hold
 """
 
 from datetime import datetime
-from typing import Any
+from typing import Any, Final
 
-from sqlalchemy import ForeignKey, Index
+from sqlalchemy import ForeignKey, Index, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from cbsr_qa.store.tables.runs import Base, Identifier
-from cbsr_qa.store.types import Word
+from cbsr_qa.store.tables.runs import NO_ROWID, Base, Identifier
+from cbsr_qa.store.types import Digest, Word
+
+#: Kinds of nearly all links of a run, which are read with their whole chain; links of others are also found by kind.
+MANY_LINKS: Final = ("frame_blocks", "sample_blocks", "steps")
+FEW_LINKS: Final = f"kind NOT IN {MANY_LINKS}"
+_FEW: Final = text(FEW_LINKS)
 
 
 class ConfigurationChangeRow(Base):
@@ -129,19 +134,34 @@ class StationCheckFramesRow(Base):
     voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
     flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
     reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
-    sha256: Mapped[str] = mapped_column(Word(64))
+    sha256: Mapped[str] = mapped_column(Digest)
 
 
 class LinkRow(Base):
     """One link of a run's chain, stored in the transaction of the rows it covers, which form one document."""
 
     __tablename__ = "run_links"
-    __table_args__ = (Index(None, "run", "kind", "document", unique=True),)
+    __table_args__ = (
+        Index(None, "run", "kind", "document", unique=True, sqlite_where=_FEW, postgresql_where=_FEW),
+        NO_ROWID,
+    )
 
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     kind: Mapped[str] = mapped_column(Word(32))  #: the table its rows are in, see run_documents.py
     document: Mapped[str] = mapped_column(Word(64))  #: which of its rows: their common key
-    content_sha256: Mapped[str] = mapped_column(Word(64))  #: of these rows
-    sha256: Mapped[str] = mapped_column(Word(64))  #: of the previous link, kind, document and content
-    mac: Mapped[str | None] = mapped_column(Word(64))  #: HMAC-SHA256 of ``sha256``; None if no key was set
+    content_sha256: Mapped[str] = mapped_column(Digest)  #: of these rows
+    sha256: Mapped[str] = mapped_column(Digest)  #: of the previous link, kind, document and content
+    mac: Mapped[str | None] = mapped_column(Digest)  #: HMAC-SHA256 of ``sha256``; None if no key was set
+
+
+class ArchiveRow(Base):
+    """The file that holds the frames of a run; their rows are then without arrays. Removed when they come back."""
+
+    __tablename__ = "archives"
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    file: Mapped[str]  #: its path from the folder of a SQLite database, else in full
+    file_bytes: Mapped[int]
+    file_sha256: Mapped[str] = mapped_column(Digest)
+    archived_at: Mapped[datetime]

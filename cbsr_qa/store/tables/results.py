@@ -6,7 +6,7 @@ Judging a run again adds an analysis. Only ``calibrations.superseded_by`` is fil
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ForeignKey, Index
+from sqlalchemy import DDL, ForeignKey, Index, event
 from sqlalchemy.orm import Mapped, mapped_column
 
 from cbsr_qa.store.tables.runs import Base, Identifier
@@ -71,6 +71,42 @@ class MeasurementRow(Base):
     limit_qualifier: Mapped[str | None]
 
 
+class ReanalysisRow(Base):
+    """One re-analysis of a run, on trial: it decides nothing until it is adopted as an analysis.
+
+    The key is the digest of what the values follow from: the run's data, the recipe and the software.
+    """
+
+    __tablename__ = "reanalyses"
+    __table_args__ = (Index(None, "run", "key_sha256"),)
+
+    reanalysis: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    key_sha256: Mapped[str] = mapped_column(Word(64))
+    recipe: Mapped[str]  #: canonical JSON of the file
+    analysed_at: Mapped[datetime]
+    software: Mapped[list[Any]]  #: [[distribution, version], …]
+    outcome: Mapped[str] = mapped_column(Word(16))
+    reason: Mapped[str]
+    noise_weighting: Mapped[str] = mapped_column(Word(16))
+    weight_ratio: Mapped[float | None]
+    compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
+    warnings: Mapped[list[Any]]
+    measurements: Mapped[list[Any]]  #: rows as in the table of measurements, without empty columns
+
+
+class AdoptionRow(Base):
+    """Somebody made a re-analysis the valid analysis of its run."""
+
+    __tablename__ = "adoptions"
+
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"), primary_key=True)
+    reanalysis: Mapped[str] = mapped_column(Identifier, ForeignKey("reanalyses.reanalysis"))
+    operator: Mapped[str]
+    why: Mapped[str]
+    adopted_at: Mapped[datetime]
+
+
 class CalibrationRow(Base):
     """Calibration issued for the sensor of a passed run: its file, and searchable columns."""
 
@@ -123,6 +159,16 @@ class CalibrationRow(Base):
     assumed: Mapped[list[Any] | None]  #: names of parameters not measured on this sensor
     simulated: Mapped[list[Any] | None]
     setting: Mapped[dict[str, Any] | None]  #: sensor type and indenter, see runs/codec.py
+
+
+# PostgreSQL would try to compress these files, which takes half of the time of storing a run, and fail.
+event.listen(
+    CalibrationRow.__table__,
+    "after_create",
+    DDL("ALTER TABLE calibrations ALTER COLUMN file SET STORAGE EXTERNAL").execute_if(  # type: ignore[no-untyped-call]
+        dialect="postgresql"
+    ),
+)
 
 
 class ForceRow(Base):

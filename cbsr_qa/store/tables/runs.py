@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import JSON, ForeignKey, ForeignKeyConstraint, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 #: Constraints have the same names on every database, so that a migration can name them.
 NAMING = {
@@ -18,6 +18,9 @@ NAMING = {
     "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
     "pk": "pk_%(table_name)s",
 }
+
+#: SQLite then stores the rows in the index of their key, which takes no room of its own; for rows below a kilobyte.
+NO_ROWID = {"sqlite_with_rowid": False}
 
 Identifier = Word(36)  #: a time-ordered UUID as text
 
@@ -159,18 +162,18 @@ class FrameBlockRow(Base):
     current_a: Mapped[float | None]
     first_s: Mapped[float]
     last_s: Mapped[float]
-    time_s: Mapped[bytes]  #: float64 (frames,)
+    time_s: Mapped[bytes]  #: float64 (frames,), compact like the following, see runs/codec.py
     voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
     flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
     reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
-    sha256: Mapped[str] = mapped_column(Word(64))
+    sha256: Mapped[str] = mapped_column(Digest)  #: of the arrays as they were measured
 
 
 class SampleBlockRow(Base):
     """Consecutive samples of one channel, stored like frames."""
 
     __tablename__ = "sample_blocks"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_of_phase(), NO_ROWID)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -180,7 +183,7 @@ class SampleBlockRow(Base):
     samples: Mapped[int]
     time_s: Mapped[bytes]  #: float64 (samples,)
     sample_values: Mapped[bytes]  #: float64 (samples,)
-    sha256: Mapped[str] = mapped_column(Word(64))
+    sha256: Mapped[str] = mapped_column(Digest)
 
 
 class LoadRow(Base):

@@ -1,4 +1,10 @@
 from .explain import Explained as Explained, explain_scene as explain_scene
 from .report import explained_outcome as explained_outcome, scene_outcome as scene_outcome
-from .run import SceneRun as SceneRun, SceneRunRequest as SceneRunRequest, run_scene as run_scene
+from .run import (
+    SceneRun as SceneRun,
+    SceneRunRequest as SceneRunRequest,
+    SimulatedScene as SimulatedScene,
+    run_scene as run_scene,
+    simulate_to_memory as simulate_to_memory,
+)
 from .setting import SceneSetup as SceneSetup, effects_of as effects_of, made_world as made_world, set_up as set_up

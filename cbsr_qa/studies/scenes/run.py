@@ -11,6 +11,8 @@ import numpy as np
 
 import cbsr_qa
 from cbsr_qa.config import edge_remarks
+from cbsr_qa.domain.readings import Recording
+from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.plugin import Kind, Plugins, discover
 from cbsr_qa.simulate import NOT_MODELLED, PressedLoad, RecordedScene, SimulatedWorld, planned_middles_s, record_scene
 from cbsr_qa.studies.scenes.files import Target, Written, checked_targets, made_folder, write_all
@@ -63,8 +65,8 @@ class SceneRun:
     ----------
     frames_lost, dumps : frames cut by lost rows, and pauses of a board.
     duration_s : end of the last frame, including pauses.
-    files : the HDF5 recording first.
-    analyse : the command to try with the recording.
+    files : the HDF5 recording first; none of a scene in memory.
+    analyse : the command to try with the recording; empty without one.
     """
 
     scene: str
@@ -104,14 +106,58 @@ def run_scene(
     world = made_world(setup, effects_of(plugins), seed=seed)
     with naming(setup.label):
         _rehearse(world, setup, targets)
-    remarks = edge_remarks(setup.plan, setup.sensor_type.value)
     with made_folder(targets[0].path.parent, request.output):
-        tell(f"simulating {setup.plan.frame_count} frames")
-        with naming(setup.label):
-            recorded = record_scene(world, setup.plan, progress=progress)
-        recorded = _labelled(recorded, world, setup, plugins, tuple(remarks.values()))
+        recorded, remarks = _recorded(world, setup, plugins, tell, progress)
         tell("writing")
         return _scene_run(setup, seed, recorded, write_all(recorded, targets), remarks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedScene:
+    """A scene simulated in memory, with what its station would have recorded and the sensor type simulated."""
+
+    run: SceneRun
+    recording: Recording
+    sensor_type: SensorType
+
+
+def simulate_to_memory(
+    scene: str,
+    seed: int | None = None,
+    *,
+    tell: Callable[[str], None] = lambda stage: None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> SimulatedScene:
+    """Simulate a scene without writing anything; the same seed gives the frames of :func:`run_scene`.
+
+    Raises
+    ------
+    RefusedError
+        If a file is wrong, or a load or an effect is impossible.
+    """
+    plugins = discover()
+    setup = set_up(scene, plugins, recorded=True)
+    chosen = setup.plan.seed or 0 if seed is None else seed
+    tell("creating the sheet")
+    world = made_world(setup, effects_of(plugins), seed=chosen)
+    recorded, remarks = _recorded(world, setup, plugins, tell, progress)
+    run = _scene_run(setup, chosen, recorded, (), remarks)
+    return SimulatedScene(run, recorded.recording, setup.sensor_type.value)
+
+
+def _recorded(
+    world: SimulatedWorld,
+    setup: SceneSetup,
+    plugins: Plugins,
+    tell: Callable[[str], None],
+    progress: Callable[[int, int], None],
+) -> tuple[RecordedScene, Mapping[int, str]]:
+    """Simulate the frames; returns remarks on the loads by their index too."""
+    remarks = edge_remarks(setup.plan, setup.sensor_type.value)
+    tell(f"simulating {setup.plan.frame_count} frames")
+    with naming(setup.label):
+        recorded = record_scene(world, setup.plan, progress=progress)
+    return _labelled(recorded, world, setup, plugins, tuple(remarks.values())), remarks
 
 
 def _scene_run(
@@ -134,7 +180,7 @@ def _scene_run(
         files=files,
         effects=tuple(choice.name for choice in plan.scene.effects),
         not_modelled=(*plan.scene.not_modelled, *NOT_MODELLED),
-        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *named]),
+        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *named]) if files else "",
     )
 
 

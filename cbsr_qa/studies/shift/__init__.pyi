@@ -5,6 +5,7 @@ from .lists import (
     RunList as RunList,
     RunPage as RunPage,
     SensorList as SensorList,
+    list_request as list_request,
     list_runs as list_runs,
     list_sensors as list_sensors,
     run_pages as run_pages,

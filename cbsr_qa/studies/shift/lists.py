@@ -3,8 +3,8 @@
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
-from typing import Final, Self
+from datetime import date, datetime
+from typing import Any, Final, Self
 
 from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import EndReason, ListedRun, Outcome, RunSelection
@@ -12,7 +12,7 @@ from cbsr_qa.plugin import echo
 from cbsr_qa.report import plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.selection import check_names, nearest
-from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, summarised
+from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, local_day, summarised
 
 #: Runs that are listed if nothing says which: reading 100 000 takes a quarter of a minute.
 LATEST_RUNS: Final = 50
@@ -46,6 +46,28 @@ class ListRequest:
     def __post_init__(self) -> None:
         if self.latest is not None and self.latest < 1:
             raise RefusedError(f"--latest is {self.latest}", remedy="give at least 1")
+
+
+def list_request(
+    *,
+    today: bool = False,
+    since: date | None = None,
+    until: date | None = None,
+    failed: bool = False,
+    limit: str = "",
+    latest: int | None = None,
+    checks: bool = False,
+    **selection: Any,
+) -> ListRequest:
+    """Return which runs are meant by a day and criteria; ``selection``: further fields of a RunSelection.
+
+    RefusedError if two of them exclude each other.
+    """
+    if today and (since or until):
+        raise RefusedError("--today with --since or --until", remedy="give one of them")
+    begins, ends = local_day() if today else (None, None)
+    runs = RunSelection(since=since, until=until, checks=checks, from_moment=begins, before_moment=ends, **selection)
+    return ListRequest(runs, failed=failed, limit=limit, latest=latest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -258,3 +258,20 @@ def test_a_real_skin_from_39_presses(skins, name, limit_mm):
     places = PlaceEstimator(model)(skin.changes[rest])
     assert distances(places, skin.labels_mm[rest]).mean() < limit_mm
     assert places.in_model.mean() > 0.9
+
+
+def test_an_electrode_whose_readings_are_noise_in_some_presses_does_not_make_such_frames_touches():
+    """Noise of twenty median changes, which is no more than presses beside an electrode change a reading."""
+    sheet, random = pressed_sheet(160, seed=1, noise=0.05), np.random.default_rng(1)
+    changes = sheet.changes.copy()
+    spoiled = np.append(random.choice(100, 5, replace=False), np.arange(130, 160))
+    for row in spoiled:
+        group = (sheet.pairs == random.integers(16)).any(axis=1)
+        changes[row, group] = 20 * np.median(np.abs(sheet.changes)) * random.standard_normal(group.sum())
+    learned = learn_place(changes[:100], sheet.labels_mm[:100], sheet.pairs, 16)
+    assert any("readings of one electrode are noise, and are left out: 5" in words for words in learned.warnings)
+    places = PlaceEstimator(learned.model, None, sheet.pairs)(changes[100:])
+    off_mm = np.linalg.norm(places.place_mm - sheet.labels_mm[100:], axis=1)
+    assert off_mm[:30].mean() < 0.3
+    assert places.in_model[:30].mean() > 0.9
+    assert places.in_model[30:].mean() < 0.1

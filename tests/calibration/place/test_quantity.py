@@ -5,6 +5,7 @@ import pytest
 from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration.place import PlaceEstimator, Places, QuantityEstimator, learn_place, learn_quantity
+from cbsr_qa.calibration.place.drift import Session
 
 CENTRE = np.zeros(2)
 
@@ -77,12 +78,51 @@ def test_strengths_of_a_learned_place_tell_the_force():
     sheet = pressed_sheet(160, seed=7, noise=0.05, uneven=0.2)
     some, rest = np.arange(60), np.arange(60, 160)
     place = learn_place(sheet.changes[some], sheet.labels_mm[some], sheet.pairs, 16)
-    learned = learn_quantity(
-        sheet.force_N[place.held_out.presses], place.strength, place.held_out.found_mm, place.model.centre_mm
-    )
+    known = place.found
+    learned = learn_quantity(sheet.force_N[known.presses], known.strength, known.place_mm, place.model.centre_mm)
     places = PlaceEstimator(place.model)(sheet.changes[rest])
     found = QuantityEstimator(learned)(places)
     error = np.abs(found.values - sheet.force_N[rest])
     assert error.mean() < 0.15
     assert error.mean() == pytest.approx(learned.error, rel=0.5)
     assert inside(sheet.force_N[rest], found.within_95) > 0.85
+
+
+def test_a_gain_that_drifts_is_followed_and_intervals_hold_later_forces():
+    """Readings grow by a half over 120 presses; those told follow within a session, and grow on."""
+    sheet = pressed_sheet(240, seed=5, noise=0.1, uneven=0.1)
+    gain = np.exp(0.4 * np.arange(240) / 120)
+    strength, places_mm = located(sheet, np.arange(240))
+    some, rest = np.arange(120), np.arange(120, 240)
+    learned, still = (
+        learn_quantity((sheet.force_N)[some], (gain * strength)[some], places_mm[some], CENTRE, session=session)
+        for session in (Session(np.linspace(0, 1, 120), 0), None)
+    )
+    truth = sheet.force_N[rest]
+    found, before = (told(each, (gain * strength)[rest], places_mm[rest]) for each in (learned, still))
+    assert np.abs(found.values - truth).mean() < 0.7 * np.abs(before.values - truth).mean()
+    assert inside(truth, found.within_95) > 0.93
+    assert learned.error < 0.7 * still.error
+    now = told(learned, (gain[119] * strength)[rest], places_mm[rest])
+    assert np.abs(now.values - truth).mean() < 0.15
+
+
+def test_presses_in_random_order_show_no_drift():
+    sheet = pressed_sheet(100, seed=6, noise=0.1)
+    learned, still = (
+        learn_quantity(sheet.force_N, *located(sheet, np.arange(100)), CENTRE, session=session)
+        for session in (Session(np.linspace(0, 1, 100), 0), None)
+    )
+    assert (learned.drift, learned.weak_drift) == (0.0, 0.0)
+    np.testing.assert_array_equal(learned.quantiles, still.quantiles)
+
+
+def test_presses_at_one_place_are_left_out_together():
+    """Their strengths err alike, so they tell of one another what they do not tell of new places."""
+    sheet = pressed_sheet(40, seed=8, noise=0.02, uneven=0.3)
+    strength, places_mm = located(sheet, np.arange(40), error_mm=0.0)
+    visits, force_N = np.repeat(np.arange(40), 4), np.random.default_rng(1).uniform(1.0, 5.0, 160)
+    there = strength[visits] * force_N / sheet.force_N[visits], places_mm[visits]
+    together, alone = (learn_quantity(force_N, *there, CENTRE, visits=each) for each in (visits, None))
+    assert together.error > 2 * alone.error
+    assert together.error_stderr > alone.error_stderr

@@ -9,7 +9,7 @@ from cbsr_qa.calibration import Calibration, Flag, ForceStream
 from cbsr_qa.eit.estimate import load_model
 
 COUNT = 60
-NAMES = Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED | Flag.OFFSET
+NAMES = Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED | Flag.OFFSET | Flag.MISSING
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,16 @@ def test_open_electrodes_are_named_and_errors_grow_with_their_number(calibration
 def test_an_open_electrode_is_named_where_the_voltmeter_still_reads_its_contact(calibration, pressed):
     faulty = opened(pressed[2], [[each % 16] for each in range(COUNT)], measured=False)
     located(calibration, pressed, faulty, Flag.OPEN_ELECTRODE, within_mm=0.6)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_readings_that_are_missing_are_left_out_and_the_errors_of_the_rest_hold(calibration, pressed, share):
+    frames = pressed[2].copy()
+    frames[np.random.default_rng(8).random(frames.shape) < share] = np.nan
+    located(calibration, pressed, frames, Flag.MISSING, within_mm=0.6)
+    found, whole = calibration.force(frames), calibration.force(pressed[2])
+    assert np.isfinite(found.force_N).all()
+    assert (found.place_stderr_mm > whole.place_stderr_mm).mean() > 0.9
 
 
 def test_a_sheet_with_too_few_electrodes_gives_no_number(calibration, pressed):

@@ -7,6 +7,7 @@ import pytest
 from force_samples import HEAD, NOISE, in_use, learned, line, pressed, setting, smooth_response, somewhere
 
 from cbsr_qa.calibration.runtime.force import Flag
+from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
 from cbsr_qa.calibration.runtime.track import Track
 from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState
 from cbsr_qa.domain import CalibrationError
@@ -120,7 +121,7 @@ class TestOneLoad:
         assert load.force_N == pytest.approx(3.0, abs=error_N)
         assert abs(load.force_N - 3.0) < 4 * load.stderr_N
         assert np.hypot(load.place_mm[0] - 12, load.place_mm[1] - 7) < 1.5
-        assert load.flags == Flag(0)
+        assert load.flags == (Flag.UNSETTLED if after_s < 45 else Flag(0))
 
     def test_the_readings_themselves_show_far_less_so_early(self, calibration, response):
         frames = dict(stream([Press((12.0, 7.0), 3.0, 20.0, 90.0, response)], 40.0))
@@ -134,6 +135,17 @@ class TestOneLoad:
 
     def test_what_has_faded_is_forgotten(self, seen):
         assert at(seen, 295.0) == ()
+
+    def test_time_until_it_counts_runs_down(self, seen):
+        loads = [pressing(at(seen, 20.0 + after_s))[0] for after_s in (12.5, 22.5, 60.0)]
+        assert loads[0].settled_in_s - loads[1].settled_in_s == pytest.approx(10.0, abs=2.0)
+        assert 15.0 < loads[1].settled_in_s < 32.5
+        assert loads[2].settled_in_s == 0
+
+    def test_what_is_left_counts_as_a_load_until_it_is_noise(self, seen):
+        left = at(seen, 100.0)[0]
+        assert left.flags & Flag.UNSETTLED
+        assert 10.0 < left.settled_in_s < 100.0
 
     def test_error_shrinks_with_time(self, seen):
         errors = [pressing(at(seen, 20.0 + after))[0].stderr_N for after in (6, 15, 50)]
@@ -156,6 +168,55 @@ def test_two_loads_at_once_and_one_on_what_another_left(calibration, response):
     assert len(third) == 1
     assert third[0].force_N == pytest.approx(2.5, abs=0.25)
     assert third[0].number == 3
+
+
+def test_a_load_that_was_there_when_the_stream_began_is_not_taken_for_a_new_one(calibration, response):
+    press = Press((12.0, 7.0), 3.0, -200.0, 500.0, response)
+    seen = followed(calibration, [press], 70.0)
+    early, late = (pressing(at(seen, time_s))[0] for time_s in (12.0, 68.0))
+    assert abs(early.force_N - 3.0) < 3 * early.stderr_N
+    assert early.force_N == pytest.approx(3.0, rel=0.15)
+    assert (early.flags, late.flags) == (Flag.UNSETTLED, Flag(0))
+
+
+@pytest.fixture(scope="module")
+def judged(calibration, response):
+    press = Press((12.0, 7.0), 3.0, 20.0, 110.0, response)
+    seen = dict(stream([press], 160.0))
+    times, frames = np.array([*seen]), np.array([*seen.values()])
+    alone = calibration.force(frames)
+    settling = SettlingForces(calibration)
+    parts = [settling(times[some], frames[some], alone.part(some)) for some in (slice(0, 30), slice(30, None))]
+    force, stderr, flags = (
+        np.concatenate([getattr(forces, name) for forces, _ in parts]) for name in ("force_N", "stderr_N", "flags")
+    )
+    return times, alone, force, stderr, flags, np.concatenate([settled_in_s for _, settled_in_s in parts])
+
+
+class TestSettlingForces:
+    """Frames of a recording, each by itself, with those that have not settled flagged."""
+
+    def test_forces_that_count_are_right_and_others_flagged(self, judged):
+        times, alone, force, stderr, flags, _ = judged
+        truth = np.where((times > 20) & (times < 110), 3.0, 0.0)
+        wrong = np.abs(alone.force_N - truth) > 3 * alone.stderr_N + 0.05
+        assert ((alone.flags == 0) & wrong).sum() > 10
+        assert not ((flags == 0) & (np.abs(force - truth) > 3 * stderr + 0.05)).any()
+        unsettled = flags & Flag.UNSETTLED != 0
+        assert (np.abs(force - truth)[unsettled] < 3 * stderr[unsettled] + 0.05).mean() > 0.95
+
+    def test_frames_of_a_settled_load_are_as_they_were(self, judged):
+        times, alone, force, _, flags, settled_in_s = judged
+        held = (times > 70) & (times < 110)
+        np.testing.assert_array_equal(force[held], alone.force_N[held])
+        assert not flags[held].any()
+        assert not settled_in_s[held].any()
+        assert settled_in_s[(times > 25) & (times < 40)].min() > 10
+
+    def test_no_frames(self, calibration):
+        none = calibration.force(np.zeros((0, 16, 16)))
+        forces, settled_in_s = SettlingForces(calibration)(np.zeros(0), np.zeros((0, 16, 16)), none)
+        assert len(forces.force_N) == len(settled_in_s) == 0
 
 
 class Steps(Press):
@@ -271,7 +332,7 @@ class TestFrames:
         wrong = light + here.voltages(np.array([[5.0, 5.0]]), np.array([-0.1]))[0]
         two = light + here.voltages(np.array([[25.0, 5.0], [-25.0, 0.0]]), np.array([0.15, 0.15])).sum(axis=0)
         foreign, broken = 3 * light, light.copy()
-        broken[here.used.nonzero()[0][0], here.used.nonzero()[1][0]] = np.nan
+        broken[: len(broken) // 2 + 2] = np.nan
         forces = calibration.force(np.array([light, heavy, wrong, two, foreign, broken]))
         flags = [Flag(int(flag)) for flag in forces.flags]
         assert flags[0] == Flag.NOT_DETECTED

@@ -32,6 +32,7 @@ from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey
 from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
+from cbsr_qa.store.results import Reanalysis
 from cbsr_qa.store.tables import Base, records as check_tables
 from cbsr_qa.store.types import FiniteDouble, Whole
 
@@ -56,6 +57,9 @@ def filled(url):
         issued = calibration(store.new_id(), first)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
         issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        software = (("cbsr-qa", "0.2.0"),)
+        again = Reanalysis(first, 64 * "0", "{}", software, decide(MEASURED), MEASURED, ("one",), "equal", None, ())
+        store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
         store.save_result(RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two")))
         store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
     return first
@@ -119,7 +123,7 @@ EDITS = {
         "frame block 1 of phase 0 of run .* its digest does not match",
     ),
     "a frame's digest": (
-        "update frame_blocks set sha256 = replace(sha256, 'a', 'b') where phase = 0 and block = 1",
+        "update frame_blocks set sha256 = zeroblob(32) where phase = 0 and block = 1",
         r"frame_blocks \(phase 0, block 1\) was changed",
     ),
     "a sample": (
@@ -154,6 +158,12 @@ EDITS = {
         "calibration_baselines .* was changed",
     ),
     "an override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides .* was changed"),
+    "a re-analysis": ("update reanalyses set outcome = 'fail'", "reanalyses .* was changed"),
+    "a value of a re-analysis": (
+        "update reanalyses set measurements = replace(measurements, '4.0', '3.0')",
+        "reanalyses .* was changed",
+    ),
+    "who adopted it": ("update adoptions set operator = 'Ada'", "adoptions .* was changed"),
     "no override": ("delete from verdict_overrides", "verdict_overrides .* was removed"),
     "a link less": ("delete from run_links where number = 7", "link 7 in run_links is missing"),
     "the first link": ("delete from run_links where number = 0", "link 0 in run_links is missing"),
@@ -169,7 +179,7 @@ EDITS = {
         "link 4 in run_links.* does not follow",
     ),
     "a link's content": (
-        "update run_links set content_sha256 = replace(content_sha256, 'a', 'b')",
+        "update run_links set content_sha256 = sha256",
         "link .* in run_links.* does not follow",
     ),
     "text for a number": ("update loads set x_mm = 'far'", r"loads\.x_mm \("),
@@ -206,7 +216,7 @@ READ_ALL = (
 
 
 #: Nothing is stored in these here, or nobody reads it.
-EMPTY = ("sensors", "configuration_changes", "releases", *(f"calibration_{what}" for what in
+EMPTY = ("sensors", "configuration_changes", "releases", "archives", *(f"calibration_{what}" for what in
          ("settling", "relaxations", "parameters", "overlap_bands", "forces")))  # fmt: skip
 
 
@@ -233,12 +243,15 @@ def test_bytes_in_any_column_are_refused_with_table_and_column(copied, table):
     with open_store(f"sqlite:///{path}") as store:
         add_checks(store, run)
     whole = path.read_bytes()
+    key = ", ".join(column.name for column in Base.metadata.tables[table].primary_key)
     for column in Base.metadata.tables[table].columns:
         if isinstance(column.type, LargeBinary | Boolean) or column.foreign_keys or column.name == "station":
             continue
         path.write_bytes(whole)
         with closing(sqlite3.connect(path)) as database, database:
-            database.execute(f"update {table} set {column.name} = x'ff006a' where rowid = 1")
+            database.execute(
+                f"update {table} set {column.name} = x'ff006a' where ({key}) in (select {key} from {table} limit 1)"
+            )
         with open_store(f"sqlite:///{path}") as store:
             named = any(f"{table}.{column.name} (" in reason for reason in refusals(store, run))
         assert named, column.name
@@ -284,7 +297,9 @@ def test_every_reader_refuses_what_it_uses(copied, statement, read):
 
 
 def test_every_table_of_a_run_is_covered_or_said_not_to_be():
-    elsewhere = {"sensors", "run_links", "chart_references", "releases"} | {
+    elsewhere = {"sensors", "run_links", "chart_references", "releases"}
+    # An archive's row says only where arrays are that a frame block's digest covers.
+    elsewhere |= {"archives", "outbox", "sync_accepts", "sync_refusals"} | {
         table.__tablename__
         for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow,
                       check_tables.StationCheckFramesRow)
@@ -393,9 +408,9 @@ def forged(path, run):
         ((_, content),) = documents(Base.metadata.tables["loads"], [row])
         before = ""
         for link in database.execute("select * from run_links where run = ? order by number", (run,)).fetchall():
-            own = content if link["kind"] == "loads" else link["content_sha256"]
+            own = content if link["kind"] == "loads" else link["content_sha256"].hex()
             before = link_digest(before, link["kind"], link["document"], own)
-            place = (own, before, run, link["number"])
+            place = (bytes.fromhex(own), bytes.fromhex(before), run, link["number"])
             database.execute(
                 "update run_links set content_sha256 = ?, sha256 = ? where run = ? and number = ?", place
             )

@@ -1,23 +1,27 @@
 """Number of presses for a wished error of place: among those tried, or by a power law if the errors follow one."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
+from cbsr_qa.report import with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.recommend import joint_stderr
 from cbsr_qa.studies.frontier.study import Needed, Recommendation
 
 PLACE: Final = "place_error"
+COVERED: Final = {"68": "covered_68", "95": "covered_95"}
 #: Least number of points for a power law: two parameters, and two to contradict them.
 _FEWEST_FITTED: Final = 4
 #: A law fits unless deviations as large as its own are less probable than this.
 _FITS: Final = 0.05
 #: Least exponent, over its standard error, of errors that decrease.
 _FALLS: Final = 2.0
+#: Standard errors by which regions hold less than they state before that is said.
+_CLEARLY: Final = 2.0
 #: Extrapolation is limited to this factor of the largest number tried.
 _FURTHEST: Final = 8.0
 
@@ -46,6 +50,16 @@ def recommended_presses(points: Sequence[Point], wish_mm: float | None) -> Recom
     )
     needed, words = needed_presses(points, wish_mm)
     return Recommendation(None, None, None, f"{why}; {words}", needed=needed)
+
+
+def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
+    """Say which regions hold clearly fewer places than they state; empty where none do."""
+    held = ((level, accuracy[name]) for level, name in COVERED.items() if name in accuracy)
+    return " and ".join(
+        f"regions of {level} % hold {with_uncertainty(100 * share.value, 100 * (share.stderr or 0.0))} %"
+        for level, share in held
+        if share.value + _CLEARLY * (share.stderr or 0.0) < float(level) / 100
+    )
 
 
 def needed_presses(points: Sequence[Point], wish_mm: float) -> tuple[Needed | None, str]:
@@ -110,6 +124,8 @@ class _PowerLaw:
 
 
 def _of(point: Point, why: str) -> Recommendation:
+    if loose := loose_regions(point.accuracy):
+        why = f"{why}; but {loose}, so errors are stated too small"
     return Recommendation(point.knobs, point.accuracy, point.station_s, why)
 
 

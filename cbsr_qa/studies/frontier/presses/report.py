@@ -6,8 +6,8 @@ from typing import Final
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
 from cbsr_qa.report import duration, text_table, with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
-from cbsr_qa.studies.frontier.presses.needed import PLACE
-from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, COVERED, IN_ORDER
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE
+from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER
 from cbsr_qa.studies.frontier.report import notes_of
 from cbsr_qa.studies.frontier.study import Frontier
 

@@ -16,14 +16,13 @@ from cbsr_qa.calibration.presses import LabelledPresses
 from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
 from cbsr_qa.report import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses.needed import PLACE, recommended_presses
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, loose_regions, recommended_presses
 from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, try_presses
 from cbsr_qa.studies.frontier.recommend import undominated_within_errors
 from cbsr_qa.studies.frontier.study import Frontier
 
 AT_RANDOM: Final = "drawn at random"
 IN_ORDER: Final = "first of the session, locating its last"
-COVERED: Final = {"68": "covered_68", "95": "covered_95"}
 #: The smallest number that is tried, unless there are too few presses; further ones are about twice as large.
 _FIRST: Final = 9
 #: The largest: the time of learning grows with its cube.
@@ -180,7 +179,7 @@ def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: floa
         compute_s=float(np.median([each.frame_s for each in whole])),
         station_s=None if pace_s is None else number * pace_s,
         seeds=len(whole),
-        note="; ".join(filter(None, (failed, note))),
+        note="; ".join(filter(None, (failed, note, loose_regions(accuracy)))),
         costs={"learning_s": float(np.median([each.learning_s for each in whole]))},
     )
 

@@ -12,7 +12,7 @@ from cbsr_qa.cli import guarded
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.presses import Trial, press_frontier, study
-from cbsr_qa.studies.frontier.presses.needed import PLACE, needed_presses, recommended_presses
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, needed_presses, recommended_presses
 from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER, numbers_of
 
 NUMBERS = (9, 18, 36, 72, 144, 288)
@@ -150,6 +150,16 @@ def test_the_fewest_presses_that_reach_a_wish_are_recommended(wish_mm, presses):
 
 def test_without_a_wish_presses_that_buy_nothing_are_not_recommended():
     assert recommended_presses(points(lambda n: 2 + 30 * (n < 30)), None).setting == {"presses": 36}
+
+
+def test_regions_that_do_not_hold_are_named_with_the_number_that_is_recommended():
+    tried = points(lambda n: 12.9 / np.sqrt(n))
+    tight = [
+        replace(point, accuracy={**point.accuracy, COVERED["68"]: Accuracy(0.57, 0.02, "1", "stated")})
+        for point in tried
+    ]
+    assert "regions of 68 % hold 57.0 ± 2.0 %, so errors" in recommended_presses(tight, 3.2).why
+    assert "regions" not in recommended_presses(tried, 3.2).why
 
 
 def test_a_power_law_is_extrapolated_within_its_error():

@@ -1,0 +1,136 @@
+"""Frames of old runs, moved to files and back."""
+
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.command_hints import database_option
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import ConfigError, StoreError
+from cbsr_qa.domain.results import CommandOutcome
+from cbsr_qa.domain.run import run_named
+from cbsr_qa.report import answer, plural
+from cbsr_qa.station import on_stderr
+from cbsr_qa.store import Repository, made_at, open_store
+from cbsr_qa.store.runs import ArchivedRun
+
+_DAYS: Final = {"d": 1, "w": 7, "y": 365}
+_LISTED: Final = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Archived:
+    """What was moved.
+
+    Parameters
+    ----------
+    runs : those whose frames were moved, or would be.
+    problems : of runs that were left as they were, by name.
+    before_bytes, after_bytes : size of the database.
+    archive_bytes : size of the files that were written.
+    dry_run : whether nothing was moved.
+    """
+
+    runs: tuple[ArchivedRun, ...]
+    problems: tuple[str, ...]
+    before_bytes: int
+    after_bytes: int
+    archive_bytes: int
+    dry_run: bool = False
+
+
+def archive_runs(
+    database: str | None, older_than: str, to: Path | None, *, dry_run: bool
+) -> CommandOutcome[Archived]:
+    """Move the frames of passed sensors' runs that are older than an age to files.
+
+    A run that cannot be moved stays as it is and is named; the others are moved.
+
+    Raises
+    ------
+    ConfigError
+        If the age cannot be read.
+    StoreError
+        If the database cannot be used.
+    """
+    now = datetime.now(UTC)
+    before = now - _age(older_than)
+    with open_store(database_url(database), create=False) as store:
+        folder, runs, size = store.archive_folder(to), store.archivable(before), store.size_bytes()
+        if dry_run:
+            return _laid_out(Archived(runs, (), size, size, 0, dry_run=True), folder, database)
+        moved, problems = _moved(store, runs, folder, now)
+        if moved:
+            problems += _shrunk(store)
+        written = sum(run.file_bytes for run in moved)
+        return _laid_out(Archived(moved, problems, size, store.size_bytes(), written), folder, database)
+
+
+def _age(text: str) -> timedelta:
+    found = re.fullmatch(r"([0-9]{1,5})([dwy])", text.strip())
+    if found is None:
+        raise ConfigError(
+            f"--older-than is {text[:40]!r}", remedy="give a number of days, weeks or years: 90d, 12w or 2y"
+        )
+    return timedelta(days=int(found[1]) * _DAYS[found[2]])
+
+
+def _moved(
+    store: Repository, runs: tuple[ArchivedRun, ...], folder: Path, at: datetime
+) -> tuple[tuple[ArchivedRun, ...], tuple[str, ...]]:
+    moved, problems = [], []
+    for number, run in enumerate(runs):
+        on_stderr(f"archiving run {number + 1} of {len(runs)} …")
+        try:
+            moved.append(store.archive_run(run, folder, at))
+        except StoreError as error:
+            problems.append(error.reason)
+    return tuple(moved), tuple(problems)
+
+
+def _shrunk(store: Repository) -> tuple[str, ...]:
+    try:
+        store.shrink()
+    except StoreError as error:
+        return (f"the database file was not made smaller: {error.reason}",)
+    return ()
+
+
+def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[Archived]:
+    """Bring the frames of a run back. StoreError if it is not archived, or its file is missing or altered."""
+    with open_store(database_url(database), create=False) as store:
+        size = store.size_bytes()
+        run = store.unarchive_run(store.resolve(run_or_serial))
+        done = Archived((run,), (), size, store.size_bytes(), 0)
+    facts = (("Run", _named(run)), ("File", f"{run.file} stays: copies of the database may need it"), _size(done))
+    return answer(done, f"{plural(run.frames, 'frame')} brought back into the database", facts=facts)
+
+
+def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutcome[Archived]:
+    frames, held = sum(run.frames for run in done.runs), sum(run.database_bytes for run in done.runs)
+    what = f"{plural(frames, 'frame')} of {plural(len(done.runs), 'run')}"
+    facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held)} in the database")]
+    if not done.dry_run:
+        facts += [("Files", _megabytes(done.archive_bytes)), _size(done)]
+    facts += [("Run", _named(run)) for run in done.runs[:_LISTED]]
+    if len(done.runs) > _LISTED:
+        facts.append(("Run", f"and {len(done.runs) - _LISTED} more; --json lists all"))
+    back = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),) if done.runs else ()
+    headline = f"{what} would be archived" if done.dry_run else f"{what} archived"
+    if not done.runs and not done.problems:
+        return answer(done, "no run is old enough, passed and in the database with its frames", facts=facts[:1])
+    return answer(done, headline, facts=facts, printed=back, warnings=done.problems)
+
+
+def _named(run: ArchivedRun) -> str:
+    return f"{run_named(run.serial, made_at(run.run), run.run)}: {plural(run.frames, 'frame')}"
+
+
+def _size(done: Archived) -> tuple[str, str]:
+    return "Database", f"{_megabytes(done.before_bytes)} before, {_megabytes(done.after_bytes)} after"
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.2f} MB"

@@ -1,0 +1,131 @@
+"""Frames imaged by any reconstruction: without a run, events or metrics."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, InstanceOf
+
+from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION
+from cbsr_qa.app.analyse import ChosenParameter
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
+from cbsr_qa.domain.results import Banner, CommandOutcome, Figure, Image, Page, PreparedReconstruction, Section
+from cbsr_qa.domain.sensor import Mesh, SensorType
+from cbsr_qa.eit.inverse import changes, imaging_problem, scale_doubts, scale_of
+from cbsr_qa.plugin import Kind, Reconstruction, create_plugin, discover
+from cbsr_qa.report import plural
+from cbsr_qa.report.draw import ImagePanel, image_figure
+
+#: Most images that are drawn.
+_MOST_DRAWN: Final = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagedFrames:
+    """Images of frames.
+
+    Parameters
+    ----------
+    frames, readings, elements : how many were imaged, of how many readings each, on how many elements.
+    warnings : what makes the images doubtful.
+    values : (frames, elements) relative conductance change; not in a document.
+    mesh, sensor_type : of the images; not in a document.
+    """
+
+    reconstruction: str
+    parameter: ChosenParameter
+    frames: int
+    readings: int
+    elements: int
+    warnings: tuple[str, ...]
+    values: Annotated[InstanceOf[NDArray[np.float64]], Field(exclude=True)]
+    mesh: Annotated[InstanceOf[Mesh], Field(exclude=True)]
+    sensor_type: Annotated[InstanceOf[SensorType], Field(exclude=True)]
+
+
+def image_frames(
+    frames: FrameBlock, reference: FrameBlock, sensor_type: SensorType, chosen: PluginChoice | None = None
+) -> ImagedFrames:
+    """Image frames relative to the mean of those of the unloaded sheet.
+
+    Readings that are flagged in a frame of either are left out of all.
+
+    Parameters
+    ----------
+    reference : frames of the unloaded sheet, at least one, in the unit of the others and at their current.
+    chosen : reconstruction and its options; by default that of ``analyse``.
+
+    Raises
+    ------
+    PluginError
+        If there is no such reconstruction, or its options are wrong.
+    NumericsError
+        If frames or reference do not fit the sensor type, too few readings are left, or the method cannot image them.
+    """
+    chosen = chosen or PluginChoice(DEFAULT_RECONSTRUCTION, {})
+    _check_alike(frames, reference, sensor_type)
+    method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, chosen, "reconstruction")
+    flagged = ((np.concatenate([frames.flags, reference.flags]) & UNUSABLE) != 0).any(axis=0)
+    used, unloaded = sensor_type.pattern.usable() & ~flagged, reference.voltages.mean(axis=0)
+    problem = imaging_problem(sensor_type, used=used)
+    scale = scale_of(unloaded, problem)
+    if getattr(method, "absolute", False):
+        problem = imaging_problem(sensor_type, used=used, measured=unloaded / scale)
+    prepared: PreparedReconstruction = method.prepare(problem)
+    values = np.asarray(prepared.images(changes(frames.voltages, unloaded, problem, scale)), dtype=np.float64)
+    if values.shape != (len(frames), len(problem.mesh.elements)) or not np.isfinite(values).all():
+        raise NumericsError(f"{chosen.name} made images of shape {values.shape}, or of values that are not finite")
+    return ImagedFrames(
+        prepared.method,
+        ChosenParameter.of(prepared.choice),
+        len(frames),
+        len(problem.reference),
+        len(problem.mesh.elements),
+        scale_doubts(unloaded, problem),
+        values,
+        problem.mesh,
+        sensor_type,
+    )
+
+
+def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorType) -> None:
+    shape = sensor_type.pattern.shape
+    for what, block in (("frames", frames), ("frames of the unloaded sheet", reference)):
+        if block.voltages.shape[1:] != shape:
+            raise NumericsError(
+                f"sensor type {sensor_type.name!r} has frames of {shape}, the {what} have {block.voltages.shape[1:]}",
+                remedy="name the sensor type of the frames",
+            )
+        if not len(block):
+            raise NumericsError(f"there are no {what}")
+    if frames.unit is not reference.unit or (frames.current_A or reference.current_A) != (
+        reference.current_A or frames.current_A
+    ):
+        raise NumericsError(
+            "the frames of the unloaded sheet differ from the others in their unit or drive current",
+            remedy="give frames of one recording",
+        )
+
+
+def imaged_outcome(imaged: ImagedFrames) -> CommandOutcome[ImagedFrames]:
+    """Lay out images: the parameter, and drawings of some images, evenly spread."""
+    chosen = sorted({round(n) for n in np.linspace(0, imaged.frames - 1, min(imaged.frames, _MOST_DRAWN))})
+    panels = [ImagePanel(f"frame {n}", Image(imaged.mesh, imaged.values[n])) for n in chosen]
+    count = f"{plural(imaged.readings, 'reading')} a frame, {imaged.elements} elements"
+    parameter = imaged.parameter
+    facts = (
+        ("Reconstruction", imaged.reconstruction),
+        (parameter.name, f"{parameter.value:.3g}: {parameter.reason}"),
+    )
+    banner = Banner("plain", "●", plural(imaged.frames, "image"), count)
+    sensor = imaged.sensor_type
+    figure = Figure(
+        "Conductance change relative to the unloaded sheet.",
+        f"Images of {plural(len(panels), 'frame')}.",
+        lambda: image_figure(panels, sheet=sensor.outline, electrodes=sensor.electrodes),
+    )
+    page = replace(Page("Images", sensor.name, banner, facts), warnings=imaged.warnings)
+    return CommandOutcome(imaged, page, (Section("Images", (figure,)),))

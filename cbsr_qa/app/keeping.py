@@ -1,0 +1,180 @@
+"""Keeping a database: backups, restoring one, and a check of everything that is stored."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.command_hints import database_option
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page, RunSelection, Section
+from cbsr_qa.report import answer, plural, text_table
+from cbsr_qa.store import (
+    HEAD,
+    Age,
+    copy_database,
+    found_version,
+    open_engine,
+    open_store,
+    parsed_url,
+    put_back,
+    sqlite_file,
+)
+from cbsr_qa.system import RealClock
+
+#: Called with what is done, and parts done and in total.
+Count = Callable[[str, int, int], None]
+
+_REMEDY: Final = "restore a backup (cbsr-qa db restore BACKUP), or recover the file and check it again"
+_VERIFIED: Final = "verified: the file is intact, and the chain of every run ends as in the database"
+_UNCHAINED: Final = "{count} without a chain of digests: changed rows of it cannot be detected"
+
+
+@dataclass(frozen=True, slots=True)
+class Backup:
+    """A verified copy of a database."""
+
+    url: str
+    backup: Path
+    schema: str | None
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """A backup in the place of a database; ``replaced`` is what was there, None if nothing was."""
+
+    url: str
+    backup: Path
+    replaced: Path | None
+    schema: str | None
+    head: str
+
+
+@dataclass(frozen=True, slots=True)
+class FoundProblem:
+    """A problem of the file (``run`` is None) or of a run; ``what`` names table and row."""
+
+    run: str | None
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class DatabaseCheck:
+    """What a check of a database found.
+
+    Parameters
+    ----------
+    quick : frames, samples and files of calibrations were not checked.
+    runs, unchained : runs that were checked, and those of them without a chain of digests.
+    """
+
+    url: str
+    quick: bool
+    since: date | None
+    runs: int
+    unchained: int
+    problems: tuple[FoundProblem, ...]
+
+
+def stamped(path: Path, words: str) -> Path:
+    """Return a name beside a file that says what it is and when it was made."""
+    return path.with_name(f"{path.stem}-{words}-{RealClock().wall():%Y%m%dT%H%M%S}{path.suffix}")
+
+
+def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup]:
+    """Write a verified backup of a database, which others may use meanwhile.
+
+    Raises
+    ------
+    RefusedError, StoreError
+        If it cannot be made; there is no file then. See :func:`cbsr_qa.store.copy_database`.
+    """
+    engine = open_engine(parsed_url(database_url(option)))
+    try:
+        copy_database(engine, to, count)
+        version = found_version(engine)
+    finally:
+        engine.dispose()
+    url = engine.url.render_as_string(hide_password=True)
+    done = Backup(url, to, version.revision, to.stat().st_size)
+    facts = (("Of", url), ("Schema", str(done.schema)), ("Size", f"{done.size_bytes / 1e6:.1f} MB"))
+    return answer(done, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
+
+
+def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOutcome[Restored]:
+    """Put a backup in the place of a database that nobody uses; what was there is kept beside it.
+
+    Raises
+    ------
+    RefusedError, StoreError
+        If the backup or the place cannot be used; nothing is changed then. See :func:`cbsr_qa.store.put_back`.
+    """
+    engine = open_engine(parsed_url(database_url(option)))
+    file = sqlite_file(engine.url)
+    there = file is not None and file.exists()
+    aside = stamped(file or backup, "replaced")
+    try:
+        version = put_back(engine, backup, aside, count)
+    finally:
+        engine.dispose()
+    url = engine.url.render_as_string(hide_password=True)
+    done = Restored(url, backup, aside if there else None, version.revision, HEAD)
+    facts = [("Database", url), ("Schema", f"{done.schema} (this program's is {HEAD})")]
+    printed = [("Kept", str(done.replaced))] if done.replaced else []
+    if version.age is not Age.CURRENT:
+        printed.append(
+            ("Go on with", f"cbsr-qa db upgrade{database_option(option)}, or an earlier version of cbsr-qa")
+        )
+    return answer(done, f"{backup} restored", "it was verified before", facts, printed=printed)
+
+
+def check_database(
+    option: str | None, since: date | None, count: Count, *, quick: bool
+) -> CommandOutcome[DatabaseCheck]:
+    """Check a database: its file, its references, and every run with its chain and frames; nothing is changed.
+
+    Parameters
+    ----------
+    since : only runs from this day on, UTC; None for all.
+    quick : without frames, samples and files of calibrations.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be opened or is not of this version. Damage is part of the outcome.
+    """
+    problems: list[FoundProblem] = []
+    checked = unchained = 0
+    with open_store(database_url(option), create=False) as store:
+        count("checking the file", 0, 1)
+        problems += [FoundProblem(None, what) for what in store.file_problems()]
+        runs = store.run_names(RunSelection(since=since))
+        for run in runs:
+            count("checking runs", checked, len(runs))
+            try:
+                unchained += not store.check_stored_run(run, frames=not quick).chained
+            except StoreError as error:
+                problems.append(FoundProblem(run, error.reason.removeprefix(f"run {run}: ")))
+            checked += 1
+        if not quick:
+            problems += [FoundProblem(None, what) for what in store.ring_problems()]
+        return _laid_out(DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems)))
+
+
+def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
+    checked = "every row" if done.quick else "every row, frame and sample"
+    reason = f"{checked} of {plural(done.runs, 'run')} was checked"
+    banner = Banner("pass", "✓", "the database is sound", reason)
+    if done.problems:
+        banner = Banner("fail", "✗", f"{plural(len(done.problems), 'problem')} found", reason)
+    facts = [("Database", done.url)]
+    facts += [("Frames", "not checked: --quick")] if done.quick else []
+    facts += [("Since", f"{done.since}: earlier runs were not checked")] if done.since else []
+    facts += [("What to do", _REMEDY)] if done.problems else []
+    remarks = (_UNCHAINED.format(count=plural(done.unchained, "run is", "runs are")),) if done.unchained else ()
+    rows = [(problem.run or "–", problem.what) for problem in done.problems]
+    sections = (Section("Problems", (text_table("", ("run", "problem"), rows),)),) if rows else ()
+    return CommandOutcome(done, Page("", "", banner, tuple(facts), remarks=remarks), sections, 1 if rows else 0)

@@ -1,0 +1,346 @@
+"""Stored runs analysed again, compared with their valid analyses, and adopted if somebody decides so."""
+
+import hashlib
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.app.reanalyse.changes import Changes, Flip, NamedRun
+from cbsr_qa.app.reanalyse.report import Reanalysed
+from cbsr_qa.app.reanalyse.work import Job, Worked, analyse_again
+from cbsr_qa.app.reanalyse.workers import Workers, cluster_workers, local_workers
+from cbsr_qa.app.run import check_recipe
+from cbsr_qa.config import (
+    canonical_json,
+    database_url,
+    load_recipe,
+    restore,
+    validate_operator,
+    validate_reason,
+)
+from cbsr_qa.domain import CbsrError, ConfigError, RefusedError, StoreError, filled
+from cbsr_qa.domain.plan import PhaseSpec
+from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine, RunSelection
+from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.report import duration
+from cbsr_qa.store import Repository, open_store, parsed_url, sqlite_file
+from cbsr_qa.store.results import Reanalysis, StoredAnalysis, key_of
+from cbsr_qa.studies import check_names
+from cbsr_qa.system import RealClock
+
+#: Least time between two lines of progress [s].
+_SPOKEN_S: Final = 5.0
+#: What takes less has no progress [s].
+_PATIENCE_S: Final = 1.0
+
+Tell = Callable[[str], None]
+#: Enters workers that do the work of jobs.
+Begin = Callable[[], AbstractContextManager[Workers[Job, Worked]]]
+
+
+@dataclass(frozen=True, slots=True)
+class ReanalyseRequest:
+    """What to analyse again, how, and whether to adopt it.
+
+    Parameters
+    ----------
+    recipe : file or name of a shipped one; None for each run's own.
+    workers : processes on this computer; None for one for each processor.
+    scheduler : address of a Dask scheduler, in place of processes; None without one.
+    adopt, by, why : make the results the valid analyses; who decides, for what reason.
+    fresh : compute again what is stored already.
+    """
+
+    selection: RunSelection
+    recipe: str | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    adopt: bool = False
+    by: str = ""
+    why: str = ""
+    fresh: bool = False
+    database: str | None = None
+
+
+@dataclass(slots=True)
+class _Progress:
+    """Runs done by stage: a line now and then, with rate and time left."""
+
+    what: str
+    of: int
+    tell: Tell
+    clock: RealClock = field(default_factory=RealClock)
+    done: int = 0
+    spoken_s: float = 0.0
+
+    def step(self) -> None:
+        self.done += 1
+        now_s = self.clock.now()
+        if now_s - self.spoken_s < (_SPOKEN_S if self.done < self.of else _PATIENCE_S):
+            return
+        self.spoken_s = now_s
+        rate = self.done / max(now_s, 1e-3)
+        left = f", {duration((self.of - self.done) / rate)} left" if self.done < self.of else ""
+        self.tell(f"{self.what}: {self.done} of {self.of} runs, {rate:.3g} runs/s{left}")
+
+
+class _Session:
+    """One re-analysis over an open database."""
+
+    def __init__(self, request: ReanalyseRequest, store: Repository, plugins: Plugins, tell: Tell) -> None:
+        self._request, self._store, self._tell = request, store, tell
+        self._plugins = plugins
+        self._software = software_versions(plugins)
+        loaded = None if request.recipe is None else load_recipe(request.recipe)
+        self.recipe = None if loaded is None else loaded.value
+        self._canonical = None if loaded is None else canonical_json(loaded.document.data)
+        self._clock = RealClock()
+        self.lines: dict[str, RunLine] = {}
+        self.other_plan: list[NamedRun] = []
+        self.not_analysed: list[NamedRun] = []
+        self.stored: dict[str, str] = {}  #: run → re-analysis
+        self.reused = 0
+        self.peak_mb: float | None = None
+        self.elapsed_s = 0.0
+
+    def select(self) -> list[Job]:
+        """Return the jobs that are left; runs that cannot be analysed are named. RefusedError if none is selected."""
+        lines = self._store.run_lines(self._request.selection)
+        if not lines:
+            check_names(self._store, self._request.selection)
+            raise RefusedError(
+                "no stored run is selected; nothing was computed, and the database is unchanged",
+                remedy="cbsr-qa runs with the same options lists runs; golden runs of checks need --checks",
+            )
+        self.lines = {line.run: line for line in lines}
+        jobs, progress = [], _Progress("looking up", len(lines), self._tell)
+        for line in lines:
+            try:
+                job = self._job(line)
+            except CbsrError as error:
+                self._cannot(line, error.reason)
+            else:
+                jobs += [] if job is None else [job]
+            progress.step()
+        return jobs
+
+    def _job(self, line: RunLine) -> Job | None:
+        """Return the job of a run; None if it is stored already, or the run cannot be analysed."""
+        if not line.finished:
+            self._cannot(line, f"it has not finished ({line.end})")
+            return None
+        content = json.loads(self._store.configuration(line.run))
+        recipe = canonical_json(content["recipe"])
+        if self._canonical is not None and self.recipe is not None:
+            if differing := phase_difference(_phases(recipe), self.recipe.phases):
+                self.other_plan.append(NamedRun.of(line, differing))
+                return None
+            recipe = self._canonical
+        key = key_of(self._store.data_sha256(line.run), recipe, self._software)
+        known = None if self._request.fresh else self._store.find_reanalysis(line.run, key)
+        if known is not None:
+            self.stored[line.run] = known
+            self.reused += 1
+            return None
+        return Job(line.run, shared_url(self._request.database), recipe, self._software, key)
+
+    def check(self, jobs: Iterable[Job]) -> None:
+        """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
+        first = next(iter(jobs), None)
+        if first is not None and self.recipe is not None:
+            check_recipe(self.recipe, restore(self._store.configuration(first.run)).sensor_type, self._plugins)
+
+    def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
+        """Analyse runs, and store each result as soon as it is there."""
+        progress, begun_s = _Progress("analysing", len(jobs), self._tell), self._clock.now()
+        for job, worked in workers.done(jobs):
+            line = self.lines[job.run]
+            if isinstance(worked, str):
+                self._cannot(line, worked)
+            else:
+                self._keep(line, worked)
+            progress.step()
+        self.elapsed_s = self._clock.now() - begun_s
+
+    def _keep(self, line: RunLine, worked: Worked) -> None:
+        if worked.differing:
+            raise RefusedError(
+                f"worker {worked.worker} has other software than this computer: {worked.differing}",
+                remedy="install the same versions on all workers; what was analysed so far is stored",
+            )
+        if worked.peak_mb is not None:
+            self.peak_mb = max(worked.peak_mb, self.peak_mb or 0.0)
+        if worked.result is None:
+            self._cannot(line, worked.why)
+            return
+        self.stored[line.run] = self._store.save_reanalysis(worked.result)
+
+    def _cannot(self, line: RunLine, why: str) -> None:
+        self.not_analysed.append(NamedRun.of(line, why.removeprefix(f"run {line.run}: ")))
+
+    def conclude(self, computed: int, where: str) -> Reanalysed:
+        """Compare the stored results with the valid analyses, and adopt them if that was requested."""
+        changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
+        decided = {override.analysis: override.outcome for override in self._store.overrides()}
+        left: list[NamedRun] = []
+        unchanged = adopted = 0
+        progress = _Progress("comparing", len(self.stored), self._tell)
+        for line in [line for line in self.lines.values() if line.run in self.stored]:
+            try:
+                analyses = self._store.analyses(line.run)
+                valid = next(iter(analyses), None)
+                new = self._store.reanalysis(self.stored[line.run])
+            except StoreError as error:
+                self._cannot(line, error.reason)
+                continue
+            before = () if valid is None else valid.measurements
+            changes.add(line, before, new.measurements)
+            warnings.update(set(new.warnings).difference(() if valid is None else valid.warnings))
+            overridden = None if valid is None else decided.get(valid.analysis)
+            if valid is None or valid.verdict.outcome is not new.verdict.outcome:
+                flips.append(_flip(line, analyses, new, overridden))
+            unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)
+            if self._request.adopt and overridden is not None:
+                left.append(NamedRun.of(line, f"overridden to {overridden}"))
+            elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
+                self._store.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
+                adopted += 1
+            progress.step()
+        sha256 = None if self._canonical is None else hashlib.sha256(self._canonical.encode()).hexdigest()
+        return Reanalysed(
+            recipe=None if self.recipe is None else self.recipe.name,
+            recipe_sha256=sha256,
+            software=self._software,
+            selected=len(self.lines),
+            computed=computed,
+            reused=self.reused,
+            adopted=adopted,
+            unchanged=unchanged,
+            values=tuple(changes.values()),
+            flips=tuple(sorted(flips, key=_gravity)),
+            not_analysed=tuple(self.not_analysed),
+            other_plan=tuple(self.other_plan),
+            left_overridden=tuple(left),
+            new_warnings=dict(warnings.most_common()),
+            workers=where,
+            elapsed_s=self.elapsed_s,
+            runs_per_s=computed / self.elapsed_s if computed and self.elapsed_s else None,
+            peak_worker_mb=self.peak_mb,
+        )
+
+
+def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begin: Begin | None = None) -> Reanalysed:
+    """Analyse stored runs again and compare the results with their valid analyses.
+
+    Every result is stored as soon as it is there, on trial: verdicts stay as they are, unless ``adopt`` is set. What
+    was stored before for the same data, recipe and software is not computed again.
+
+    Parameters
+    ----------
+    tell : called with progress.
+    begin : enters other workers than those of the request, for tests.
+
+    Raises
+    ------
+    RefusedError
+        Before anything is computed: no run is selected, the recipe or a plugin in it cannot be used, or there are no
+        workers.
+    BrokenError
+        If the workers were lost. What was stored stays, and the same request continues.
+    """
+    request = _checked(request)
+    with open_store(database_url(request.database), create=False) as store:
+        session = _Session(request, store, discover(), tell)
+        jobs = session.select()
+        session.check(jobs)
+        count = min(request.workers or os.cpu_count() or 1, max(len(jobs), 1))
+        where = f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
+        if jobs:
+            tell(f"{len(jobs)} runs to analyse, {session.reused} stored already")
+            with (begin or _beginning(request, count))() as workers:
+                session.compute(jobs, workers)
+        computed = len(session.stored) - session.reused
+        return session.conclude(computed, where if jobs else "")
+
+
+def _beginning(request: ReanalyseRequest, count: int) -> Begin:
+    scheduler = request.scheduler
+    if scheduler is None:
+        return lambda: nullcontext(local_workers(count, analyse_again))
+    return lambda: cluster_workers(scheduler, analyse_again)
+
+
+def _checked(request: ReanalyseRequest) -> ReanalyseRequest:
+    if request.workers is not None and request.workers < 1:
+        raise RefusedError(f"--workers {request.workers} is not a number of processes", remedy="give 1 or more")
+    if request.workers is not None and request.scheduler is not None:
+        raise RefusedError("--workers with --scheduler", remedy="a cluster has its own workers: give one of them")
+    if not request.adopt:
+        if request.by or request.why:
+            raise RefusedError("--by and --why say who adopts, and why", remedy="give --adopt too, or leave them out")
+        return request
+    for option, words, what in (("--by", request.by, "who decides"), ("--why", request.why, "for what reason")):
+        if not words.strip():
+            raise ConfigError(f"--adopt needs {option}", remedy=f"say {what}")
+    validate_operator(request.by)
+    validate_reason(request.why)
+    return request
+
+
+def shared_url(option: str | None) -> str:
+    """Return the URL of a database for workers that may have been started elsewhere: with the file's full path."""
+    url = parsed_url(database_url(option))
+    file = sqlite_file(url)
+    full = url if file is None else url.set(database=str(Path(file).resolve()))
+    return full.render_as_string(hide_password=False)
+
+
+@cache
+def _phases(recipe: str) -> tuple[PhaseSpec, ...]:
+    return load_recipe(json.loads(recipe)).value.phases
+
+
+def phase_difference(run: Iterable[PhaseSpec], recipe: Iterable[PhaseSpec]) -> str:
+    """Return how the first phase that differs differs, in words; empty if a run was measured as the recipe says."""
+    before, after = list(run), list(recipe)
+    names = [[phase.name for phase in phases] for phases in (before, after)]
+    if names[0] != names[1]:
+        return f"its phases are {', '.join(names[0])}; the recipe's are {', '.join(names[1])}"
+    for was, now in zip(before, after, strict=True):
+        if was.sequence != now.sequence:
+            return f"phase {was.name!r} ran {was.sequence}; the recipe has {now.sequence}"
+        for key in dict.fromkeys((*was.options, *now.options)):
+            old, new = was.options.get(key), now.options.get(key)
+            if old != new:
+                return f"phase {was.name!r} ran with {_option(key, old)}; the recipe has {_option(key, new)}"
+    return ""
+
+
+def _option(key: str, value: Any) -> str:
+    return f"no {key}" if value is None else f"{key} = {value}"
+
+
+def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, overridden: Outcome | None) -> Flip:
+    return filled(
+        Flip,
+        line,
+        was=analyses[0].verdict.outcome if analyses else None,
+        now=new.verdict.outcome,
+        reason=new.verdict.reason,
+        overridden_to=overridden,
+        calibration=next((one.calibration for one in analyses if one.calibration is not None), None),
+    )
+
+
+def _is_adopted(valid: StoredAnalysis | None, reanalysis: str) -> bool:
+    return valid is not None and valid.adoption is not None and valid.adoption.reanalysis == reanalysis
+
+
+def _gravity(flip: Flip) -> tuple[int, str]:
+    return SEVERITY.index(flip.now), flip.run

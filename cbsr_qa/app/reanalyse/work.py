@@ -1,0 +1,107 @@
+"""The analysis of one stored run in a worker, which reads the database and writes nothing."""
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from functools import cache
+
+from cbsr_qa.analysis import evaluate_run
+from cbsr_qa.config import load_recipe
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.store import open_store
+from cbsr_qa.store.results import Reanalysis
+from cbsr_qa.system import Stages
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run to analyse again.
+
+    Parameters
+    ----------
+    database : URL, by which every worker reaches it.
+    recipe : canonical JSON of the recipe's file.
+    software : versions that the result must be of.
+    key_sha256 : of the result, see :class:`~cbsr_qa.store.results.Reanalysis`.
+    """
+
+    run: str
+    database: str
+    recipe: str
+    software: tuple[tuple[str, str], ...]
+    key_sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Worked:
+    """What became of a job.
+
+    Parameters
+    ----------
+    result : None if the run could not be analysed; ``why`` then gives the reason.
+    differing : versions of this worker that are not those of the job, in words; nothing was computed then.
+    worker : computer and process.
+    peak_mb : largest resident memory of the worker so far [MB]; None where the system does not tell.
+    """
+
+    result: Reanalysis | None
+    why: str = ""
+    differing: str = ""
+    worker: str = ""
+    peak_mb: float | None = None
+
+
+def analyse_again(job: Job) -> Worked:
+    """Analyse a stored run by another recipe or other software; errors become the reason in the result."""
+    plugins = _plugins()
+    here = f"{os.uname().nodename}, process {os.getpid()}"
+    if differing := _differing(job.software, software_versions(plugins)):
+        return Worked(None, differing=differing, worker=here)
+    stages = Stages()
+    try:
+        recipe = load_recipe(json.loads(job.recipe)).value
+        with open_store(job.database, create=False) as store:
+            record = store.load_run(job.run)
+        conclusion = evaluate_run(record, recipe, plugins, stages)
+    except CbsrError as error:
+        return Worked(None, error.reason, worker=here, peak_mb=_peak_mb())
+    observation = conclusion.observation
+    if observation is None and conclusion.characterisation is None:
+        return Worked(None, conclusion.verdict.reason, worker=here, peak_mb=_peak_mb())
+    result = Reanalysis(
+        run=job.run,
+        key_sha256=job.key_sha256,
+        recipe=job.recipe,
+        software=job.software,
+        verdict=conclusion.verdict,
+        measurements=conclusion.measurements,
+        warnings=conclusion.warnings,
+        noise_weighting="" if observation is None else observation.settings.noise_weighting,
+        weight_ratio=None if observation is None else observation.weight_ratio,
+        compute_s=stages.table(),
+    )
+    return Worked(result, worker=here, peak_mb=_peak_mb())
+
+
+@cache
+def _plugins() -> Plugins:
+    return discover()
+
+
+def _differing(wanted: tuple[tuple[str, str], ...], here: tuple[tuple[str, str], ...]) -> str:
+    before, now = dict(wanted), dict(here)
+    return ", ".join(
+        f"{name} {now.get(name, 'not installed')} in place of {before.get(name, 'none')}"
+        for name in dict.fromkeys((*before, *now))
+        if before.get(name) != now.get(name)
+    )
+
+
+def _peak_mb() -> float | None:
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 / 1024)

@@ -1,0 +1,286 @@
+"""``cbsr-qa db sync``: what a station stored is sent to the central database; what waits, and for how long."""
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Final
+
+from sqlalchemy import Engine
+
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import ConfigError, StoreError, filled
+from cbsr_qa.domain.results import Banner, CommandOutcome, Paragraph, Section
+from cbsr_qa.report import answer, plural
+from cbsr_qa.store import Age, address, found_version, open_engine, parsed_url, refusal, this_process
+from cbsr_qa.store.sync import (
+    QUARANTINED,
+    Entry,
+    Sent,
+    age_h,
+    held,
+    let_go,
+    refusals,
+    send_again,
+    send_waiting,
+    waiting,
+)
+
+VARIABLE: Final = "CBSR_QA_CENTRE"
+_NOT_ALL: Final = 1
+_LISTED: Final = 20
+
+Progress = Callable[[int, int, Sent], None]
+
+
+@dataclass(frozen=True, slots=True)
+class WaitingItem:
+    """Something that the centre does not have, or not all of; see :class:`~cbsr_qa.store.sync.Entry`."""
+
+    kind: str
+    item: str
+    noted_at: datetime
+    state: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedItem:
+    """Something that the centre refused, of any station; see the table ``sync_refusals``."""
+
+    kind: str
+    item: str
+    run: str | None
+    station: str
+    station_sha256: str
+    centre_sha256: str
+    noted_at: datetime
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Synchronised:
+    """What was sent, and what waits.
+
+    Parameters
+    ----------
+    database, centre : passwords hidden; centre empty where none is configured.
+    items, runs, rows, bytes, seconds : sent by this command.
+    waiting : number of items that wait, by kind.
+    backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
+    limit_h : longest time that is allowed [h]; None for any.
+    late : whether the backlog is older than that.
+    blocked : items that wait until the centre has what they refer to.
+    held : items that are quarantined or were let go.
+    refused : what the centre refused of all stations; only of ``--status`` with a centre that answers.
+    """
+
+    database: str
+    centre: str
+    items: int
+    runs: int
+    rows: int
+    bytes: int
+    seconds: float
+    waiting: Mapping[str, int]
+    backlog_h: float | None
+    limit_h: float | None
+    late: bool
+    blocked: tuple[WaitingItem, ...]
+    held: tuple[WaitingItem, ...]
+    refused: tuple[RefusedItem, ...] = ()
+
+
+def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) -> str:
+    """URL of the central database: the option, else ``CBSR_QA_CENTRE``; empty if neither is given."""
+    chosen = option or environment.get(VARIABLE) or ""
+    return database_url(chosen) if chosen else ""
+
+
+def synchronise(
+    option: str | None, to: str | None, *, limit_h: float | None = None, progress: Progress | None = None
+) -> CommandOutcome[Synchronised]:
+    """Send everything that waits in a database to the central one.
+
+    Parameters
+    ----------
+    option : the station's database: URL or path; None for ``CBSR_QA_DATABASE`` or the default.
+    to : the central one; None for ``CBSR_QA_CENTRE``.
+    limit_h : longest time that something may wait [h]; None for any.
+    progress : called with items done, their number and what was sent so far.
+
+    Raises
+    ------
+    ConfigError
+        If no central database is named.
+    StoreError
+        If a database cannot be used; the message says what waits. What was confirmed before stays sent.
+    """
+    with _station(option) as station, _centre(to) as centre:
+        begun_s = time.monotonic()
+        sent = _sent(station, centre, progress)
+        return _outcome(station, address(centre.url), sent, time.monotonic() - begun_s, limit_h)
+
+
+def keep_synchronised(
+    option: str | None,
+    to: str | None,
+    every_s: float,
+    tell: Callable[[str], None],
+    *,
+    limit_h: float | None = None,
+    sleep: Callable[[float], None] = time.sleep,
+) -> CommandOutcome[Synchronised]:
+    """Send again and again until Ctrl-C, through failures of the centre; errors as :func:`synchronise` at the start.
+
+    Parameters
+    ----------
+    every_s : pause between two passes [s].
+    tell : called with a line for each pass that sent something, or failed.
+    """
+    total, begun_s, trouble = Sent(), time.monotonic(), ""
+    with _station(option) as station, _centre(to) as centre:
+        tell(f"sending to {address(centre.url)} every {every_s:g} s; Ctrl-C ends")
+        try:
+            while True:
+                try:
+                    sent = _sent(station, centre, None)
+                except StoreError as error:
+                    centre.dispose()  # a connection that was cut is not used again
+                    if error.reason != trouble:
+                        tell(str(error))
+                    trouble = error.reason
+                else:
+                    trouble = ""
+                    total = replace(total, **{name: getattr(total, name) + getattr(sent, name) for name in _TOTALS})
+                    if sent.items or sent.quarantined:
+                        tell(_said(sent))
+                sleep(every_s)
+        except KeyboardInterrupt:
+            return _outcome(station, address(centre.url), total, time.monotonic() - begun_s, limit_h)
+
+
+def sync_status(option: str | None, to: str | None, *, limit_h: float | None = None) -> CommandOutcome[Synchronised]:
+    """Return what waits, is quarantined or was let go; nothing is sent."""
+    url = centre_url(to)
+    with _station(option) as station:
+        done = _outcome(station, "", Sent(), 0.0, limit_h)
+        if not url:
+            return done
+        with _centre(to) as centre:
+            return _with_refusals(done, centre)
+
+
+def decide_item(option: str | None, item: str, *, again: bool) -> CommandOutcome[Synchronised]:
+    """Have a quarantined item sent again, or let it go; StoreError where no such item is held."""
+    with _station(option) as station:
+        (send_again if again else let_go)(station, item)
+        return _outcome(station, "", Sent(), 0.0, None)
+
+
+_TOTALS: Final = ("items", "runs", "rows", "size")
+
+
+@contextmanager
+def _station(option: str | None) -> Iterator[Engine]:
+    engine = open_engine(parsed_url(database_url(option)))
+    try:
+        version = found_version(engine)
+        if version.age is not Age.CURRENT:
+            raise refusal(engine, version)
+        yield engine
+    finally:
+        engine.dispose()
+
+
+@contextmanager
+def _centre(to: str | None) -> Iterator[Engine]:
+    url = centre_url(to)
+    if not url:
+        raise ConfigError("no central database is named", remedy=f"give --to URL, or set {VARIABLE}")
+    engine = open_engine(parsed_url(url))
+    try:
+        yield engine
+    finally:
+        engine.dispose()
+
+
+def _sent(station: Engine, centre: Engine, progress: Progress | None) -> Sent:
+    """Send; an error says what waits."""
+    try:
+        return send_waiting(station, centre, this_process(""), progress)
+    except StoreError as error:
+        with_backlog = f"{error.reason}; {_backlog(waiting(station))}"
+        raise StoreError(with_backlog, remedy=error.remedy) from error
+
+
+def _backlog(entries: Sequence[Entry]) -> str:
+    hours = age_h(entries)
+    if hours is None:
+        return "nothing waits"
+    waits = "1 item waits" if len(entries) == 1 else f"{len(entries)} items wait"
+    return f"{waits} in this database, the oldest for {_ago(hours)}; nothing is lost"
+
+
+def _ago(hours: float) -> str:
+    return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h" if hours < 48 else f"{hours / 24:.1f} days"
+
+
+def _said(sent: Sent) -> str:
+    words = (
+        f"sent: {plural(sent.runs, 'run')}, {plural(sent.items - sent.runs, 'other item')} ({sent.size / 1e6:.1f} MB)"
+    )
+    words = words if sent.items else "nothing was sent"
+    held_back = f"; {plural(len(sent.quarantined), 'item')} quarantined" if sent.quarantined else ""
+    return words + held_back
+
+
+def _outcome(
+    station: Engine, centre: str, sent: Sent, seconds: float, limit_h: float | None
+) -> CommandOutcome[Synchronised]:
+    entries, kept = waiting(station), held(station)
+    hours = age_h(entries)
+    result = Synchronised(
+        database=address(station.url),
+        centre=centre,
+        items=sent.items,
+        runs=sent.runs,
+        rows=sent.rows,
+        bytes=sent.size,
+        seconds=round(seconds, 3),
+        waiting=dict(Counter(entry.kind for entry in entries)),
+        backlog_h=hours,
+        limit_h=limit_h,
+        late=hours is not None and limit_h is not None and hours > limit_h,
+        blocked=tuple(filled(WaitingItem, entry) for entry in entries if entry.why),
+        held=tuple(filled(WaitingItem, entry) for entry in kept),
+    )
+    quarantined = [entry for entry in kept if entry.state == QUARANTINED]
+    facts = [("Database", address(station.url))]
+    facts += [("Waits", _backlog(entries))] if entries and centre else []
+    facts += [(f"quarantined {entry.kind}", f"{entry.item}: {entry.why}") for entry in quarantined[:_LISTED]]
+    facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
+    facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
+    headline = _said(sent) if centre else _backlog(entries)
+    remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
+    done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
+    if not quarantined and not result.late:
+        return done
+    why = f"the backlog is older than {limit_h:g} h" if result.late else "not everything was accepted"
+    return replace(done, exit_code=_NOT_ALL, page=replace(done.page, banner=Banner("fail", "✗", headline, why)))
+
+
+def _with_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandOutcome[Synchronised]:
+    """Add what the centre refused of all stations."""
+    refused = tuple(filled(RefusedItem, row) for row in refusals(centre))
+    result = replace(done.result, centre=address(centre.url), refused=refused)
+    if not refused:
+        return replace(done, result=result)
+    lines = tuple(
+        Paragraph(f"{one.noted_at:%Y-%m-%d %H:%M} {one.station} {one.kind} {one.item}: {one.why}")
+        for one in refused[-_LISTED:]
+    )
+    return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", lines)))

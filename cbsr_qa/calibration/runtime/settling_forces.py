@@ -1,0 +1,90 @@
+"""Forces of single frames, corrected where a stream of the same frames shows loads that have not settled."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, Forces, range_flags
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.track import kernel_at
+from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState, TrackedLoad
+from cbsr_qa.domain import Array
+
+_RANGE: Final = int(Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE)
+#: Share of a force that may be still to come where the stream does not see the load as the frame does.
+_UNKNOWN: Final = 0.3
+
+
+class SettlingForces:
+    """Follows the frames of a recording, and flags forces that do not count yet.
+
+    Parameters
+    ----------
+    calibration : of the sensor.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._calibration, self._stream = calibration, ForceStream(calibration)
+        self._diameter_mm = calibration.issued.indenter.diameter_mm
+
+    def __call__(self, time_s: Array, frames: Array, forces: Forces) -> tuple[Forces, Array]:
+        """Correct the forces of the next frames.
+
+        Parameters
+        ----------
+        time_s : (n,), rising, later than those of earlier calls [s].
+        frames : (n, drives, measures) [V].
+        forces : of these frames, each by itself.
+
+        Returns
+        -------
+        Forces, and the time (n,) until each counts [s]: 0 where it does, NaN where that is not known. Those that do
+        not are flagged UNSETTLED: the force that a load will have after the calibrated hold, with the error of that
+        prediction; of a released load 0, with all that the frame shows as its error; without a kernel, or with
+        several heads, that of the frame itself, with 30 % added to its error.
+
+        The error of a load held longer than the calibrated ones grows by what its kernel says it has crept since.
+
+        CalibrationError as for :meth:`ForceStream.update`.
+        """
+        parts = [
+            self._counted(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
+            for n, (time, frame) in enumerate(zip(time_s.tolist(), frames, strict=True))
+        ]
+        if not parts:
+            return forces, np.zeros(0)
+        force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*parts, strict=True))
+        return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
+
+    def _counted(
+        self, loads: tuple[TrackedLoad, ...], single: Forces, time_s: float
+    ) -> tuple[float, float, int, float]:
+        """Force, error, flags and time until they count, of one frame with the loads that a stream saw in it."""
+        force, stderr, flags = float(single.force_N[0]), float(single.stderr_N[0]), int(single.flags[0])
+        if flags & (NO_FORCE | Flag.NOT_DETECTED) or not loads:
+            return force, stderr, flags, 0.0
+        apart = np.array([np.hypot(*(load.place_mm - single.place_mm[0])) for load in loads])
+        pressing = [load for load, mm in zip(loads, apart, strict=True) if _presses(load) and mm < self._diameter_mm]
+        load = pressing[-1] if pressing else loads[int(apart.argmin())]
+        if len(pressing) > 1 or (flags & Flag.MORE_THAN_ONE and any(each.settled_in_s != 0 for each in loads)):
+            return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, np.nan
+        if load.settled_in_s != 0 and _presses(load) and self._calibration.model.loading is None:
+            return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, load.settled_in_s
+        if load.settled_in_s == 0:
+            return force, float(np.hypot(stderr, self._crept(time_s - load.since_s, load) * force)), flags, 0.0
+        force, stderr = (load.force_N, load.stderr_N) if _presses(load) else (0.0, float(np.hypot(force, stderr)))
+        validity = self._calibration.issued.validity
+        in_range = int(range_flags(np.array([force]), np.array([stderr]), single.place_mm, validity)[0])
+        return force, stderr, flags & ~_RANGE | in_range | Flag.UNSETTLED, load.settled_in_s
+
+    def _crept(self, held_s: float, load: TrackedLoad) -> float:
+        """Share of its force by which a settled load has crept since the calibrated hold."""
+        model = self._calibration.model
+        if model.loading is None or load.state is not LoadState.STEADY:
+            return 0.0
+        return kernel_at(model.loading, held_s) / kernel_at(model.loading, model.steady_s) - 1
+
+
+def _presses(load: TrackedLoad) -> bool:
+    return load.state in (LoadState.LOADING, LoadState.STEADY)

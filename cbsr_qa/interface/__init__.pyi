@@ -1,0 +1,9 @@
+from .analysing import Analysis as Analysis, analyse as analyse
+from .calibrations import Calibration as Calibration, ForceStream as ForceStream, load_calibration as load_calibration
+from .comparing import compare as compare
+from .database import Database as Database, open_database as open_database
+from .images import Images as Images, image as image
+from .result import CbsrError as CbsrError, Result as Result
+from .running import run as run
+from .scenes import Scene as Scene, simulate_scene as simulate_scene
+from .stored_run import Run as Run

@@ -1,0 +1,86 @@
+"""Recordings and arrays analysed without being told where or when the sensor was pressed."""
+
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from cbsr_qa.app.analyse import Analysed, AnalyseRequest, analyse_file, analyse_frames, analyse_outcome
+from cbsr_qa.domain.readings import Recording, ScanKind
+from cbsr_qa.interface.frames import Frames, frame_block
+from cbsr_qa.interface.result import Progress, Result, quiet
+from cbsr_qa.interface.scenes import Scene
+
+
+class Analysis(Result[Analysed]):
+    """Channels, noise and events of a recording; ``result.events`` holds places and times."""
+
+
+def analyse(
+    source: "str | Path | Scene | Frames",
+    *,
+    sensor_type: str | Path | None = None,
+    time_s: ArrayLike | None = None,
+    current_A: float | None = None,
+    format: str | None = None,  # noqa: A002 - as the command's option
+    dataset: str | None = None,
+    reference: str | Path | tuple[str | Path, str] | None = None,
+    memory_correction: bool | None = None,
+    reconstruction: str | None = None,
+    report: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Analysis:
+    """Find faulty channels, noise and presses in a recording, or in frames in memory.
+
+    Parameters
+    ----------
+    source : file (text or path), a simulated scene, a dataset of frames, or an array (n, drives, measures) [V].
+    sensor_type : file or shipped name; without it, lengths are in units of the radius.
+    time_s, current_A : of an array; without times its frames count as one a second.
+    format, dataset, reference, memory_correction : of a file; see ``cbsr-qa analyse``. ``reference`` may be a file
+        with the name of a data set in it.
+    reconstruction, options : method that images the events.
+    report : whether to write one, of a file only.
+
+    Raises
+    ------
+    CbsrError
+        If the recording is refused, or a name is unknown.
+    """
+    if isinstance(reference, str | Path):
+        reference = (reference, "")
+    request = AnalyseRequest(
+        format=format,
+        sensor_type=None if sensor_type is None else str(sensor_type),
+        dataset=dataset,
+        reference=None if reference is None else (Path(reference[0]), reference[1] or None),
+        correct_carry_over=memory_correction,
+        report=report,
+        reconstruction=reconstruction,
+        options=options,
+    )
+    tell = progress or quiet
+    if isinstance(source, str | Path):
+        analysed = analyse_file(Path(source), request, tell=tell)
+        if analysed.error is not None:
+            raise analysed.error
+    else:
+        analysed = analyse_frames(_recording(source, time_s, current_A), request, tell=tell)
+    return Analysis(analyse_outcome(analysed, imaged=reconstruction is not None or bool(options)))
+
+
+def _recording(source: "Scene | Frames", time_s: ArrayLike | None, current_A: float | None) -> Recording:
+    if isinstance(source, Scene):
+        return source.recording
+    frames = frame_block(source, time_s=time_s, current_A=current_A)
+    about = getattr(source, "attrs", {})
+    return Recording(
+        path=Path(str(about.get("title", "array"))),
+        format="array",
+        dataset="",
+        scan=ScanKind.FULL,
+        frames=frames,
+        clock="station" if about else "none" if time_s is None else "computer",
+        sensor_type=about.get("sensor_type"),
+    )

@@ -1,0 +1,96 @@
+"""A database of runs."""
+
+from collections.abc import Sequence
+from datetime import date
+from typing import TYPE_CHECKING, TypedDict
+
+from cbsr_qa.app import DatabaseStatus, database_status
+from cbsr_qa.app.export import ExportTable
+from cbsr_qa.config import database_url
+from cbsr_qa.interface.result import Result
+from cbsr_qa.interface.stored_run import Run
+from cbsr_qa.interface.tables import table_of
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.shift import ListRequest, list_request
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    import pandas as pd
+
+
+class Selection(TypedDict, total=False):
+    """Which runs; as the options of ``cbsr-qa runs``. All given criteria must hold.
+
+    ``since`` and ``until`` are days (UTC, both included); ``today`` is this computer's day; ``latest`` keeps so many
+    of the latest that remain; ``checks`` includes runs that checked a station.
+    """
+
+    serial: str | Sequence[str]
+    station: str | Sequence[str]
+    operator: str | Sequence[str]
+    recipe: str
+    batch: str
+    since: date
+    until: date
+    today: bool
+    failed: bool
+    limit: str
+    latest: int
+    checks: bool
+
+
+def _request(selection: Selection) -> ListRequest:
+    several = {"serial": "serials", "station": "stations", "operator": "operators"}
+    given = {several.get(name, name): value for name, value in selection.items()}
+    for name in several.values():
+        if name in given:
+            value = given[name]
+            given[name] = (value,) if isinstance(value, str) else tuple(value)  # type: ignore[arg-type]
+    return list_request(**given)  # type: ignore[arg-type]
+
+
+class Database(Result[DatabaseStatus]):
+    """A database of runs; made by :func:`open_database`. Nothing stays open between calls."""
+
+    def __init__(self, url: str | None = None) -> None:
+        self._url = database_url(url)
+        with open_store(self._url, create=False):  # refuses one that is not there
+            pass
+        super().__init__(database_status(url))
+
+    def runs(self, **selection: "Unpack[Selection]") -> "pd.DataFrame":
+        """Return the selected runs, oldest first: the columns of ``cbsr-qa export --table runs``.
+
+        Raises
+        ------
+        CbsrError
+            If a name is of no stored run; the remedy names the nearest one.
+        """
+        return table_of(self._url, _request(selection), ExportTable.RUNS)
+
+    def measurements(self, **selection: "Unpack[Selection]") -> "pd.DataFrame":
+        """Return the measurements of the selected runs: the columns of ``cbsr-qa export --table measurements``.
+
+        Raises as :meth:`runs`.
+        """
+        return table_of(self._url, _request(selection), ExportTable.MEASUREMENTS)
+
+    def run(self, run: str) -> Run:
+        """Return a run by its identifier, or the latest one of a serial number. StoreError if there is none."""
+        return Run(run, self._url)
+
+
+def open_database(url: str | None = None) -> Database:
+    """Open a database to read from.
+
+    Parameters
+    ----------
+    url : SQLite file or address of a PostgreSQL database; None for ``CBSR_QA_DATABASE`` or the usual one in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or it needs an upgrade.
+    """
+    return Database(url)

@@ -1,0 +1,114 @@
+"""One stored run."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from cbsr_qa.app.export import ExportTable, frame_variables, joined_samples, run_attributes, run_frames
+from cbsr_qa.app.run import RunOutcome, outcome_of_stored, run_outcome
+from cbsr_qa.calibration import Calibration
+from cbsr_qa.calibration.file import calibration_of
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import CommandOutcome, Outcome, RunSelection
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.interface.frames import dataset_of
+from cbsr_qa.interface.plots import plot_run
+from cbsr_qa.interface.result import Result
+from cbsr_qa.interface.tables import table_of
+from cbsr_qa.plugin import discover
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.shift import ListRequest
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+
+class Run(Result[RunOutcome]):
+    """A stored run of a sensor. ``repr`` and page are those of ``cbsr-qa run``.
+
+    Parameters
+    ----------
+    run : its identifier, or a serial number for its latest run.
+    database : as :func:`open_database` takes it.
+    outcome : if it is known already; else it is read from the store when it is first asked for.
+    """
+
+    def __init__(
+        self, run: str, database: str | None = None, outcome: CommandOutcome[RunOutcome] | None = None
+    ) -> None:
+        self._url = database_url(database)
+        self._given = outcome
+        with open_store(self._url, create=False) as store:
+            #: Identifier of the run.
+            self.run: str = store.resolve(run)
+
+    @cached_property
+    def _read(self) -> CommandOutcome[RunOutcome]:
+        if self._given is not None:
+            return self._given
+        with open_store(self._url, create=False) as store:
+            return run_outcome(outcome_of_stored(self.run, store, discover()))
+
+    @property
+    def _outcome(self) -> CommandOutcome[RunOutcome]:
+        return self._read
+
+    @cached_property
+    def record(self) -> RunRecord:
+        """Everything that was recorded: identity, phases, frames, samples, presses."""
+        with open_store(self._url, create=False) as store:
+            return store.load_run(self.run)
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the sensor."""
+        return self.record.identity.sensor.serial
+
+    @property
+    def verdict(self) -> Outcome | None:
+        """What counts now, an override included: a text such as ``"pass"``; None if it did not finish."""
+        with open_store(self._url, create=False) as store:
+            (listed,) = store.listed_runs(self._only)
+        return listed.verdict
+
+    @property
+    def _only(self) -> RunSelection:
+        return RunSelection(up_to=self.run, latest=1)
+
+    def measurements(self) -> "pd.DataFrame":
+        """Return the measurements, one a row; see :meth:`Database.measurements`."""
+        return table_of(self._url, ListRequest(self._only), ExportTable.MEASUREMENTS)
+
+    def frames(self, phase: str | None = None) -> "xr.Dataset":
+        """Return frames with coordinates and units: the content of ``cbsr-qa export RUN --to frames.nc``.
+
+        Parameters
+        ----------
+        phase : name of the only phase; None for all.
+
+        Raises
+        ------
+        CbsrError
+            If there is no such phase, it holds no frames, or phases differ in unit or shape.
+        """
+        record = self.record
+        phases = record.phases if phase is None else (record.phase(phase),)
+        variables = frame_variables(record.sensor_type, run_frames(record, phases), joined_samples(phases))
+        return dataset_of(variables, run_attributes(record, self.verdict))
+
+    def calibration(self) -> Calibration:
+        """Return the sensor's calibration that this run issued. CalibrationError if it issued none."""
+        issued: Any = self.result.result.calibration
+        if issued is None:
+            raise CalibrationError(
+                f"run {self.run} of sensor {self.serial} issued no calibration: {self.result.calibration_why}"
+            )
+        with open_store(self._url, create=False) as store:
+            file = store.calibration_file(issued.calibration)
+        return Calibration(issued if file is None else calibration_of(file[0], issued=file[1]))
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the force against time, holds shaded; returns the axes. RefusedError if it holds no force."""
+        return plot_run(self.record, axes)

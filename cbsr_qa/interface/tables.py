@@ -1,0 +1,26 @@
+"""Stored runs and measurements as data frames."""
+
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Final
+
+from cbsr_qa.app.export import ExportTable, whole_table
+from cbsr_qa.interface.extras import notebook_library
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.shift import ListRequest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Types of columns; any value but a key may be absent.
+_KINDS: Final[dict[type, str]] = {float: "float64", int: "Int64", bool: "boolean", datetime: "datetime64[us, UTC]"}
+
+
+def table_of(url: str, request: ListRequest, table: ExportTable) -> "pd.DataFrame":
+    """Return a table of the selected runs: the columns of ``cbsr-qa export --table``."""
+    pandas = notebook_library("pandas", f"a table of {table}")
+    with open_store(url, create=False) as store:
+        columns, rows = whole_table(store, request, table)
+    values: dict[str, Any] = {name: [row[n] for row in rows] for n, name in enumerate(columns)}
+    made = {name: pandas.Series(values[name], dtype=_KINDS.get(kind, "object")) for name, kind in columns.items()}
+    frame: pd.DataFrame = pandas.DataFrame(made)
+    return frame

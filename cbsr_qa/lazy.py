@@ -1,0 +1,36 @@
+"""Doors of packages: names that are loaded when they are first used."""
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Make what a package's stub lists importable from the package, each name loaded when it is first used.
+
+    As ``lazy_loader.attach_stub``, which a robot does not have: there numpy, scipy and h5py are all there is.
+
+    Parameters
+    ----------
+    package, file : ``__name__`` and ``__file__`` of the package; the stub is beside its file, ``__init__.pyi``.
+
+    Returns
+    -------
+    ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
+    """
+    stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
+    own = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.level]
+    modules = {alias.name: node.module for node in own for alias in node.names}
+    names = sorted(modules)
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = import_module(f"{package}.{modules[name] or name}")
+        value = getattr(module, name) if modules[name] else module
+        vars(import_module(package))[name] = value  # found without this function from now on
+        return value
+
+    return load, lambda: names, names

@@ -1,0 +1,175 @@
+"""Files that hold the frames of archived runs: one HDF5 file a run, found from the database and checked when read.
+
+The rows of its blocks stay, with shape, times and digest, which the chain covers; only their arrays are in the file.
+"""
+
+import hashlib
+import io
+import os
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from sqlalchemy import Connection, Engine, Row, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store.engine import sqlite_file
+from cbsr_qa.store.tables import ArchiveRow
+from cbsr_qa.system import writing, written_whole
+
+#: Arrays of a block; empty in the row of an archived one.
+ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
+_UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
+_FORMAT: Final = "cbsr-qa archive"
+_KINDS: Final = {"flags": np.uint8}
+
+
+def place_of(engine: Engine, file: Path) -> str:
+    """Return how a database names a file: from the folder of a SQLite file, else in full."""
+    database = sqlite_file(engine.url)
+    return str(file.resolve()) if database is None else os.path.relpath(file.resolve(), database.resolve().parent)
+
+
+def file_at(engine: Engine, place: str) -> Path:
+    """Return the file that a database names."""
+    database = sqlite_file(engine.url)
+    return Path(place) if database is None else database.resolve().parent / place
+
+
+def archive_row(connection: Connection, run: str) -> Row[Any] | None:
+    """Return where the frames of a run are archived; None if they are in the database."""
+    return connection.execute(select(*ArchiveRow.__table__.columns).where(ArchiveRow.run == run)).one_or_none()
+
+
+def checked_bytes(connection: Connection, run: str) -> bytes | None:
+    """Return the archive of a run; None if its frames are in the database.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing, cannot be read, or is not the one that was written.
+    """
+    row = archive_row(connection, run)
+    if row is None:
+        return None
+    file = file_at(connection.engine, row.file)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise StoreError(
+            f"run {run}: its frames are archived in {file}, which cannot be read: {error.strerror}",
+            remedy="put the file back there, from a copy if need be",
+        ) from error
+    if hashlib.sha256(data).hexdigest() != row.file_sha256:
+        raise StoreError(
+            f"run {run}: its frames are archived in {file}, which was changed: it does not match its digest",
+            remedy="put the file back as it was, from a copy",
+        )
+    return data
+
+
+def with_arrays(connection: Connection, rows: Sequence[Any]) -> Iterator[Any]:
+    """Yield rows of frame blocks of one run with their arrays, from the run's archive where it has one.
+
+    Raises
+    ------
+    StoreError
+        As :func:`checked_bytes`, or if the archive does not hold a block.
+    """
+    archived = next((row.run for row in rows if not row.voltages), None)
+    data = None if archived is None else checked_bytes(connection, archived)
+    if data is None:  # a row that lacks its arrays without an archive is refused by its digest
+        yield from rows
+        return
+    cells = read_archive(data, {row.phase for row in rows})
+    for row in rows:
+        own = cells.get((row.phase, row.block))
+        if own is None:
+            raise StoreError(f"run {row.run}: its archive lacks block {row.block} of phase {row.phase}")
+        yield row if row.voltages else with_cells(row, own)
+
+
+def with_cells(row: Any, cells: dict[str, bytes | None]) -> Any:
+    """Return a row with the arrays of its archive."""
+    return SimpleNamespace(**(dict(row._mapping) | cells))
+
+
+def write_archive(file: Path, run: str, blocks: Iterable[tuple[int, int, Any]]) -> None:
+    """Write the frames of a run, and wait until they are on the disk.
+
+    Parameters
+    ----------
+    blocks : phase, number and :class:`~cbsr_qa.domain.readings.FrameBlock` of each block.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written; none is left then.
+    """
+    groups: dict[str, list[tuple[int, Any]]] = {}
+    for phase, number, block in blocks:
+        timed = "" if block.reading_time_s is None else "-timed"
+        name = f"phase-{phase}/{block.voltages.shape[1]}x{block.voltages.shape[2]}-{block.unit}{timed}"
+        groups.setdefault(name, []).append((number, block))
+    with h5py.File("archive.h5", "w", driver="core", backing_store=False) as content:
+        content.attrs.update({"format": _FORMAT, "run": run})
+        for name, some in groups.items():
+            _write_group(content.create_group(name), some)
+        content.flush()
+        image = bytes(content.id.get_file_image())
+    with writing(file, refusal=StoreError, remedy="choose another folder with --to, or free space"):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(file) as whole:
+            whole.write(image)
+        _sync_folder(file.parent)
+
+
+def _write_group(group: h5py.Group, some: list[tuple[int, Any]]) -> None:
+    counts = [len(block) for _, block in some]
+    group.create_dataset("block", data=np.array([number for number, _ in some]))
+    group.create_dataset("frames", data=np.array(counts))
+    for name in ARRAYS:
+        parts = [getattr(block, name) for _, block in some]
+        if parts[0] is None:
+            continue
+        packing: dict[str, Any] = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+        dataset = group.create_dataset(name, data=np.concatenate(parts), **packing)
+        dataset.attrs["unit"] = _UNITS.get(name, str(some[0][1].unit))
+
+
+def _sync_folder(folder: Path) -> None:
+    """Wait until the name of a new file is on the disk too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read_archive(data: bytes, phases: Collection[int]) -> dict[tuple[int, int], dict[str, bytes | None]]:
+    """Return (phase, block) → arrays as bytes, of some phases. StoreError if the data are no archive."""
+    found: dict[tuple[int, int], dict[str, bytes | None]] = {}
+    try:
+        with h5py.File(io.BytesIO(data), "r") as content:
+            for phase in phases:
+                for group in content[f"phase-{phase}"].values():
+                    _read_group(group, phase, found)
+    except (OSError, KeyError, ValueError, RuntimeError, AttributeError) as error:
+        raise StoreError(f"the archive cannot be read: {error}") from error
+    return found
+
+
+def _read_group(group: h5py.Group, phase: int, found: dict[tuple[int, int], dict[str, bytes | None]]) -> None:
+    arrays = {
+        name: np.ascontiguousarray(group[name][()], dtype=_KINDS.get(name, "<f8")) if name in group else None
+        for name in ARRAYS
+    }
+    start = 0
+    for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
+        part = slice(start, start + count)
+        cells = {name: None if values is None else values[part].tobytes() for name, values in arrays.items()}
+        found[phase, number] = cells
+        start += count

@@ -1,0 +1,256 @@
+"""Copies of a SQLite database: consistent while others write, verified, whole or not at all; and put back."""
+
+import glob
+import os
+import secrets
+import shutil
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from sqlalchemy import URL, Engine, select
+from sqlalchemy.orm import aliased
+
+from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.store.damage import shown, translated
+from cbsr_qa.store.engine import file_problem, open_engine, parsed_url, sqlite_file
+from cbsr_qa.store.schema import Age, SchemaVersion, found_version, refusal
+from cbsr_qa.store.tables import LinkRow
+from cbsr_qa.system import holder
+
+#: Called with what is done, and parts done and in total.
+Count = Callable[[str, int, int], None]
+
+#: Pages copied between two reports of progress: 4 MB.
+_PAGES: Final = 1000
+#: Bytes that every connection to a SQLite file holds a lock on, in any journal mode: the pending byte and what
+#: follows it (https://www.sqlite.org/fileformat2.html, "the lock-byte page").
+_LOCKED: Final = (0x40000000, 512)
+_SIDES: Final = ("-wal", "-shm")
+_UNCHANGED: Final = "the database is unchanged"
+
+
+def copy_database(engine: Engine, to: Path, count: Count = lambda what, done, of: None) -> None:
+    """Copy a SQLite database as it is now, and verify the copy: its file, and the chain head of every run.
+
+    Others may read and write meanwhile. The copy gets its name when it is verified, and never replaces a file.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists, or cannot be written.
+    StoreError
+        If the database is not a file, is missing, damaged or of another program, or the copy is not what was copied.
+    """
+    source = _source(engine)
+    if to.exists():
+        raise RefusedError(f"{to} exists already; a backup replaces nothing", remedy="name another file")
+    _check_version(engine, found_version(engine))
+    with _temporary(to) as partial:
+        with (
+            translated(engine.url),
+            closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True)) as old,
+        ):
+            old.execute("BEGIN")  # one state of the database: others write on, and do not begin the copy again
+            old.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            with translated(URL.create("sqlite", database=str(to))), closing(sqlite3.connect(partial)) as new:
+                old.backup(new, pages=_PAGES, progress=lambda _, left, of: count("copying", of - left, of))
+                new.execute("PRAGMA journal_mode = DELETE")  # one file, which can be moved
+            heads = _heads(old)
+        count("verifying", 0, 1)
+        _verify(partial, heads, to)
+        count("verifying", 1, 1)
+        _name(partial, to)
+
+
+def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda what, done, of: None) -> SchemaVersion:
+    """Put a backup in the place of a SQLite database; what was there is kept beside it, as ``aside``.
+
+    Returns
+    -------
+    The version of the database that is there now.
+
+    Raises
+    ------
+    RefusedError, StoreError
+        If the backup is damaged or not one of this program, or anybody uses the database; nothing is changed then.
+    """
+    target = sqlite_file(engine.url)
+    if target is None:
+        raise _no_file(engine, "pg_restore --clean --if-exists --dbname='{url}' FILE")
+    if not backup.is_file():
+        raise RefusedError(
+            f"{backup} is not a file; {_UNCHANGED}", remedy="name a backup that cbsr-qa db backup made"
+        )
+    if target.exists() and backup.samefile(target):
+        raise RefusedError(f"{backup} is the database itself; {_UNCHANGED}", remedy="name a backup of it")
+    if target.exists() and aside.exists():
+        raise RefusedError(f"{aside} exists already; {_UNCHANGED}", remedy="move it away, or try again in a second")
+    with _temporary(target) as partial:
+        count("copying", 0, 1)
+        shutil.copyfile(backup, partial)
+        if (log := backup.with_name(f"{backup.name}-wal")).exists():  # of a copy made with cp while it was in use
+            shutil.copyfile(log, f"{partial}-wal")
+        count("verifying", 0, 1)
+        version = _restorable(partial, backup)
+        with _unused(target):
+            _exchange(partial, target, aside)
+    return version
+
+
+def _restorable(partial: Path, backup: Path) -> SchemaVersion:
+    copy = open_engine(parsed_url(f"sqlite:///{partial}"))
+    try:
+        version = found_version(copy)
+        if version.age not in (Age.CURRENT, Age.OLDER):
+            raise refusal(copy, version)
+        if problem := file_problem(copy):
+            raise StoreError(problem)
+        with closing(sqlite3.connect(partial)) as connection:
+            connection.execute("PRAGMA journal_mode = WAL")  # as the database has it
+    except StoreError as error:
+        why = error.reason.replace(f"database {partial}", "it")
+        raise StoreError(
+            f"{backup} cannot be restored: {why}; {_UNCHANGED}", remedy=error.remedy or "name another backup"
+        ) from error
+    finally:
+        copy.dispose()
+    return version
+
+
+def _verify(partial: Path, heads: dict[str, str], to: Path) -> None:
+    copy = open_engine(parsed_url(f"sqlite:///{partial}"))
+    try:
+        problem = file_problem(copy)
+        if not problem:
+            with closing(sqlite3.connect(partial)) as connection:
+                found = _heads(connection)
+            differing = [run for run in heads | found if heads.get(run) != found.get(run)]
+            problem = f"run {differing[0]} in it has another chain than the database" if differing else ""
+    finally:
+        copy.dispose()
+    if problem:
+        why = problem.replace(f"database {partial}", "the copy")
+        raise StoreError(f"{to} was not made: {why}", remedy="check the disk it is on; the database is unchanged")
+
+
+def _heads(connection: sqlite3.Connection) -> dict[str, str]:
+    """Return the last link's digest of each run; of a database from before chains, nothing."""
+    if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (LinkRow.__tablename__,)).fetchone():
+        return {}
+    link, later = LinkRow, aliased(LinkRow)
+    last = ~select(later.run).where(later.run == link.run, later.number > link.number).exists()
+    query = str(select(link.run, link.sha256).where(last).compile(compile_kwargs={"literal_binds": True}))
+    return dict(connection.execute(query))
+
+
+def _source(engine: Engine) -> Path:
+    file = sqlite_file(engine.url)
+    if file is None:
+        raise _no_file(engine, "pg_dump --format=custom --file=FILE --dbname='{url}'")
+    return file
+
+
+def _no_file(engine: Engine, command: str) -> RefusedError:
+    url = engine.url._replace(drivername=engine.url.get_backend_name(), password=None).render_as_string()
+    if engine.url.get_backend_name() == "sqlite":
+        return RefusedError(f"{shown(engine.url)} is not a file")
+    return RefusedError(
+        f"{shown(engine.url)} is not a file: its server makes and restores backups",
+        remedy=f"with its own tools (password: PGPASSWORD or ~/.pgpass): {command.format(url=url)}",
+    )
+
+
+def _check_version(engine: Engine, version: SchemaVersion) -> None:
+    """Refuse a database that is missing, newer or of another program; an older one is this program's too."""
+    if version.age not in (Age.CURRENT, Age.OLDER):
+        raise refusal(engine, version)
+
+
+@contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """Name a file beside ``path`` for now; whatever is there at the end is removed."""
+    partial = path.parent / f".{secrets.token_hex(8)}.partial"
+    try:
+        with partial.open("xb"):
+            pass
+        yield partial
+    except OSError as error:
+        raise RefusedError(
+            f"{path} cannot be written: {error.strerror or error}; {_UNCHANGED}",
+            remedy="free space, make its folder writable, or name another file",
+        ) from error
+    finally:
+        for suffix in ("", "-journal", *_SIDES):
+            with suppress(OSError):
+                partial.with_name(partial.name + suffix).unlink()
+
+
+def _name(partial: Path, to: Path) -> None:
+    """Give a finished file its name; another file of that name is not replaced."""
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+    try:
+        os.link(partial, to)
+    except FileExistsError:
+        raise RefusedError(f"{to} exists by now; a backup replaces nothing", remedy="name another file") from None
+    except OSError:  # a file system without links, e.g. of a memory stick
+        if to.exists():
+            raise
+        partial.rename(to)
+
+
+@contextmanager
+def _unused(database: Path) -> Iterator[None]:
+    """Hold all locks of a SQLite file: nobody reads or writes it, and nobody begins to.
+
+    The file's own locks say so even if its content is damaged.
+
+    Raises
+    ------
+    StoreError
+        If another process uses it; the message names a run that is being written.
+    """
+    for lock in sorted(database.parent.glob(f"{glob.escape(database.name)}-*.lock")):
+        if (who := holder(lock)) is not None:
+            name = lock.name.removeprefix(f"{database.name}-").removesuffix(".lock")
+            raise _used(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
+    if not database.exists():
+        yield
+        return
+    import fcntl
+
+    with database.open("rb+") as file:
+        first, length = _LOCKED
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, length, first)
+        except OSError as error:
+            raise _used(database, "a page, a run or another program has it open") from error
+        yield
+
+
+def _used(database: Path, who: str) -> StoreError:
+    return StoreError(
+        f"database {database} is in use: {who}; {_UNCHANGED}",
+        remedy="end runs and cbsr-qa serve, and whatever else reads it, then restore again",
+    )
+
+
+def _exchange(partial: Path, target: Path, aside: Path) -> None:
+    """Rename the old database with its log, then the new one; put the old one back if that fails."""
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for suffix in ("", *_SIDES):
+            old, kept = target.with_name(target.name + suffix), aside.with_name(aside.name + suffix)
+            if old.exists():
+                old.rename(kept)
+                moved.append((old, kept))
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        partial.rename(target)
+    except OSError:
+        for old, kept in reversed(moved):
+            kept.rename(old)
+        raise

@@ -1,0 +1,41 @@
+"""The outbox: what a central database has not confirmed yet, announced in the transaction that stores it."""
+
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import Final
+
+from sqlalchemy import Connection, text
+
+
+class Kind(StrEnum):
+    """What is announced."""
+
+    RUN = "run"
+    STATION_CHECK = "station check"
+    CHART_REFERENCE = "chart reference"
+    RELEASE = "release"
+
+
+class EntryState(StrEnum):
+    """What becomes of an announcement."""
+
+    WAITING = "waiting"
+    QUARANTINED = "quarantined"  #: it was refused, and is not sent until somebody says so
+    LET_GO = "let go"  #: somebody decided that it is not sent
+
+
+# Built once, and in plain words: SQLAlchemy has no ON CONFLICT that is alike for both databases.
+_ANNOUNCE: Final = text(
+    "INSERT INTO outbox (kind, item, version, sent, noted_at, state, why)"
+    " VALUES (:kind, :item, :version, 0, CURRENT_TIMESTAMP, 'waiting', '')"
+    " ON CONFLICT (kind, item) DO UPDATE SET"
+    " version = CASE WHEN excluded.version > outbox.version THEN excluded.version ELSE outbox.version + 1 END,"
+    " noted_at = CASE WHEN outbox.sent < outbox.version THEN outbox.noted_at ELSE excluded.noted_at END"
+)
+
+
+def announce(connection: Connection, kind: Kind, items: Iterable[str], version: int = 1) -> None:
+    """Note that something was stored; a later version of the same item replaces the note."""
+    rows = [{"kind": str(kind), "item": item, "version": version} for item in items]
+    if rows:
+        connection.execute(_ANNOUNCE, rows)

@@ -1,0 +1,187 @@
+"""Moves frames of runs to archives and back. At every moment all are in the database, in a file, or in both."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, update
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.store.archives import (
+    ARRAYS,
+    archive_row,
+    checked_bytes,
+    file_at,
+    place_of,
+    read_archive,
+    with_arrays,
+    with_cells,
+    write_archive,
+)
+from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.engine import reading, sqlite_file, writing
+from cbsr_qa.store.locks import this_process, writing_alone
+from cbsr_qa.store.runs.codec import frame_block, frame_values
+from cbsr_qa.store.tables import AnalysisRow, ArchiveRow, FrameBlockRow, RunRow, RunStateRow, VerdictOverrideRow
+
+_PASSED = (str(Outcome.PASS), str(Outcome.MARGINAL))
+
+
+@dataclass(frozen=True, slots=True)
+class ArchivedRun:
+    """A run whose frames were, or would be, archived.
+
+    Parameters
+    ----------
+    frames : their number.
+    database_bytes : of their arrays in the database.
+    file, file_bytes : of the archive; empty and 0 if it is not written.
+    """
+
+    run: str
+    serial: str
+    frames: int
+    database_bytes: int
+    file: str = ""
+    file_bytes: int = 0
+
+
+def archivable(engine: Engine, before: datetime) -> tuple[ArchivedRun, ...]:
+    """Return the runs whose frames may be archived, oldest first.
+
+    They finished, and every session of them began, before a time; their latest verdict is a pass or marginal, and so
+    is the sensor's; no verdict of the run was overridden.
+    """
+    run, row = RunRow, FrameBlockRow
+    size = sum((func.coalesce(func.length(getattr(row, name)), 0) for name in ARRAYS), start=0)
+    query = (
+        select(run.run, run.serial, func.sum(row.frames), func.sum(size))
+        .join(row, row.run == run.run)
+        .where(run.started_at < before, func.length(row.voltages) > 0)
+        .where(~exists().where(ArchiveRow.run == run.run), ~exists().where(VerdictOverrideRow.run == run.run))
+        .group_by(run.run, run.serial)
+        .order_by(run.run)
+    )
+    with reading(engine) as connection:
+        found = [ArchivedRun(one, serial, int(n), int(size)) for one, serial, n, size in connection.execute(query)]
+        return tuple(one for one in found if _passed(connection, one, before))
+
+
+def _passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
+    """Whether a run finished long ago and passed, and so did the latest run of its sensor that has a verdict."""
+    states = select(RunStateRow.end, RunStateRow.noted_at).where(RunStateRow.run == one.run)
+    sessions = connection.execute(states.order_by(RunStateRow.number)).all()
+    if not sessions or sessions[-1].end != EndReason.FINISHED:
+        return False
+    if any(session.noted_at is not None and session.noted_at >= before for session in sessions):
+        return False
+    verdicts = select(AnalysisRow.outcome).order_by(AnalysisRow.run.desc(), AnalysisRow.analysis.desc()).limit(1)
+    own = connection.scalar(verdicts.where(AnalysisRow.run == one.run))
+    of_sensor = connection.scalar(
+        verdicts.join(RunRow, RunRow.run == AnalysisRow.run).where(RunRow.serial == one.serial)
+    )
+    return own in _PASSED and of_sensor in _PASSED
+
+
+def archive_folder(engine: Engine, to: Path | None) -> Path:
+    """Return the folder of archives: by default beside a SQLite database. StoreError if none can be named."""
+    database = sqlite_file(engine.url)
+    if to is not None:
+        return to
+    if database is None:
+        raise StoreError("a PostgreSQL database has no folder", remedy="name one with --to FOLDER")
+    return database.with_name(f"{database.stem}-archive")
+
+
+def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
+    """Move the frames of a run to a file.
+
+    The file is on the disk, and was read back and compared with the database, before the arrays go from the rows.
+
+    Raises
+    ------
+    StoreError
+        If the run was altered or is being written, or the file cannot be written or is another one; nothing is
+        changed in the database then.
+    """
+    file = folder / f"{one.run}.h5"
+    with writing_alone(engine, one.run, this_process("")):
+        with reading(engine) as connection:
+            check_run(connection, one.run)
+            rows = _rows(connection, one.run)
+            blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
+        if not file.exists():
+            write_archive(file, one.run, blocks)
+        data = _verified(file, rows)
+        values = {
+            "run": one.run,
+            "file": place_of(engine, file),
+            "file_bytes": len(data),
+            "file_sha256": hashlib.sha256(data).hexdigest(),
+            "archived_at": at,
+        }
+        with writing(engine) as connection:
+            connection.execute(insert(ArchiveRow), values)
+            _empty(connection, one.run)
+    return ArchivedRun(one.run, one.serial, one.frames, one.database_bytes, str(file), len(data))
+
+
+def _verified(file: Path, rows: list[Any]) -> bytes:
+    """Return the content of an archive that holds every block of some rows, to the bit."""
+    data = file.read_bytes()
+    cells = read_archive(data, {row.phase for row in rows})
+    for row in rows:
+        own = cells.get((row.phase, row.block))
+        if own is None:
+            raise StoreError(
+                f"{file} lacks block {row.block} of phase {row.phase}", remedy="move that file away, or use --to"
+            )
+        frame_block(with_cells(row, own))
+    return data
+
+
+def _empty(connection: Connection, run: str) -> None:
+    of_run = update(FrameBlockRow).where(FrameBlockRow.run == run)
+    connection.execute(of_run.values(time_s=b"", voltages=b"", flags=b""))
+    connection.execute(of_run.where(FrameBlockRow.reading_time_s.is_not(None)).values(reading_time_s=b""))
+
+
+def unarchive_run(engine: Engine, run: str) -> ArchivedRun:
+    """Bring the frames of a run back; its file stays, as copies of the database may name it.
+
+    Raises
+    ------
+    StoreError
+        If the run is not archived, or its file is missing or altered; nothing is changed then.
+    """
+    with writing_alone(engine, run, this_process("")), writing(engine) as connection:
+        row, data = archive_row(connection, run), checked_bytes(connection, run)
+        if row is None or data is None:
+            raise StoreError(f"the frames of run {run} are not archived")
+        frames, size = 0, 0
+        for phase, number, block in _blocks(connection, run):
+            values = {name: value for name, value in frame_values(block).items() if name in ARRAYS}
+            of_block = FrameBlockRow.run == run, FrameBlockRow.phase == phase, FrameBlockRow.block == number
+            connection.execute(update(FrameBlockRow).where(*of_block).values(**values))
+            frames += len(block)
+            size += sum(len(value) for value in values.values() if value is not None)
+        connection.execute(delete(ArchiveRow).where(ArchiveRow.run == run))
+        serial = str(connection.scalar(select(RunRow.serial).where(RunRow.run == run)))
+        file = file_at(engine, row.file)
+    return ArchivedRun(run, serial, frames, size, str(file), len(data))
+
+
+def _blocks(connection: Connection, run: str) -> Iterator[tuple[int, int, FrameBlock]]:
+    for row in with_arrays(connection, _rows(connection, run)):
+        yield row.phase, row.block, frame_block(row)
+
+
+def _rows(connection: Connection, run: str) -> list[Any]:
+    row = FrameBlockRow
+    query = select(*row.__table__.columns).where(row.run == run).order_by(row.phase, row.block)
+    return list(connection.execute(query).all())

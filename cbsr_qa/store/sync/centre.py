@@ -1,0 +1,118 @@
+"""The central database: whom it accepts, where its runs stand, what it refused."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import (
+    Engine,
+    Row,
+    func,
+    select,
+    text,
+)
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store.chain import stored_documents
+from cbsr_qa.store.damage import address, shown
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.schema import HEAD, Age, found_version, refusal
+from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Tail
+from cbsr_qa.store.tables import (
+    LinkRow,
+    RunRow,
+    SyncAcceptsRow,
+    SyncRefusalRow,
+)
+
+
+def check_centre(engine: Engine, station: Engine) -> None:
+    """Refuse a central database that cannot take rows of this program's schema.
+
+    Raises
+    ------
+    StoreError
+        Naming what to upgrade first.
+    """
+    if engine.url == station.url:
+        raise StoreError(
+            f"{shown(engine.url)} is the station's own",
+            remedy="name the central database with --to or CBSR_QA_CENTRE",
+        )
+    version = found_version(engine)
+    where, upgrade = shown(engine.url), f"cbsr-qa db upgrade --database {address(engine.url)}"
+    match version.age:
+        case Age.CURRENT:
+            return
+        case Age.EMPTY:
+            raise StoreError(
+                f"{shown(engine.url)} does not exist or is empty", remedy=f"create its tables: {upgrade}"
+            )
+        case Age.OLDER:
+            raise StoreError(
+                f"{shown(engine.url)} has schema {version.revision}, older than the station's ({HEAD})",
+                remedy=f"upgrade the central database first: {upgrade}",
+            )
+        case Age.NEWER:
+            oldest = _oldest_sender(engine)
+            if oldest > HEAD:
+                raise StoreError(
+                    f"{where} accepts stations of schema {oldest} or later; this station's is {HEAD}",
+                    remedy="install the newer version of cbsr-qa on this station",
+                )
+        case _:
+            raise refusal(engine, version)
+
+
+def _oldest_sender(engine: Engine) -> str:
+    with reading(engine) as connection:
+        return str(connection.scalar(select(SyncAcceptsRow.oldest_schema)) or "")
+
+
+def tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
+    """Return where runs stand at the centre: their last links; None for an unchained one. Unknown runs are absent."""
+    link, run = LinkRow, RunRow
+    newest = select(link.run, func.max(link.number).label("number")).where(link.run.in_(runs)).group_by(link.run)
+    last = newest.subquery()
+    query = (
+        select(run.run, run.chain, link.number, link.sha256)
+        .outerjoin(last, last.c.run == run.run)
+        .outerjoin(link, (link.run == run.run) & (link.number == last.c.number))
+        .where(run.run.in_(runs))
+    )
+    with reading(engine) as connection:
+        rows = connection.execute(query).all()
+    return {
+        one.run: None if one.chain is None else NOTHING if one.number is None else (one.number, one.sha256)
+        for one in rows
+    }
+
+
+def link_at(engine: Engine, run: str, number: int) -> str:
+    """Return the digest of a link of a run; empty without one."""
+    with reading(engine) as connection:
+        return connection.scalar(select(LinkRow.sha256).where(LinkRow.run == run, LinkRow.number == number)) or ""
+
+
+def documents_of(engine: Engine, run: str) -> dict[tuple[str, str], str]:
+    """Return the digest of each document of an unchained run."""
+    with reading(engine) as connection:
+        return {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+
+
+def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: str, error: StoreError) -> None:
+    """Note at the centre what was not stored, once."""
+    digests = error.digests if isinstance(error, AlteredError) else ("", "")
+    statement = text(
+        "INSERT INTO sync_refusals (kind, item, station, station_sha256, centre_sha256, run, why, noted_at)"
+        " VALUES (:kind, :item, :station, :own, :centre, :run, :why, CURRENT_TIMESTAMP) ON CONFLICT DO NOTHING"
+    )
+    values = {"kind": kind, "item": item, "run": run, "station": station, "why": error.reason}
+    with writing(engine) as connection:
+        connection.execute(statement, values | {"own": digests[0], "centre": digests[1]})
+
+
+def refusals(engine: Engine) -> Sequence[Row[Any]]:
+    """Return everything that was refused, oldest first."""
+    with reading(engine) as connection:
+        query = select(*SyncRefusalRow.__table__.columns).order_by(SyncRefusalRow.noted_at, SyncRefusalRow.item)
+        return connection.execute(query).all()

@@ -1,0 +1,64 @@
+"""What is sent besides runs: station checks, references of charts, releases; none of them ever changes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import Connection, Row
+
+from cbsr_qa.store.chain import row_text, sha256
+from cbsr_qa.store.outbox import Kind
+from cbsr_qa.store.sync.rows import raw_select
+from cbsr_qa.store.tables import (
+    Base,
+    ChartReferenceRow,
+    ReleaseRow,
+    StationCheckFramesRow,
+    StationCheckLineRow,
+    StationCheckRow,
+)
+
+#: Tables of each kind, the first with a row of the item itself.
+_TABLES: Final[Mapping[Kind, tuple[type[Base], ...]]] = {
+    Kind.STATION_CHECK: (StationCheckRow, StationCheckLineRow, StationCheckFramesRow),
+    Kind.CHART_REFERENCE: (ChartReferenceRow,),
+    Kind.RELEASE: (ReleaseRow,),
+}
+_RUNS: Final = ("golden_run", "first_run", "last_run")
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """Rows of an item by table.
+
+    Parameters
+    ----------
+    sha256 : of its rows; bytes have their own digest in the same row.
+    runs : that it refers to.
+    """
+
+    station: str
+    sha256: str
+    rows: Mapping[str, Sequence[Row[Any]]]
+    runs: tuple[str, ...]
+
+
+def read_item(connection: Connection, kind: Kind, name: str) -> Item | None:
+    """Return an item, or None."""
+    head, *_ = tables = [Base.metadata.tables[one.__tablename__] for one in _TABLES[kind]]
+    (key,) = head.primary_key.columns.keys()
+    rows = {one.name: connection.execute(raw_select(one).where(one.c[key] == name)).all() for one in tables}
+    if not rows[head.name]:
+        return None
+    own = rows[head.name][0]._mapping
+    texts = [
+        row_text(table, dict(zip(table.columns.keys(), row, strict=True)))
+        for table in tables
+        for row in rows[table.name]
+    ]
+    return Item(
+        own.get("station", ""),
+        sha256(*sorted(texts)),
+        {name: found for name, found in rows.items() if found},
+        tuple(run for column in _RUNS if (run := own.get(column)) is not None),
+    )

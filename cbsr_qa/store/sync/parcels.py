@@ -1,0 +1,336 @@
+"""Parcels: what is read from a station's database for one transaction at the centre, checked against its digests."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from sqlalchemy import Connection, Row, Table, func, literal, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.store.chain import (
+    FIGURES,
+    KEYS,
+    OF_A_SESSION,
+    PHASE_END,
+    document_of,
+    documents,
+    link_digest,
+    phase_end,
+    shown,
+    stored_documents,
+    stored_figures,
+    tables,
+    unreadable,
+)
+from cbsr_qa.store.runs import check_frames, check_samples, current_state
+from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    ArchiveRow,
+    Base,
+    CalibrationRow,
+    FrameBlockRow,
+    LinkRow,
+    PhaseRow,
+    ReanalysisRow,
+    RunRow,
+    SampleBlockRow,
+    SensorRow,
+    VerdictOverrideRow,
+)
+
+#: Most documents and bytes of blocks in one parcel: a second of work, and memory of a few times the bytes.
+MOST_LINKS: Final = 4000
+MOST_BYTES: Final = 16_000_000
+
+#: More links than anything that is stored at once has, and the kinds of links with which it begins.
+_MOST_AT_ONCE: Final = 64
+_BEGINS: Final = OF_A_SESSION | {
+    PHASE_END,
+    *(one.__tablename__ for one in (AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
+}
+
+#: Checks of the bytes of a row, which no digest of its document covers.
+_CHECKED: Final[Mapping[str, Any]] = {
+    FrameBlockRow.__tablename__: check_frames,
+    SampleBlockRow.__tablename__: check_samples,
+}
+#: Where a run stands at the centre: number and digest of its last link.
+Tail = tuple[int, str]
+NOTHING: Final[Tail] = (-1, "")
+
+
+class AlteredError(StoreError):
+    """A run does not match its digests, or not what the centre has of it; with both digests."""
+
+    def __init__(self, reason: str, station_sha256: str = "", centre_sha256: str = "") -> None:
+        super().__init__(reason)
+        self.digests = station_sha256, centre_sha256
+
+
+@dataclass(frozen=True, slots=True)
+class Parcel:
+    """Documents of a run that follow each other in its chain, with their links.
+
+    Parameters
+    ----------
+    station : of the run.
+    version : of the run with these documents: the number of its links.
+    rows : by table, in an order in which references hold.
+    phase_ends : (phase, end [s]) of phases that are in no parcel with their end.
+    sensor : row of the sensor, with the row of the run.
+    superseded : (calibration, by which one) of the sensor, if a calibration is among the rows.
+    counts : rows of the run by table, once it is whole; else empty.
+    whole : whether nothing follows.
+    open : whether the run may grow without being announced.
+    """
+
+    run: str
+    station: str
+    version: int
+    rows: Mapping[str, Sequence[Sequence[Any]]]
+    phase_ends: tuple[tuple[int, float], ...] = ()
+    sensor: Row[Any] | None = None
+    superseded: tuple[tuple[str, str], ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
+    whole: bool = True
+    open: bool = False
+
+    @property
+    def tail(self) -> Tail:
+        """Where the run stands at the centre with this parcel; only of a chained run."""
+        last: Any = self.rows[LinkRow.__tablename__][-1]
+        return last.number, last.sha256
+
+    @property
+    def row_count(self) -> int:
+        return sum(map(len, self.rows.values()))
+
+    @property
+    def size(self) -> int:
+        """Bytes of its arrays and files."""
+        total = 0
+        for name, rows in self.rows.items():
+            columns = Base.metadata.tables[name].columns
+            for at in (place for place, column in enumerate(columns) if is_bytes(column)):
+                total += sum([len(row[at] or b"") for row in rows])
+        return total
+
+
+def next_parcel(connection: Connection, run: str, tail: Tail) -> Parcel:
+    """Read what follows a link in a run's chain.
+
+    Parameters
+    ----------
+    tail : where the run stands at the centre.
+
+    Raises
+    ------
+    AlteredError
+        If the station's link of that number is another one, or what follows was altered.
+    """
+    try:
+        return _next(connection, run, tail)
+    except AlteredError:
+        raise
+    except StoreError as error:
+        raise AlteredError(error.reason) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise AlteredError(unreadable(connection, run, error).reason) from error
+
+
+def _next(connection: Connection, run: str, tail: Tail) -> Parcel:
+    number, sha256 = tail
+    head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
+    own = connection.scalar(select(LinkRow.sha256).where(LinkRow.run == run, LinkRow.number == number)) or ""
+    newest, _ = newest_link(connection, run)
+    if own != sha256:
+        raise AlteredError(f"link {number} of run {run} differs from the centre's", own, sha256)
+    links = _links(connection, run, number)
+    _check_chain(run, links, number, sha256)
+    wanted: dict[str, dict[str, str]] = {}
+    for link in links:
+        wanted.setdefault(link.kind, {})[link.document] = link.content_sha256
+    rows = dict(_linked_rows(connection, run, wanted))
+    ended = _phase_ends(connection, run, wanted)
+    rows, ended = _with_ends(rows, ended)
+    rows[LinkRow.__tablename__] = links
+    version = links[-1].number + 1 if links else number + 1
+    whole = version == newest + 1
+    return Parcel(
+        run,
+        head.station,
+        version,
+        {name: rows[name] for name in (*KEYS, LinkRow.__tablename__) if rows.get(name)},
+        tuple(sorted(ended.items())),
+        _sensor(connection, head.serial) if RunRow.__tablename__ in rows else None,
+        _superseded(connection, head.serial) if CalibrationRow.__tablename__ in rows else (),
+        _counts(connection, run) if whole and links else {},
+        whole,
+        current_state(connection, run).end == EndReason.RUNNING,
+    )
+
+
+def newest_link(connection: Connection, run: str) -> Tail:
+    """Return number and digest of the last link of a run; :data:`NOTHING` without one."""
+    query = select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
+    found = connection.execute(query.order_by(LinkRow.number.desc()).limit(1)).one_or_none()
+    return NOTHING if found is None else (found.number, found.sha256)
+
+
+def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str, str], str]) -> Parcel:
+    """Read a run without a chain.
+
+    Parameters
+    ----------
+    centre : digest of each document that the centre has of it.
+
+    Raises
+    ------
+    AlteredError
+        If the centre has other documents of it.
+    """
+    head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
+    wanted: dict[str, dict[str, str]] = {}
+    own = {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+    for place, content in centre.items():
+        if own.get(place) != content:
+            raise AlteredError(f"{shown(*place)} of run {run} differs from the centre's", own.get(place, ""), content)
+    for (kind, key), content in own.items():
+        if (kind, key) not in centre:
+            wanted.setdefault(kind, {})[key] = content
+    rows = dict(_linked_rows(connection, run, wanted))
+    rows, ended = _with_ends(rows, _phase_ends(connection, run, wanted))
+    return Parcel(
+        run,
+        head.station,
+        1,
+        rows,
+        tuple(sorted(ended.items())),
+        _sensor(connection, head.serial) if RunRow.__tablename__ in rows else None,
+        _superseded(connection, head.serial) if CalibrationRow.__tablename__ in rows else (),
+        _counts(connection, run),
+    )
+
+
+def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
+    """Links that follow a number, as many as make a parcel; what the station stored at once is not divided."""
+    query = raw_select(Base.metadata.tables[LinkRow.__tablename__]).where(LinkRow.run == run, LinkRow.number > number)
+    links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MOST_AT_ONCE)).all())
+    sizes = _sizes(connection, run, links)
+    total, ends = 0, len(links)
+    for place, link in enumerate(links):
+        if link.kind in _BEGINS and place:
+            ends = place
+            if place >= MOST_LINKS or total > MOST_BYTES:
+                return links[:place]
+        total += sizes.get((link.kind, link.document), 0)
+    return links if len(links) < MOST_LINKS + _MOST_AT_ONCE else links[:ends]
+
+
+def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[tuple[str, str], int]:
+    """Bytes of blocks, by kind and document; empty if all of them are few."""
+    sizes: dict[tuple[str, str], int] = {}
+    for table in (Base.metadata.tables[name] for name in _CHECKED):
+        keys = [link.document for link in links if link.kind == table.name]
+        if keys:
+            size = sum((func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)), literal(0))
+            of_keys = within(table, run, keys)
+            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_CHECKED):
+                query = select(table.c.phase, table.c.block, size).where(of_keys)
+                sizes.update(
+                    {(table.name, f"{phase}/{block}"): count for phase, block, count in connection.execute(query)}
+                )
+    return sizes
+
+
+def _check_chain(run: str, links: Sequence[Row[Any]], number: int, before: str) -> None:
+    for link in links:
+        number += 1
+        if link.number != number:
+            raise AlteredError(f"run {run}: link {number} in run_links is missing")
+        expected = link_digest(before, link.kind, link.document, link.content_sha256)
+        if link.sha256 != expected:
+            what = f"link {number} in run_links, of {shown(link.kind, link.document)},"
+            raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, link.sha256)
+        before = link.sha256
+
+
+def _linked_rows(
+    connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]]
+) -> Iterator[tuple[str, Sequence[Sequence[Any]]]]:
+    """Yield table and rows of documents, whose digests match."""
+    for table in tables():
+        contents = wanted.get(table.name)
+        if contents:
+            yield table.name, _rows(connection, run, table, contents)
+    for analysis, content in wanted.get(FIGURES, {}).items():
+        _match(run, FIGURES, analysis, stored_figures(connection, analysis), content)
+
+
+def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str, str]) -> Sequence[Row[Any]]:
+    names = table.columns.keys()
+    rows = connection.execute(raw_select(table).where(within(table, run, contents))).all()
+    mappings = [dict(zip(names, row, strict=True)) for row in rows]
+    stored = dict(documents(table, mappings))
+    for key, content in contents.items():
+        _match(run, table.name, key, stored.get(key), content)
+    if len(stored) > len(contents):  # of earlier or later parcels
+        rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
+    check = _CHECKED.get(table.name)
+    if check is not None:
+        if connection.scalar(select(ArchiveRow.run).where(ArchiveRow.run == run)) is not None:
+            what = f"cbsr-qa db unarchive {run} brings its frames back, --retry sends it then"
+            raise AlteredError(f"run {run} was archived before it was sent: {what}")
+        for row in rows:
+            check(row)  # raises where bytes do not match the digest in their row
+    return rows
+
+
+def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> None:
+    if stored is None:
+        raise AlteredError(
+            f"run {run}: {shown(kind, key)} was removed: its link is there, the row is not", "", content
+        )
+    if stored != content:
+        raise AlteredError(
+            f"run {run}: {shown(kind, key)} was changed: it does not match its digest", stored, content
+        )
+
+
+def _phase_ends(connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]]) -> dict[int, float]:
+    ended = {}
+    for key, content in wanted.get(PHASE_END, {}).items():
+        query = select(PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.phase == int(key))
+        ended[int(key)] = ended_s = connection.scalar(query)
+        stored = None if ended_s is None else phase_end(int(key), ended_s)[2]
+        _match(run, PHASE_END, key, stored, content)
+    return {phase: ended_s for phase, ended_s in ended.items() if ended_s is not None}
+
+
+def _with_ends(
+    rows: dict[str, Sequence[Sequence[Any]]], ended: dict[int, float]
+) -> tuple[dict[str, Sequence[Sequence[Any]]], dict[int, float]]:
+    """Put the ends of phases into their rows if both are here; no other row has an end yet."""
+    phases = rows.get(PhaseRow.__tablename__)
+    if not phases:
+        return rows, ended
+    at, number = (PhaseRow.__table__.columns.keys().index(name) for name in ("ended_s", "phase"))
+    filled = [(*row[:at], ended.get(row[number]), *row[at + 1 :]) for row in phases]
+    left = {phase: end for phase, end in ended.items() if phase not in {row[number] for row in phases}}
+    return rows | {PhaseRow.__tablename__: filled}, left
+
+
+def _sensor(connection: Connection, serial: str) -> Row[Any]:
+    return connection.execute(select(*SensorRow.__table__.columns).where(SensorRow.serial == serial)).one()
+
+
+def _superseded(connection: Connection, serial: str) -> tuple[tuple[str, str], ...]:
+    row = CalibrationRow
+    query = select(row.calibration, row.superseded_by).where(row.serial == serial, row.superseded_by.is_not(None))
+    return tuple((calibration, by) for calibration, by in connection.execute(query.order_by(row.calibration)) if by)
+
+
+def _counts(connection: Connection, run: str) -> dict[str, int]:
+    return counts_of(connection, run, [*KEYS, LinkRow.__tablename__])

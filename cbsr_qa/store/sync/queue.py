@@ -1,0 +1,130 @@
+"""The queue of a station: entries of its outbox that wait, are quarantined, or were let go."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Engine, Row, case, delete, func, or_, select, update
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.outbox import EntryState, Kind
+from cbsr_qa.store.tables import LinkRow, OutboxRow, RunStateRow
+
+#: Order in which kinds are sent: what refers to runs after the runs.
+_ORDER: Final = tuple(Kind)
+
+
+QUARANTINED: Final = str(EntryState.QUARANTINED)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One announcement.
+
+    Parameters
+    ----------
+    version : announced; ``sent`` is what the centre has of it.
+    noted_at : when the oldest part that was not sent was announced.
+    why : why it was refused, or what it waits for.
+    """
+
+    kind: str
+    item: str
+    version: int
+    sent: int
+    noted_at: datetime
+    state: str
+    why: str
+
+
+def waiting(engine: Engine) -> tuple[Entry, ...]:
+    """Return what is to be sent, runs by age first; open runs of which the centre has all rows are left out."""
+    row = OutboxRow
+    return tuple(sorted(_entries(engine, row.state == str(EntryState.WAITING), _unsent()), key=_place))
+
+
+def held(engine: Engine) -> tuple[Entry, ...]:
+    """Return entries that are quarantined or were let go."""
+    return tuple(_entries(engine, OutboxRow.state != str(EntryState.WAITING)))
+
+
+def confirm(engine: Engine, entry: Entry, version: int, *, more: bool) -> None:
+    """Note that the centre has an entry.
+
+    Parameters
+    ----------
+    version : that was sent.
+    more : whether it may grow without being announced (a run under way, or cut off): it stays in the outbox.
+    """
+    row = OutboxRow
+    with writing(engine) as connection:
+        if not more:  # announced again meanwhile, it stays
+            connection.execute(delete(row).where(*_is(entry.kind, entry.item), row.version <= version))
+        values = {"sent": version, "version": _larger(row.version, version), "noted_at": func.current_timestamp()}
+        connection.execute(update(row).where(*_is(entry.kind, entry.item)).values(why="", **values))
+
+
+def mark(engine: Engine, kind: str, item: str, state: EntryState, why: str) -> None:
+    """Change the state of an entry."""
+    with writing(engine) as connection:
+        connection.execute(update(OutboxRow).where(*_is(kind, item)).values(state=str(state), why=why))
+
+
+def send_again(engine: Engine, item: str) -> None:
+    """Have an item wait again that was quarantined or let go; StoreError if none of that name was."""
+    _decide(engine, item, EntryState.WAITING)
+
+
+def let_go(engine: Engine, item: str) -> None:
+    """Note that a quarantined item is not to be sent; StoreError if none of that name is held."""
+    _decide(engine, item, EntryState.LET_GO)
+
+
+def _decide(engine: Engine, item: str, state: EntryState) -> None:
+    for entry in held(engine):
+        if entry.item == item:
+            mark(engine, entry.kind, item, state, "" if state is EntryState.WAITING else entry.why)
+            return
+    raise StoreError(
+        f"nothing named {item[:64]!r} is quarantined or was let go", remedy="cbsr-qa db sync --status lists what is"
+    )
+
+
+def _unsent() -> ColumnElement[bool]:
+    """Whether the centre lacks something: announced, or stored by an open chained run since."""
+    row, link, state = OutboxRow, LinkRow, RunStateRow
+    newest = select(func.max(link.number) + 1).where(link.run == row.item).correlate(row).scalar_subquery()
+    last = select(state.end).where(state.run == row.item).order_by(state.number.desc()).limit(1).correlate(row)
+    open_run = last.scalar_subquery() == str(EndReason.RUNNING)
+    return or_(row.sent < row.version, case((open_run, newest), else_=0) > row.sent)
+
+
+def _entries(engine: Engine, *wanted: ColumnElement[bool]) -> Iterator[Entry]:
+    with reading(engine) as connection:
+        rows: Sequence[Row[Any]] = connection.execute(
+            select(*OutboxRow.__table__.columns).where(*wanted).order_by(OutboxRow.kind, OutboxRow.item)
+        ).all()
+    return (Entry(**row._asdict()) for row in rows)
+
+
+def _place(entry: Entry) -> tuple[int, str]:
+    return _ORDER.index(Kind(entry.kind)), entry.item
+
+
+def _is(kind: str, item: str) -> tuple[ColumnElement[bool], ...]:
+    return OutboxRow.kind == kind, OutboxRow.item == item
+
+
+def _larger(column: Any, value: int) -> ColumnElement[int]:
+    return case((column < value, value), else_=column)
+
+
+def age_h(entries: Sequence[Entry], now: datetime | None = None) -> float | None:
+    """Return how long the oldest entry has waited [h]; None without one."""
+    if not entries:
+        return None
+    oldest = min(entry.noted_at for entry in entries)
+    return max(((now or datetime.now(UTC)) - oldest).total_seconds() / 3600, 0.0)

@@ -1,0 +1,176 @@
+"""One pass over the outbox: everything that waits is sent, in an order in which references hold."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from sqlalchemy import Engine, select
+
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.locks import sending_alone
+from cbsr_qa.store.outbox import EntryState, Kind
+from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refuse, tails
+from cbsr_qa.store.sync.items import read_item
+from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, next_parcel, unchained_parcel
+from cbsr_qa.store.sync.queue import Entry, confirm, mark, waiting
+from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
+from cbsr_qa.store.tables import RunRow
+
+#: Runs whose state at the centre is read at once.
+_AT_ONCE: Final = 64
+#: How often a run is tried that another sender of the same run overtook.
+_TRIES: Final = 3
+
+
+@dataclass(slots=True)
+class Sent:
+    """What one pass did.
+
+    Parameters
+    ----------
+    items : confirmed entries, ``runs`` of them runs; new and further rows alike.
+    rows, size : stored at the centre [rows, bytes of arrays and files].
+    quarantined, blocked : refused, and put back until what they refer to is at the centre.
+    """
+
+    items: int = 0
+    runs: int = 0
+    rows: int = 0
+    size: int = 0
+    quarantined: list[Entry] = field(default_factory=list)
+    blocked: list[Entry] = field(default_factory=list)
+
+
+def send_waiting(
+    station: Engine,
+    centre: Engine,
+    who: str,
+    progress: Callable[[int, int, Sent], None] | None = None,
+) -> Sent:
+    """Send everything that waits in a station's outbox to a central database.
+
+    Parameters
+    ----------
+    who : names this process to others that want to send from the same database, and the sender at the centre.
+    progress : called with entries done, their number, and the totals.
+
+    Raises
+    ------
+    StoreError
+        If another process sends from this database, or the centre cannot be used; what is confirmed until then is
+        sent, the rest still waits.
+    """
+    sent = Sent()
+    with sending_alone(station, who):
+        check_centre(centre, station)
+        entries = waiting(station)
+        done = 0
+        for some in _batches(entries):
+            stands = tails(centre, [one.item for one in some if one.kind == Kind.RUN])
+            for entry in some:
+                _send(station, centre, entry, stands, sent)
+                done += 1
+                if progress is not None:
+                    progress(done, len(entries), sent)
+    return sent
+
+
+def _batches(entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
+    for first in range(0, len(entries), _AT_ONCE):
+        yield entries[first : first + _AT_ONCE]
+
+
+def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail | None], sent: Sent) -> None:
+    try:
+        if entry.kind == Kind.RUN:
+            _send_run(station, centre, entry, stands.get(entry.item, NOTHING), sent)
+        else:
+            _send_item(station, centre, entry, sent)
+    except WaitsError as error:
+        mark(station, entry.kind, entry.item, EntryState.WAITING, error.reason)
+        sent.blocked.append(entry)
+    except (AlteredError, RowRefusedError) as error:
+        run, name = _names(station, entry)
+        refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
+        mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
+        sent.quarantined.append(entry)
+
+
+def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
+    """Send what the centre lacks of a run; again from where it stands if somebody else sent rows of it meanwhile."""
+    for tries_left in reversed(range(_TRIES)):
+        try:
+            _send_rest(station, centre, entry, tail, sent)
+            sent.items, sent.runs = sent.items + 1, sent.runs + 1
+            return
+        except (AlteredError, RowRefusedError):
+            stands = tails(centre, [entry.item]).get(entry.item, NOTHING)
+            if not tries_left or stands == tail:
+                raise
+            tail = stands
+
+
+def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
+    run = entry.item
+    with reading(station) as connection:
+        row = connection.execute(select(RunRow.chain).where(RunRow.run == run)).one_or_none()
+        newest = newest_link(connection, run)
+    if row is None:
+        raise AlteredError(f"run {run} is announced, and not in the database")
+    if row.chain is None:
+        _send_unchained(station, centre, entry, known=tail != NOTHING, sent=sent)
+        return
+    if tail is None:
+        raise AlteredError(f"run {run} has a chain here and none at the centre")
+    if tail[0] > newest[0]:  # this database is an older copy of the one that sent the run
+        if (stored := link_at(centre, run, newest[0])) != newest[1]:
+            raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
+        confirm(station, entry, newest[0] + 1, more=False)
+        return
+    while True:
+        with reading(station) as connection:
+            parcel = next_parcel(connection, run, tail)
+        if parcel.rows:
+            _store(centre, parcel, sent)
+            tail = parcel.tail
+        if parcel.whole:
+            break
+    confirm(station, entry, parcel.version, more=parcel.open)
+
+
+def _send_unchained(station: Engine, centre: Engine, entry: Entry, *, known: bool, sent: Sent) -> None:
+    """Send a run from before chains: its whole content is compared with what the centre has."""
+    stored = documents_of(centre, entry.item) if known else {}
+    with reading(station) as connection:
+        parcel = unchained_parcel(connection, entry.item, stored)
+    if parcel.rows or parcel.phase_ends:
+        _store(centre, parcel, sent)
+    confirm(station, entry, entry.version, more=False)
+
+
+def _store(centre: Engine, parcel: Parcel, sent: Sent) -> None:
+    store_parcel(centre, parcel)
+    sent.rows += parcel.row_count
+    sent.size += parcel.size
+
+
+def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> None:
+    kind = Kind(entry.kind)
+    with reading(station) as connection:
+        item = read_item(connection, kind, entry.item)
+    if item is None:
+        raise AlteredError(f"{entry.kind} {entry.item} is announced, and not in the database")
+    new = store_item(centre, kind, entry.item, item)
+    confirm(station, entry, entry.version, more=False)
+    sent.items += 1
+    sent.rows += sum(map(len, item.rows.values())) if new else 0
+
+
+def _names(station: Engine, entry: Entry) -> tuple[str | None, str]:
+    """Run and station of what was refused."""
+    with reading(station) as connection:
+        if entry.kind == Kind.RUN:
+            name = connection.scalar(select(RunRow.station).where(RunRow.run == entry.item))
+            return entry.item, name or ""
+        item = read_item(connection, Kind(entry.kind), entry.item)
+    return None, "" if item is None else item.station

@@ -1,0 +1,97 @@
+"""``cbsr-qa db sync`` as it is typed: what it prints, its exit codes, and no password anywhere."""
+
+import json
+import sqlite3
+
+import pytest
+import synced
+from command import cbsr_qa
+from pages import HOW_TO, blocks, commands, typed
+
+from cbsr_qa.store import open_store
+
+
+@pytest.fixture
+def station(tmp_path):
+    """A folder with a station's database and an empty central one."""
+    with open_store(f"sqlite:///{tmp_path / 'station.db'}", durable=False) as store:
+        synced.run_of(store)
+    open_store(f"sqlite:///{tmp_path / 'centre.db'}").close()
+    return tmp_path
+
+
+def sync(folder, *options, check=False):
+    return cbsr_qa(folder, "db", "sync", "--database", "station.db", *options, check=check)
+
+
+def test_sending_and_looking(station):
+    before = json.loads(sync(station, "--status", "--json").stdout)
+    assert (before["waiting"], before["runs"]) == ({"run": 1}, 0)
+    done = json.loads(sync(station, "--to", "centre.db", "--json").stdout)
+    assert (done["runs"], done["waiting"], done["backlog_h"]) == (1, {}, None)
+    again = sync(station, "--to", "centre.db")
+    assert (again.returncode, "nothing was sent" in again.stdout) == (0, True)
+
+
+def test_a_backlog_that_is_too_old_is_a_failure(station):
+    with sqlite3.connect(station / "station.db") as database:
+        database.execute("UPDATE outbox SET noted_at = '2026-01-01 00:00:00'")
+    assert sync(station, "--status").returncode == 0
+    late = sync(station, "--status", "--limit-h", "24")
+    assert (late.returncode, "older than 24 h" in " ".join(late.stdout.split())) == (1, True)
+
+
+def test_a_quarantined_run_is_named_retried_and_let_go(station):
+    with sqlite3.connect(station / "station.db") as database:
+        (run,) = database.execute("SELECT run FROM runs").fetchone()
+        database.execute("UPDATE loads SET x_mm = 1.5")
+    done = sync(station, "--to", "centre.db")
+    assert done.returncode == 1
+    assert "does not match its digest" in " ".join(done.stdout.split())
+    listed = json.loads(sync(station, "--status", "--to", "centre.db", "--json").stdout)
+    assert [one["item"] for one in (*listed["held"], *listed["refused"])] == [run, run]
+    assert sync(station, "--let-go", run).returncode == 0
+    with sqlite3.connect(station / "station.db") as database:
+        database.execute("UPDATE loads SET x_mm = 15.0")
+    assert "1 run" in sync(station, "--retry", run, "--to", "centre.db").stdout
+    assert "nothing named" in sync(station, "--retry", run).stderr
+
+
+@pytest.mark.parametrize(
+    ("to", "words"),
+    [
+        ("postgresql://u:hidden-word@127.0.0.1:1/quality", "does not answer"),
+        ("postgresql://127.0.0.1:1/quality?user=u&password=hidden-word", "does not answer"),
+        ("postgresql://u:hidden-word@[::1/quality", "cannot be read"),
+        ("centre.db", "does not exist or is empty"),
+        ("station.db", "is the station's own"),
+    ],
+)
+def test_a_centre_that_cannot_be_used_is_named_without_its_password(station, to, words):
+    (station / "centre.db").unlink()
+    done = sync(station, "--to", to)
+    assert done.returncode == 2
+    assert words in done.stderr
+    if "cannot be read" not in words:
+        assert "1 item waits in this database" in done.stderr
+    assert "hidden-word" not in done.stdout + done.stderr
+
+
+def test_options_that_contradict_each_other_are_refused(station):
+    assert "cannot be given together" in sync(station, "--status", "--watch", "5").stderr
+    assert "no central database is named" in sync(station).stderr
+
+
+@pytest.mark.rest
+@pytest.mark.postgres
+def test_the_page_on_the_central_database_runs_as_printed(tmp_path, postgres_database):
+    page = HOW_TO / "central-database.md"
+    named = "postgresql://postgres@127.0.0.1:5432/quality"
+    create, export = (block.strip() for block in blocks(page, "sh"))
+    upgrade = create.splitlines()[1].replace(named, postgres_database)
+    typed(tmp_path, upgrade)
+    name, value = export.removeprefix("export ").split("=")
+    assert value == named
+    _, sent, status = (typed(tmp_path, line, **{name: postgres_database}).stdout for line in commands(page))
+    assert "1 run" in sent
+    assert "nothing waits" in status

@@ -1,0 +1,133 @@
+"""``import cbsr_qa as qa``: what it loads, what its objects give, and what it refuses."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from stored_runs import journalled, short_run
+
+import cbsr_qa as qa
+from cbsr_qa.app.export import ExportRequest, export_data
+from cbsr_qa.interface import extras
+from cbsr_qa.store import open_store
+
+pytest.importorskip("pandas")
+xr = pytest.importorskip("xarray")
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Path of a database with one run that was never analysed, and the run."""
+    path = tmp_path_factory.mktemp("stored") / "runs.db"
+    with open_store(f"sqlite:///{path}") as store:
+        run = store.new_id()
+        journalled(store, short_run(run))
+    return str(path), run
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A scene of four loads."""
+    return qa.simulate_scene("faulty-electrode", seed=3)
+
+
+def test_importing_it_loads_nothing_else():
+    code = "import sys, cbsr_qa; print([m for m in sys.modules if m.startswith(('cbsr_qa.', 'numpy', 'scipy'))])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['cbsr_qa.lazy']"
+
+
+def test_a_calibration_is_loaded_without_what_a_robot_lacks():
+    code = (
+        "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.CbsrError;"
+        "print([m for m in ('pydantic', 'sqlalchemy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_tables_have_the_columns_of_exported_ones(stored):
+    database, run = stored
+    runs = qa.open_database(database).runs(serial="S-1")
+    assert list(runs["run"]) == [run]
+    assert str(runs["started_at"].dtype) == "datetime64[us, UTC]"
+    assert len(qa.open_database(database).measurements()) == 0
+    with pytest.raises(qa.CbsrError, match="S-2"):
+        qa.open_database(database).runs(serial="S-2")
+
+
+def test_frames_are_the_content_of_the_exported_file(stored, tmp_path):
+    database, run = stored
+    frames = qa.open_database(database).run("S-1").frames("nine locations")
+    to = tmp_path / "frames.nc"
+    export_data(ExportRequest(to, run, phase="nine locations"), database=database, tell=lambda words: None)
+    with xr.open_dataset(to, engine="h5netcdf") as exported:
+        assert set(exported.variables) == set(frames.variables)
+        assert set(exported.coords) == set(frames.coords)
+        for name, variable in exported.variables.items():
+            own = frames[name].values
+            assert (own == variable.values).all() or np.allclose(own, variable.values, equal_nan=True), name
+            assert frames[name].attrs.get("units") == variable.attrs.get("units")
+    assert frames["voltage"].units == "V"
+
+
+def test_a_run_is_drawn_on_axes(stored):
+    database, run = stored
+    assert qa.open_database(database).run(run).plot().get_ylabel().split() == ["force", "[N]"]
+
+
+def test_a_result_in_a_notebook_is_one_element_without_scripts_and_ids(scene):
+    page = qa.analyse(scene)._repr_html_()
+    assert page.startswith('<div class="cbsr-qa">')
+    assert "@scope (.cbsr-qa)" in page
+    assert ":scope" in page
+    assert not any(forbidden in page for forbidden in ("<script", "<html", "<body", ' id="s', "@page", ":root"))
+
+
+def test_an_array_is_analysed_as_the_scene_it_is_of(scene):
+    frames = scene.frames()
+    events = qa.analyse(scene).result.events
+    again = qa.analyse(frames, sensor_type="disc-100mm").result.events
+    plain = qa.analyse(frames["voltage"].values, time_s=frames["time"].values, sensor_type="disc-100mm")
+    assert len(events) == len(again) == 4
+    assert [event.x_mm for event in again] == [event.x_mm for event in events]
+    assert len(plain.result.events) >= 3  # which readings were saturated is not known there
+
+
+def test_a_frame_is_imaged_where_it_was_pressed(scene):
+    frames = scene.frames()
+    loads = frames.isel(time=frames["load_stage"].values == 2)
+    images = qa.image(loads.isel(time=[-1]), frames.isel(time=slice(0, 5)))
+    x_mm, y_mm = images.mesh.centroids_mm[images.values[0].argmax()]
+    truth = scene.result.loads[-1]
+    assert np.hypot(x_mm - truth.x_mm, y_mm - truth.y_mm) < 8
+    assert len(images.plot().images) == 1
+    assert "<svg" in images._repr_html_()
+    other = qa.image(loads.isel(time=[-1]), frames.isel(time=slice(0, 5)), reconstruction="truncated-svd")
+    assert other.result.reconstruction == "truncated-svd"
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16))), "does not state its sensor type"),
+        (lambda: qa.image(np.ones((8, 8)), np.ones((8, 8)), sensor_type="disc-100mm"), "have (8, 8)"),
+        (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16)), sensor_type="disc-100m"), "disc-100m"),
+        (lambda: qa.analyse("absent.h5"), "absent.h5"),
+        (lambda: qa.analyse(np.zeros((4, 16, 16))), "no signal"),
+        (lambda: qa.open_database("absent.db"), "absent.db"),
+        (lambda: qa.simulate_scene("no-such-scene"), "no-such-scene"),
+    ],
+)
+def test_refusals_are_errors_of_the_package(call, reason, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(qa.CbsrError) as refused:
+        call()
+    assert reason in str(refused.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_library_is_named_with_its_remedy():
+    with pytest.raises(qa.CbsrError, match=r"pip install 'cbsr-qa\[notebook\]'"):
+        extras.notebook_library("no_such_library", "a table")

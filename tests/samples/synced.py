@@ -1,0 +1,195 @@
+"""Databases of stations that are sent to a central one, and whether everything arrived."""
+
+import os
+import shutil
+import signal
+from contextlib import contextmanager
+from datetime import UTC, datetime
+
+import sqlalchemy as sa
+from stored_runs import calibration, frames, journalled, short_run
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, Verdict
+from cbsr_qa.domain.run import (
+    ChartKind,
+    ChartReference,
+    CheckOutcome,
+    CheckResult,
+    Release,
+    RingReadings,
+    StationCheck,
+)
+from cbsr_qa.store import open_engine, parsed_url, reading, upgrade
+from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.sync import send_waiting, storing, waiting
+from cbsr_qa.store.tables import Base
+
+#: Tables that only say what is to be sent.
+OWN = {"outbox", "sync_refusals", "sync_accepts"}
+NOW = datetime(2026, 11, 27, 8, 0, tzinfo=UTC)
+
+
+def opened(url):
+    """Return the engine of an up-to-date database."""
+    engine = open_engine(parsed_url(url), durable=False)
+    upgrade(engine)
+    return engine
+
+
+def judged(repository, run, *, issued=None, outcome=Outcome.PASS):
+    """Store a result of a run, with a calibration if one is given."""
+    measured = Measurement("drift", 0.01, "%/min").judged(Limit("drift", "%/min", -0.5, 0.5, 0.1))
+    verdict = Verdict(outcome, "as told")
+    repository.save_result(RunResult(repository.load_run(run), None, (measured,), verdict, issued, "none"))
+
+
+def run_of(repository, serial="S-1", *, events=None):
+    """Journal a short run; returns its name."""
+    run = repository.new_id()
+    journalled(repository, short_run(run, serial)[:events])
+    return run
+
+
+def everything(repository, serial="S-1"):
+    """Store one of everything that is sent: two runs, the first with results and an override."""
+    run = run_of(repository, serial)
+    judged(repository, run, issued=calibration(repository.new_id(), run, serial))
+    judged(repository, run, issued=calibration(repository.new_id(), run, serial))
+    repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+    lines = (CheckResult("gain error", CheckOutcome.OK, 0.1, "%", "−1 to 1 %", "", subject="ring"),)
+    check = StationCheck(repository.new_id(), "bench-α", "Zoë", NOW, "disc", 64 * "a", (), (), lines, run)
+    repository.save_station_check(check, RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16))
+    repository.save_release(Release(repository.new_id(), "recipe", "short", 64 * "b", "released", "Zoë", "so", NOW))
+    where = {"station": "bench-α", "recipe": "short", "golden": None, "unit": "%/min"}
+    period = {"runs": 2, "first_run": run, "last_run": run, "mean": 0.05, "deviation": 0.01}
+    of = {"name": "drift", "phase": "", "qualifier": "", "location": "", "chart": ChartKind("i-mr")}
+    made = {"reference": repository.new_id(), "operator": "Zoë", "made_at": NOW, "why": "", "rules": (1, 5)}
+    repository.save_chart_references([ChartReference(**where, **of, **period, **made)])
+    return run
+
+
+def content(engine, runs=None):
+    """Every row of every table but those that only say what is to be sent, sorted."""
+    with reading(engine) as connection:
+        return {
+            table.name: sorted(map(repr, connection.execute(sa.select(table))))
+            for table in Base.metadata.sorted_tables
+            if table.name not in OWN
+        }
+
+
+def assert_all_there(centre, *stations):
+    """The centre holds the rows of the stations, each once; every chain holds; nothing waits."""
+    theirs = [content(station) for station in stations]
+    for name, rows in content(centre).items():
+        expected = sorted({row for one in theirs for row in one[name]})
+        assert rows == expected, name
+    with reading(centre) as connection:
+        for run in connection.scalars(sa.text("SELECT run FROM runs")).all():
+            assert check_run(connection, run).chained
+    assert [waiting(station) for station in stations] == [()] * len(stations)
+
+
+@contextmanager
+def struck(at, strike):
+    """Call ``strike`` at a statement or a row that is sent, counted from 0; yields the count so far."""
+    count = [0]
+
+    def tick(*_):
+        count[0] += 1
+        if count[0] - 1 == at:
+            strike()
+
+    copied = storing._copy
+
+    def copied_ticking(connection, table, rows):
+        def ticking():
+            for row in rows:
+                tick()
+                yield row
+
+        copied(connection, table, ticking())
+
+    sa.event.listen(sa.Engine, "after_cursor_execute", tick)
+    sa.event.listen(sa.Engine, "commit", tick)
+    storing._copy = copied_ticking
+    try:
+        yield count
+    finally:
+        storing._copy = copied
+        sa.event.remove(sa.Engine, "after_cursor_execute", tick)
+        sa.event.remove(sa.Engine, "commit", tick)
+
+
+def in_a_fork(work):
+    """Do something in a process of its own; returns its exit status."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    return os.waitpid(child, 0)[1]
+
+
+def points(station_url, centre_url):
+    """Send, and return the number of points at which that could have been struck."""
+    with struck(-1, lambda: None) as count:
+        send(station_url, centre_url)
+    return count[0]
+
+
+def killed(station_url, centre_url, at):
+    """Send in a process that is killed at a point; returns whether it was."""
+
+    def work():
+        with struck(at, lambda: os.kill(os.getpid(), signal.SIGKILL)):
+            send(station_url, centre_url)
+
+    return os.WIFSIGNALED(in_a_fork(work))
+
+
+def send(station_url, centre_url):
+    """Send what waits over new connections."""
+    station, centre = opened(station_url), opened(centre_url)
+    try:
+        return send_waiting(station, centre, "a test")
+    finally:
+        station.dispose()
+        centre.dispose()
+
+
+def cutting(server, url):
+    """Return what sends while the server ends all connections to its database at a point, as :func:`killed`."""
+    name = url.rpartition("/")[2]
+    cut = (
+        f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '{name}' AND pid <> pg_backend_pid()"
+    )
+
+    def sent(station_url, centre_url, at):
+        try:
+            with struck(at, lambda: server.execute(cut)):
+                send(station_url, centre_url)
+        except StoreError as error:
+            if "closed the connection" not in error.reason:
+                raise
+            return True
+        return False
+
+    return sent
+
+
+def struck_again(template, path, url, points, strike):
+    """Send from a copy of a database, struck at some points; then send the rest. Returns how often it was struck."""
+    shutil.copy(template, path)
+    station = f"sqlite:///{path}"
+    opened(url).dispose()
+    times = sum(strike(station, url, point) for point in points)
+    send(station, url)
+    ours, theirs = opened(station), opened(url)
+    assert_all_there(theirs, ours)
+    ours.dispose()
+    theirs.dispose()
+    return times

@@ -1,0 +1,463 @@
+"""What a station stored arrives at the centre: every row once, through any failure, and nothing that was altered."""
+
+import random
+import shutil
+import threading
+
+import pytest
+import sqlalchemy as sa
+import synced
+from stored_runs import calibration, frames, journalled, short_run
+from synced import assert_all_there, content, everything, judged, opened, run_of, send
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import FramesTaken, RunEnded
+from cbsr_qa.store import HEAD, Repository, reading, writing
+from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.locks import sending_alone
+from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, send_waiting, waiting
+from cbsr_qa.system import RealClock
+
+
+class Place:
+    """A database with its repository."""
+
+    def __init__(self, url):
+        self.url, self.engine = url, opened(url)
+        self.store = Repository(self.engine, RealClock().wall)
+
+    def said(self, statement, *values):
+        with reading(self.engine) as connection:
+            return connection.exec_driver_sql(statement, values or None).all()
+
+    def change(self, statement):
+        with writing(self.engine) as connection:
+            assert connection.exec_driver_sql(statement).rowcount != 0, statement
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    """A database with one of everything."""
+    path = tmp_path_factory.mktemp("station") / "full.db"
+    place = Place(f"sqlite:///{path}")
+    everything(place.store)
+    place.engine.dispose()
+    return path
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Open databases by name; the files of SQLite."""
+    places = []
+
+    def made(name, url=""):
+        places.append(Place(url or f"sqlite:///{tmp_path / name}.db"))
+        return places[-1]
+
+    yield made
+    for one in places:
+        one.engine.dispose()
+
+
+@pytest.fixture
+def station(place):
+    return place("station")
+
+
+@pytest.fixture
+def full(template, tmp_path, place):
+    """A station with one of everything."""
+    shutil.copy(template, tmp_path / "full.db")
+    return place("full")
+
+
+@pytest.fixture
+def centre(place, request):
+    """A central database, of PostgreSQL where a test says so."""
+    url = request.getfixturevalue("postgres_database") if getattr(request, "param", "") == "postgresql" else ""
+    made = place("centre", url)
+    yield made
+    made.engine.dispose()
+
+
+def sent(station, centre):
+    return send_waiting(station.engine, centre.engine, "a test")
+
+
+on_both = pytest.mark.parametrize(
+    "centre", ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)], indirect=True
+)
+
+
+@on_both
+def test_everything_arrives_once(full, centre):
+    first = sent(full, centre)
+    assert (first.items, first.runs, first.quarantined, first.blocked) == (4, 1, [], [])
+    assert_all_there(centre.engine, full.engine)
+    again = sent(full, centre)
+    assert (again.items, again.rows) == (0, 0)
+
+
+@on_both
+@pytest.mark.parametrize("at_once", [1, 7])
+def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, monkeypatch):
+    monkeypatch.setattr(parcels, "MOST_LINKS", at_once)
+    store = synced.storing.store_parcel
+    seen = []
+
+    def checked(engine, parcel):
+        store(engine, parcel)
+        with reading(engine) as connection:
+            seen.append(check_run(connection, parcel.run).chained)
+
+    monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", checked)
+    sent(full, centre)
+    assert len(seen) > 20 // at_once
+    assert all(seen)
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_large_frames_are_sent_in_several_parcels(full, centre, monkeypatch):
+    monkeypatch.setattr(parcels, "MOST_BYTES", 5000)
+    assert sent(full, centre).size > 50_000
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_a_run_under_way_is_sent_and_sent_again(station, centre):
+    run = station.store.new_id()
+    events = short_run(run)
+    journal = journalled(station.store, events[:6])
+    assert sent(station, centre).runs == 1
+    assert content(centre.engine) == content(station.engine)
+    assert waiting(station.engine) == ()
+    for event in events[6:9]:
+        journal(event)  # samples, a step, frames: nothing of it is announced
+    assert [entry.item for entry in waiting(station.engine)] == [run]
+    sent(station, centre)
+    assert_all_there(centre.engine, station.engine)
+    for event in events[9:]:
+        journal(event)
+    sent(station, centre)
+    assert_all_there(centre.engine, station.engine)
+    assert station.said("SELECT item FROM outbox") == []
+
+
+def test_a_run_that_was_resumed_or_judged_after_it_was_sent_is_sent_again(station, centre):
+    run = station.store.new_id()
+    *events, last = short_run(run)
+    journalled(station.store, [*events[:10], RunEnded(EndReason.ABORTED, "by Zoë", 40.0, ())])
+    sent(station, centre)
+    assert station.said("SELECT item FROM outbox") == []
+    journalled(station.store, [events[0], *events[6:], last])
+    sent(station, centre)
+    assert_all_there(centre.engine, station.engine)
+    judged(station.store, run)
+    assert sent(station, centre).runs == 1
+    assert_all_there(centre.engine, station.engine)
+
+
+def test_an_announcement_is_stored_with_what_it_announces(station, monkeypatch):
+    run_of(station.store)
+    before = station.said("SELECT * FROM outbox")
+
+    def fail(connection, *_):
+        assert connection.scalar(sa.text("SELECT count(*) FROM outbox")) == 2
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("cbsr_qa.store.runs.journal.note_changes", fail)
+    with pytest.raises(ZeroDivisionError):
+        run_of(station.store, "S-2")
+    assert station.said("SELECT * FROM outbox") == before
+
+
+def test_frames_add_no_rows_to_the_outbox(station):
+    run = station.store.new_id()
+    journal = journalled(station.store, short_run(run)[:6])
+    before = station.said("SELECT * FROM outbox")
+    journal(FramesTaken(0, frames(40.0, 4)))
+    assert station.said("SELECT * FROM outbox") == before
+
+
+def test_what_was_stored_and_not_confirmed_is_not_sent_twice(full, centre, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("cbsr_qa.store.sync.send.confirm", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            sent(full, centre)
+    assert len(waiting(full.engine)) == 4
+    assert sent(full, centre).rows < 20  # the check, the reference, the release
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_an_altered_run_is_quarantined_and_the_queue_goes_on(station, centre):
+    runs = [run_of(station.store, f"S-{number}") for number in range(3)]
+    (was,) = station.said("SELECT x_mm FROM loads WHERE run = ?", runs[1])
+    station.change(f"UPDATE loads SET x_mm = 1.5 WHERE run = '{runs[1]}'")
+    done = sent(station, centre)
+    assert (done.runs, [entry.item for entry in done.quarantined]) == (2, [runs[1]])
+    (entry,) = held(station.engine)
+    assert (entry.item, entry.state) == (runs[1], "quarantined")
+    assert "loads (phase 0, load_index 0) was changed" in entry.why
+    (refused,) = refusals(centre.engine)
+    assert (refused.run, refused.station, refused.kind) == (runs[1], "bench-α", "run")
+    assert len(refused.station_sha256) == len(refused.centre_sha256) == 64
+    assert [run for (run,) in centre.said("SELECT run FROM runs ORDER BY run")] == [runs[0], runs[2]]
+    assert sent(station, centre).items == 0
+    station.change(f"UPDATE loads SET x_mm = {was[0]!r} WHERE run = '{runs[1]}'")
+    send_again(station.engine, runs[1])
+    assert sent(station, centre).runs == 1
+    assert_all_there(centre.engine, station.engine)
+
+
+@pytest.mark.parametrize(
+    ("statement", "why"),
+    [
+        (
+            "UPDATE frame_blocks SET voltages = zeroblob(length(voltages)) WHERE block = 0 AND phase = 0",
+            "frame block 0",
+        ),
+        ("UPDATE sample_blocks SET sample_values = zeroblob(8) WHERE block = 0", "sample block 0"),
+        ("DELETE FROM unloaded_marks", "unloaded_marks (phase 0, mark 0) was removed"),
+        ("UPDATE run_links SET document = '0/9' WHERE number = 6", "does not follow from the link before it"),
+        ("DELETE FROM run_links WHERE number = 6", "link 6 in run_links is missing"),
+        ("UPDATE phases SET ended_s = 7 WHERE phase = 0", "phases.ended_s (phase 0) was changed"),
+        ("UPDATE runs SET setting = 'none'", "runs.setting"),
+        ("UPDATE runs SET chain = NULL", "run_links has 23 rows at the station and 0 at the centre"),
+        ("INSERT INTO unloaded_marks VALUES ((SELECT run FROM runs), 0, 7, 1.0)", "unloaded_marks has 2 rows"),
+    ],
+)
+def test_each_alteration_is_named(station, centre, statement, why):
+    run_of(station.store)
+    station.change(statement)
+    sent(station, centre)
+    (entry,) = held(station.engine)
+    assert why in entry.why
+    assert not centre.said("SELECT run FROM runs")
+    assert len(refusals(centre.engine)) == 1
+
+
+def test_another_run_of_the_same_name_is_quarantined(full, centre, place):
+    sent(full, centre)
+    other = place("other")
+    run = full.said("SELECT run FROM runs")[0][0]
+    journalled(other.store, short_run(run, "S-7"))
+    done = sent(other, centre)
+    assert [entry.item for entry in done.quarantined] == [run]
+    (refused,) = refusals(centre.engine)
+    assert "differs from the centre's" in refused.why
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_an_older_copy_of_a_database_adds_nothing(full, centre, place, tmp_path):
+    full.engine.dispose()
+    shutil.copy(tmp_path / "full.db", tmp_path / "older.db")
+    judged(full.store, full.said("SELECT run FROM runs")[0][0])
+    sent(full, centre)
+    older = place("older")
+    done = sent(older, centre)
+    assert (done.quarantined, done.rows) == ([], 0)
+    assert_all_there(centre.engine, full.engine)
+    judged(older.store, older.said("SELECT run FROM runs")[0][0])  # from here on the copies differ
+    assert len(sent(older, centre).quarantined) == 1
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_the_earliest_date_of_a_sensor_holds_and_another_batch_is_quarantined(place, centre):
+    early, late, other = place("early"), place("late"), place("other")
+    for one in (early, late, other):
+        run_of(one.store)
+    late.change("UPDATE sensors SET first_seen = '2027-01-01 00:00:00.000000'")
+    other.change("UPDATE sensors SET batch = 'B8'")
+    for one in (late, early, other):
+        sent(one, centre)
+    assert centre.said("SELECT first_seen, batch FROM sensors") == early.said("SELECT first_seen, batch FROM sensors")
+    (entry,) = held(other.engine)
+    assert "sensor S-1 has batch 'B7' at the centre, and 'B8' here" in entry.why
+    assert len(centre.said("SELECT run FROM runs")) == 2
+
+
+@on_both
+def test_of_calibrations_from_several_stations_one_is_valid(place, centre):
+    stations = [place(f"station-{number}") for number in range(3)]
+    issued = []
+    for turn in range(2):
+        for station in stations:
+            run = run_of(station.store)
+            issued.append(station.store.new_id())
+            judged(station.store, run, issued=calibration(issued[-1], run))
+        if turn == 0:
+            sent(stations[1], centre)
+    for station in reversed(stations):
+        sent(station, centre)
+    held_by = dict(map(tuple, centre.said("SELECT calibration, superseded_by FROM calibrations")))
+    assert [calibration for calibration, by in held_by.items() if by is None] == [max(issued)]
+    assert sorted(held_by) == sorted(issued)
+    (first, second) = stations[1].said("SELECT calibration, superseded_by FROM calibrations ORDER BY calibration")
+    assert held_by[first[0]] in issued[issued.index(first[0]) + 1 :]
+    assert second[1] is None
+
+
+def test_what_refers_to_a_quarantined_run_waits_for_it(station, centre):
+    first = run_of(station.store)
+    run = everything(station.store, "S-2")
+    station.change(f"UPDATE loads SET x_mm = 1.5 WHERE run = '{run}'")
+    done = sent(station, centre)
+    assert [entry.item for entry in done.quarantined] == [run]
+    assert sorted(entry.kind for entry in done.blocked) == ["chart reference", "station check"]
+    assert {entry.why for entry in waiting(station.engine)} == {
+        f"it refers to run {run}, which the centre does not have"
+    }
+    assert centre.said("SELECT run FROM runs") == [(first,)]
+    station.change(f"UPDATE loads SET x_mm = 15.0 WHERE run = '{run}'")
+    let_go(station.engine, run)
+    assert len(sent(station, centre).blocked) == 2
+    send_again(station.engine, run)
+    sent(station, centre)
+    assert_all_there(centre.engine, station.engine)
+
+
+def unchain(place):
+    place.change("DELETE FROM run_links")
+    place.change("UPDATE runs SET chain = NULL")
+
+
+@on_both
+def test_runs_of_before_chains_are_compared_as_a_whole(full, centre, place):
+    unchain(full)
+    sent(full, centre)
+    assert content(centre.engine) == content(full.engine)
+    run = full.said("SELECT run FROM runs")[0][0]
+    judged(full.store, run)
+    sent(full, centre)
+    assert content(centre.engine) == content(full.engine)
+    full.change("UPDATE loads SET x_mm = 1.5")
+    judged(full.store, run)
+    (entry,) = sent(full, centre).quarantined
+    assert entry.item == run
+    assert "loads (phase 0, load_index 0)" in held(full.engine)[0].why
+
+
+@on_both
+def test_a_row_that_the_centre_refuses_is_quarantined_with_its_run(station, centre):
+    centre.change("CREATE UNIQUE INDEX only_one_run_of_a_sensor ON runs (serial)")
+    runs = [run_of(station.store, serial) for serial in ("S-1", "S-1", "S-2")]
+    done = sent(station, centre)
+    assert (done.runs, [entry.item for entry in done.quarantined]) == (2, [runs[1]])
+    assert "refuses a row" in held(station.engine)[0].why
+    centre.change("DROP INDEX only_one_run_of_a_sensor")
+    send_again(station.engine, runs[1])
+    sent(station, centre)
+    assert_all_there(centre.engine, station.engine)
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("centre", ["postgresql"], indirect=True)
+def test_a_value_too_long_for_its_column_is_quarantined(station, centre):
+    run = station.store.new_id()
+    journalled(station.store, short_run(run, 70 * "S"))  # SQLite has no lengths
+    sent(station, centre)
+    assert "too long" in held(station.engine)[0].why
+
+
+@on_both
+def test_an_older_station_sends_to_a_newer_centre_that_accepts_it(full, centre):
+    centre.change("ALTER TABLE runs ADD COLUMN ambience TEXT")
+    centre.change("CREATE TABLE lots (lot TEXT PRIMARY KEY)")
+    centre.change("UPDATE alembic_version SET version_num = '9998'")
+    sent(full, centre)
+    centre.change(f"UPDATE alembic_version SET version_num = '{HEAD}'")
+    assert_all_there(centre.engine, full.engine)
+    judged(full.store, full.said("SELECT run FROM runs")[0][0])
+    centre.change("UPDATE alembic_version SET version_num = '9999'")
+    centre.change("UPDATE sync_accepts SET oldest_schema = '9999'")
+    with pytest.raises(StoreError, match="accepts stations of schema 9999 or later"):
+        sent(full, centre)
+    assert len(waiting(full.engine)) == 1
+
+
+def test_a_newer_station_waits_for_the_upgrade_of_the_centre(full, centre):
+    centre.change("UPDATE alembic_version SET version_num = '0015'")
+    with pytest.raises(StoreError, match=f"schema 0015, older than the station's .{HEAD}") as caught:
+        sent(full, centre)
+    assert "upgrade the central database first: cbsr-qa db upgrade" in caught.value.remedy
+    centre.change(f"UPDATE alembic_version SET version_num = '{HEAD}'")
+    sent(full, centre)
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_a_database_is_no_centre_of_its_own(full):
+    with pytest.raises(StoreError, match="is the station's own"):
+        sent(full, full)
+
+
+def test_one_process_sends_from_a_database(full, centre):
+    with (
+        sending_alone(full.engine, "Zoë on bench-α, process 7"),
+        pytest.raises(StoreError, match="Zoë on bench-α, process 7 sends from"),
+    ):
+        sent(full, centre)
+    assert sent(full, centre).items == 4
+
+
+def test_a_full_centre_stops_the_queue_and_loses_nothing(full, centre):
+    pages = centre.said("PRAGMA page_count")[0][0]
+
+    def limit(connection, _):
+        connection.execute(f"PRAGMA max_page_count = {pages + 2}")
+
+    sa.event.listen(centre.engine, "connect", limit)
+    centre.engine.dispose()
+    with pytest.raises(StoreError, match="disk is full"):
+        sent(full, centre)
+    assert len(waiting(full.engine)) == 4
+    sa.event.remove(centre.engine, "connect", limit)
+    centre.engine.dispose()
+    sent(full, centre)
+    assert_all_there(centre.engine, full.engine)
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("centre", ["postgresql"], indirect=True)
+def test_a_read_only_centre_stops_the_queue(full, centre, postgres_server):
+    name = centre.url.rpartition("/")[2]
+    postgres_server.execute(f"ALTER DATABASE {name} SET default_transaction_read_only = on")
+    centre.engine.dispose()
+    with pytest.raises(StoreError, match="is read-only"):
+        sent(full, centre)
+    postgres_server.execute(f"ALTER DATABASE {name} SET default_transaction_read_only = off")
+    centre.engine.dispose()
+    sent(full, centre)
+    assert_all_there(centre.engine, full.engine)
+
+
+@pytest.mark.postgres
+def test_killed_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server):
+    points = random.Random("killed").sample(range(10, 120), 3)
+    with postgres_server.new_database() as url:
+        synced.struck_again(template, tmp_path / "struck.db", url, points, synced.killed)
+
+
+@pytest.mark.postgres
+def test_cut_off_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server):
+    points = random.Random("cut off").sample(range(10, 120), 3)
+    with postgres_server.new_database() as url:
+        cut = synced.cutting(postgres_server, url)
+        synced.struck_again(template, tmp_path / "struck.db", url, points, cut)
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("centre", ["postgresql"], indirect=True)
+def test_stations_that_send_at_once_do_not_disturb_each_other(place, centre):
+    stations = [place(f"station-{number}") for number in range(4)]
+    for station in stations:
+        for _ in range(2):
+            run = run_of(station.store)  # all of the same sensor
+            judged(station.store, run, issued=calibration(station.store.new_id(), run))
+    threads = [threading.Thread(target=send, args=(one.url, centre.url)) for one in stations]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [waiting(one.engine) for one in stations] == [()] * 4
+    assert centre.said("SELECT count(*) FROM runs") == [(8,)]
+    assert centre.said("SELECT count(*) FROM calibrations WHERE superseded_by IS NULL") == [(1,)]

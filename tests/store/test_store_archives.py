@@ -1,0 +1,217 @@
+"""Archived frames: read as before, never lost when the program is killed, never those of a run to be looked at."""
+
+import os
+import shutil
+import signal
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from stored_runs import journalled, short_run
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason, Outcome, RunResult, Verdict
+from cbsr_qa.domain.run import RunEnded
+from cbsr_qa.store import open_store
+from cbsr_qa.store.runs import archiving
+
+LATER = datetime(2100, 1, 1, tzinfo=UTC)
+AFTER = -1
+ARRAYS = ("time_s", "voltages", "flags", "reading_time_s")
+
+
+def decided(store, outcome=Outcome.PASS, serial="S-1"):
+    run = store.new_id()
+    journalled(store, short_run(run, serial))
+    made = RunResult(store.load_run(run), None, (), Verdict(outcome, "as it is"), None, "not asked for", (), ())
+    store.save_result(made)
+    return run
+
+
+def bits(store, run):
+    """Every array of a run, and its chain."""
+    record = store.load_run(run)
+    arrays = [getattr(phase.frames, name) for phase in record.phases for name in ARRAYS]
+    return [None if array is None else array.tobytes() for array in arrays], record.chain, record.chain_head
+
+
+def archived(store, run, folder):
+    (one,) = [one for one in store.archivable(LATER) if one.run == run]
+    return store.archive_run(one, folder, LATER)
+
+
+@pytest.fixture
+def store(database_url):
+    with open_store(database_url) as opened:
+        yield opened
+
+
+def test_archived_frames_are_read_as_before_and_come_back(store, tmp_path):
+    run = decided(store)
+    before, parts = bits(store, run), store.frames_between(run, 0, 4.0, 12.0).voltages.tobytes()
+    tail = [block.voltages.tobytes() for _, block in store.run_tail(run).frames]
+    done = archived(store, run, tmp_path / "kept")
+    assert Path(done.file).stat().st_size == done.file_bytes
+    assert (done.frames, done.database_bytes > 0) == (11, True)
+    assert store.archivable(LATER) == ()
+    assert bits(store, run) == before
+    assert store.frames_between(run, 0, 4.0, 12.0).voltages.tobytes() == parts
+    assert [block.voltages.tobytes() for _, block in store.run_tail(run).frames] == tail
+    assert store.counts()["frames"] == 11
+    assert store.check_stored_run(run, frames=True).chained
+
+    back = store.unarchive_run(run)
+    assert (back.frames, back.database_bytes) == (11, done.database_bytes)
+    Path(done.file).rename(tmp_path / "away.h5")  # the database no longer needs it
+    assert bits(store, run) == before
+    with pytest.raises(StoreError, match="are not archived"):
+        store.unarchive_run(run)
+
+
+@pytest.fixture(scope="module")
+def passed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("passed") / "runs.db"
+    with open_store(f"sqlite:///{path}") as store:
+        run = decided(store)
+        return path, run, bits(store, run)
+
+
+@pytest.fixture
+def kept(passed, tmp_path):
+    """A SQLite database with one passed run, and what the run holds."""
+    path, run, before = passed
+    (tmp_path / "line").mkdir()
+    return Path(shutil.copy(path, tmp_path / "line")), run, before
+
+
+def test_the_file_is_found_from_the_database_wherever_both_are_moved(kept, tmp_path):
+    path, run, before = kept
+    with open_store(f"sqlite:///{path}") as store:
+        archived(store, run, store.archive_folder(None))
+        store.shrink()
+    shutil.move(path.parent, tmp_path / "moved")
+    with open_store(f"sqlite:///{tmp_path / 'moved' / 'runs.db'}") as store:
+        assert bits(store, run) == before
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda file: file.unlink(), "cannot be read: No such file"),
+        (lambda file: file.write_bytes(file.read_bytes()[:-1] + b"?"), "was changed"),
+    ],
+)
+def test_an_archive_that_is_missing_or_altered_is_named_with_its_run(kept, spoil, said):
+    path, run, _ = kept
+    with open_store(f"sqlite:///{path}") as store:
+        spoil(Path(archived(store, run, path.parent / "a").file))
+        for read in (store.load_run, store.check_resumable, store.unarchive_run):
+            with pytest.raises(StoreError, match=said) as refused:
+                read(run)
+            assert run in refused.value.reason
+        with pytest.raises(StoreError, match=run):
+            store.check_stored_run(run, frames=True)
+        assert store.identity(run).run == run
+
+
+def test_frames_that_somebody_may_have_to_look_at_stay(kept, tmp_path):
+    path, run, _ = kept
+    with open_store(f"sqlite:///{path}") as store:
+        store.override_verdict(decided(store, serial="S-2"), Outcome.PASS, operator="Ada", why="as seen")
+        decided(store, serial="S-3")
+        decided(store, Outcome.FAIL, serial="S-3")  # the sensor's latest verdict
+        decided(store, Outcome.FAIL, serial="S-4")
+        journalled(store, short_run(store.new_id(), "S-5"))  # no verdict yet
+        journalled(store, short_run(store.new_id(), "S-6")[:-1])  # cut off
+        journalled(store, [*short_run(store.new_id(), "S-7")[:-1], RunEnded(EndReason.BROKEN, "", 201.0, ())])
+        marginal = decided(store, Outcome.MARGINAL, serial="S-8")
+        assert {one.run for one in store.archivable(LATER)} == {run, marginal}
+        began = store.identity(run).started_at
+        assert store.archivable(began) == ()
+        assert {one.run for one in store.archivable(began + timedelta(seconds=1))} == {run, marginal}
+
+
+def test_a_file_that_is_not_the_runs_is_left_and_nothing_moves(kept, tmp_path):
+    path, run, before = kept
+    (tmp_path / f"{run}.h5").write_bytes(b"something else")
+    with open_store(f"sqlite:///{path}") as store:
+        with pytest.raises(StoreError, match="cannot be read"):
+            archived(store, run, tmp_path)
+        assert bits(store, run) == before
+    assert (tmp_path / f"{run}.h5").read_bytes() == b"something else"
+
+
+def killed_at(module, name, call, work):
+    """Fork, kill the child when it calls a function or has called it, and say whether it came to that."""
+    child = os.fork()
+    if not child:
+        original, calls = getattr(module, name), []
+
+        def kill(*args, **kwargs):
+            calls.append(name)
+            if len(calls) > call >= 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            returned = original(*args, **kwargs)
+            if call == AFTER:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return returned
+
+        setattr(module, name, kill)
+        try:
+            work()
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(child, 0)
+    return os.WIFSIGNALED(status)
+
+
+STEPS = ("check_run", "write_archive", "_verified", "place_of", "insert", "_empty", "update")
+
+
+@pytest.mark.parametrize(("name", "call"), [*((step, 0) for step in STEPS), ("_empty", AFTER)])
+def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, name, call):
+    path, run, before = kept
+
+    def work():
+        with open_store(f"sqlite:///{path}") as store:
+            archived(store, run, path.parent / "a")
+
+    assert killed_at(archiving, name, call, work)
+    assert_whole_and_archivable(path, run, before)
+
+
+@pytest.mark.parametrize("call", range(2))
+def test_a_kill_while_the_file_is_written_loses_nothing(kept, call):
+    path, run, before = kept
+
+    def work():
+        with open_store(f"sqlite:///{path}") as store:
+            archived(store, run, path.parent / "a")
+
+    assert killed_at(os, "fsync", call, work)
+    assert_whole_and_archivable(path, run, before)
+
+
+def assert_whole_and_archivable(path, run, before):
+    with open_store(f"sqlite:///{path}") as store:
+        assert bits(store, run) == before
+        if store.archivable(LATER):
+            archived(store, run, path.parent / "a")
+        assert bits(store, run) == before
+
+
+@pytest.mark.parametrize(("name", "call"), [("checked_bytes", 0), ("update", 0), ("update", 2), ("delete", 0)])
+def test_a_kill_while_frames_come_back_loses_nothing(kept, name, call):
+    path, run, before = kept
+    with open_store(f"sqlite:///{path}") as store:
+        archived(store, run, path.parent / "a")
+
+    def work():
+        with open_store(f"sqlite:///{path}") as store:
+            store.unarchive_run(run)
+
+    assert killed_at(archiving, name, call, work)
+    with open_store(f"sqlite:///{path}") as store:
+        assert bits(store, run) == before
+        store.unarchive_run(run)
+        assert bits(store, run) == before
