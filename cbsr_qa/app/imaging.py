@@ -1,5 +1,6 @@
 """Frames imaged by any reconstruction: without a run, events or metrics."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
@@ -47,7 +48,12 @@ class ImagedFrames:
 
 
 def image_frames(
-    frames: FrameBlock, reference: FrameBlock, sensor_type: SensorType, chosen: PluginChoice | None = None
+    frames: FrameBlock,
+    reference: FrameBlock,
+    sensor_type: SensorType,
+    chosen: PluginChoice | None = None,
+    *,
+    tell: Callable[[str], None] = lambda stage: None,
 ) -> ImagedFrames:
     """Image frames relative to the mean of those of the unloaded sheet.
 
@@ -70,11 +76,13 @@ def image_frames(
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, chosen, "reconstruction")
     flagged = ((np.concatenate([frames.flags, reference.flags]) & UNUSABLE) != 0).any(axis=0)
     used, unloaded = sensor_type.pattern.usable() & ~flagged, reference.voltages.mean(axis=0)
+    tell(f"preparing {chosen.name}")
     problem = imaging_problem(sensor_type, used=used)
     scale = scale_of(unloaded, problem)
     if getattr(method, "absolute", False):
         problem = imaging_problem(sensor_type, used=used, measured=unloaded / scale)
     prepared: PreparedReconstruction = method.prepare(problem)
+    tell(f"imaging {plural(len(frames), 'frame')}")
     values = np.asarray(prepared.images(changes(frames.voltages, unloaded, problem, scale)), dtype=np.float64)
     if values.shape != (len(frames), len(problem.mesh.elements)) or not np.isfinite(values).all():
         raise NumericsError(f"{chosen.name} made images of shape {values.shape}, or of values that are not finite")

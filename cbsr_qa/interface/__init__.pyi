@@ -3,6 +3,7 @@ from .calibrations import Calibration as Calibration, ForceStream as ForceStream
 from .comparing import compare as compare
 from .database import Database as Database, open_database as open_database
 from .images import Images as Images, image as image
+from .presses import PressCalibration as PressCalibration, load_press_calibration as load_press_calibration
 from .result import CbsrError as CbsrError, Result as Result
 from .running import run as run
 from .scenes import Scene as Scene, simulate_scene as simulate_scene

@@ -1,5 +1,6 @@
 """Recordings and arrays analysed without being told where or when the sensor was pressed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def analyse(
 
 def _recording(source: "Scene | Frames", time_s: ArrayLike | None, current_A: float | None) -> Recording:
     if isinstance(source, Scene):
-        return source.recording
+        return replace(source.recording, path=Path(f"scene {source.result.scene}"))
     frames = frame_block(source, time_s=time_s, current_A=current_A)
     about = getattr(source, "attrs", {})
     return Recording(

@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from datetime import date
-from typing import Literal
+from enum import StrEnum
+from typing import Literal, TypeVar
 
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import RunSelection
 from cbsr_qa.interface.result import Result
 from cbsr_qa.studies.compare import (
@@ -18,6 +20,8 @@ from cbsr_qa.studies.compare import (
     compare_outcome,
 )
 from cbsr_qa.system import RealClock
+
+C = TypeVar("C", bound=StrEnum)
 
 
 def compare(
@@ -46,19 +50,26 @@ def compare(
     Raises
     ------
     CbsrError
-        If a name is of no stored run, or the database cannot be read.
+        If an option has no such value, a name is of no stored run, or the database cannot be read.
     """
     terms = Terms(
-        by=By(by),
+        by=_choice(By, "by", by),
         groups=tuple(groups),
         names=(metric,) if isinstance(metric, str) else tuple(metric),
-        policy=Policy(policy),
-        quarantine=Quarantine(quarantine),
-        period=Period(period),
-        adjustment=Adjustment(adjust),
+        policy=_choice(Policy, "policy", policy),
+        quarantine=_choice(Quarantine, "quarantine", quarantine),
+        period=_choice(Period, "period", period),
+        adjustment=_choice(Adjustment, "adjust", adjust),
         margins=dict(margin or {}),
         detect=dict(detect or {}),
     )
     selection = RunSelection(recipe=recipe, since=since, until=until)
     comparison = compare_groups(selection, terms, database=database, now=RealClock().wall())
     return Result(compare_outcome(comparison))
+
+
+def _choice(kind: type[C], name: str, value: str) -> C:
+    try:
+        return kind(value)
+    except ValueError:
+        raise RefusedError(f"{name} is {value!r}", remedy=f"give one of {', '.join(kind)}") from None

@@ -8,7 +8,7 @@ from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh, SensorType
 from cbsr_qa.interface.frames import Frames, frame_block, sensor_type_of
-from cbsr_qa.interface.result import Result
+from cbsr_qa.interface.result import Progress, Result, quiet
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,6 +45,7 @@ def image(
     *,
     sensor_type: str | Path | SensorType | None = None,
     reconstruction: str = "gauss-newton-noser",
+    progress: Progress | None = None,
     **options: Any,
 ) -> Images:
     """Image frames relative to the mean of frames of the unloaded sheet.
@@ -54,6 +55,7 @@ def image(
     frames, reference : arrays (n, drives, measures) or (drives, measures) [V], or datasets of frames.
     sensor_type : file, shipped name, or loaded; by default the one that the dataset names.
     reconstruction, options : as ``cbsr-qa plugins list --kind reconstruction`` lists them.
+    progress : receives what is being done, in words, e.g. ``print``: some methods need tens of seconds.
 
     Raises
     ------
@@ -62,4 +64,5 @@ def image(
     """
     chosen = PluginChoice(reconstruction, options)
     sensor = sensor_type_of(frames, sensor_type)
-    return Images(imaged_outcome(image_frames(frame_block(frames), frame_block(reference), sensor, chosen)))
+    imaged = image_frames(frame_block(frames), frame_block(reference), sensor, chosen, tell=progress or quiet)
+    return Images(imaged_outcome(imaged))

@@ -1,14 +1,18 @@
 """Simulated scenes in memory."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from cbsr_qa.interface.frames import recording_dataset
 from cbsr_qa.interface.result import Progress, Result, quiet
 from cbsr_qa.studies.scenes import SceneRun, SimulatedScene, scene_outcome, simulate_to_memory
+from cbsr_qa.system import RealClock
 
 if TYPE_CHECKING:
     import xarray as xr
+
+#: Time between two messages on the frames taken.
+_EVERY_S: Final = 1.0
 
 
 class Scene(Result[SceneRun]):
@@ -31,10 +35,19 @@ def simulate_scene(scene: str | Path, *, seed: int | None = None, progress: Prog
     ----------
     scene : file or shipped name, e.g. ``"faulty-electrode"``.
     seed : by default the scene's own.
+    progress : receives what is being done, in words, e.g. ``print``.
 
     Raises
     ------
     RefusedError
         If a file is wrong, or a load or an effect is impossible.
     """
-    return Scene(simulate_to_memory(str(scene), seed, tell=progress or quiet))
+    tell, clock = progress or quiet, RealClock()
+    due_s = [_EVERY_S]
+
+    def count(done: int, of: int) -> None:
+        if clock.now() >= due_s[0]:
+            due_s[0] = clock.now() + _EVERY_S
+            tell(f"{done} of {of} frames")
+
+    return Scene(simulate_to_memory(str(scene), seed, tell=tell, progress=count))

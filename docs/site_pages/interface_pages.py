@@ -107,7 +107,7 @@ def hooks() -> str:
         "",
         "This page lists the functions that a plugin's module may have, each under `@hookimpl` of `cbsr_qa.plugin`.",
         "It is written from the code. [Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
-        "[the Python interface](python.md) lists the classes that they take.",
+        "[the interface for plugins](plugin-interface.md) lists the classes that they take.",
     ]
     named = vars(hook_module).items()
     for name, hook in named:

@@ -40,7 +40,7 @@ def on_config(config: MkDocsConfig) -> None:
     _made["reference/commands.md"] = command_page(DOCS)
     _made["reference/schemas.md"] = interface_pages.schemas()
     _made["reference/hooks.md"] = interface_pages.hooks()
-    _made["reference/python.md"] = interface_pages.interface()
+    _made["reference/plugin-interface.md"] = interface_pages.interface()
     for entry in config.nav or []:
         ((title, below),) = entry.items()
         if below == "decisions":

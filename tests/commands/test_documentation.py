@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pages import HOW_TO, SHORTENED, TOP, TYPED, blocks, commands, typed, write_files
 
+import cbsr_qa as qa
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward import ring_readings
@@ -210,6 +211,9 @@ _RUN_ABOVE |= {
     "calibration-file.md",
     "calibrate-from-presses.md",
     "take-your-data-elsewhere.md",
+    "first-sensor-in-a-notebook.md",
+    "python.md",
+    "README.md",
 }  # on a file that is made for them
 
 
@@ -273,6 +277,10 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     in_python = {}
     exec(used, in_python)
     assert in_python["radius_mm"].max() < 1
+    with pytest.raises(qa.CbsrError, match="load_press_calibration"):
+        qa.load_calibration("skin.h5")
+    with pytest.raises(qa.CbsrError, match="no depth"):
+        in_python["calibration"].depth(in_python["places"])
     assert "mirrored" in calibrated
     assert "no station made this" in shown
     frames = json.loads(applied)["frames"]

@@ -103,4 +103,4 @@ def test_what_is_written_from_the_code_is_complete(site):
     )
     assert {words.replace(" ", "-") for words in documents()} < _places(reference / "schemas.html")
     assert {name for name in vars(hooks) if name.startswith("cbsr_")} < _places(reference / "hooks.html")
-    assert {"sequencecontext", "measurement", "check_metric"} < _places(reference / "python.html")
+    assert {"sequencecontext", "measurement", "check_metric"} < _places(reference / "plugin-interface.html")

@@ -118,6 +118,9 @@ def test_a_frame_is_imaged_where_it_was_pressed(scene):
         (lambda: qa.analyse(np.zeros((4, 16, 16))), "no signal"),
         (lambda: qa.open_database("absent.db"), "absent.db"),
         (lambda: qa.simulate_scene("no-such-scene"), "no-such-scene"),
+        (lambda: qa.compare("batches"), "give one of batch, material, station, software, period"),
+        (lambda: qa.compare("batch", period="decade"), "give one of day, week, month, year"),
+        (lambda: qa.load_press_calibration("absent.h5"), "absent.h5"),
     ],
 )
 def test_refusals_are_errors_of_the_package(call, reason, tmp_path, monkeypatch):

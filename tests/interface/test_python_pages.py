@@ -1,10 +1,14 @@
-"""The pages on Python run as printed, in one folder, and what they use is typed."""
+"""The pages on Python run as printed, in one folder and with a shorter recipe, and what they use is typed."""
+
+import shutil
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from pages import TOP, blocks
 
 import cbsr_qa as qa
+from cbsr_qa.config import DocumentKind, open_document
 
 pytest.importorskip("pandas")
 pytest.importorskip("xarray")
@@ -13,9 +17,46 @@ _TUTORIAL = TOP / "docs" / "tutorials" / "first-sensor-in-a-notebook.md"
 _REFERENCE = TOP / "docs" / "reference" / "python.md"
 
 
+_RECIPE = """
+[recipe]
+name = "three-locations"
+calibrate_phases = ["nine locations"]
+
+[[phases]]
+name = "nine locations"
+sequence = "location-grid"
+locations_mm = [[0.0, 0.0], [30.0, 0.0], [0.0, 30.0]]
+initial_rest_s = 60.0
+
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder for all pages, with a short recipe: the shipped one with three places and two metrics."""
+    folder = tmp_path_factory.mktemp("pages")
+    shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
+    settings = shipped[shipped.index("[reconstruction]") : shipped.index("[metrics]")]
+    limit = '[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
+    metrics = "[metrics]\narea-overlap = {}\ncentre-of-mass-error = {}\n"
+    (folder / "short.toml").write_text(f"{_RECIPE}{settings}{metrics}{limit}")
+    return folder
+
+
 @pytest.fixture(autouse=True)
-def _in_a_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def _in_the_folder(folder, monkeypatch):
+    """Runs take the short recipe, and the run of a sensor that was tested already is the stored one."""
+    run = qa.run
+
+    def shortened(*, recipe, serial, **options):
+        assert recipe == "nine-locations"
+        try:
+            return qa.open_database().run(serial)
+        except qa.CbsrError:
+            return run(recipe="short.toml", serial=serial, **options)
+
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(qa, "run", shortened)
     mpl.use("Agg")
 
 
@@ -25,9 +66,9 @@ def test_the_tutorial_runs_as_printed(capfd):
     exec("\n".join(blocks(_TUTORIAL, "python")), namespace)
     printed = capfd.readouterr()
     assert " ± " in printed.out
-    assert "press 23 of 23" in printed.out
+    assert "press 1 of 3" in printed.out
     assert printed.err == ""
-    assert len(namespace["overlap"].groupby("serial")) == 2
+    assert namespace["overlap"].groupby("serial").size().to_dict() == {"N-1": 3, "N-2": 3}
     _check_run(namespace["run"])
 
 
@@ -44,11 +85,26 @@ def test_the_reference_runs_as_printed():
     exec("\n".join(blocks(_REFERENCE, "python")), {})
 
 
+def test_the_snippet_of_the_readme_runs_as_printed(capsys):
+    run = qa.run(station="simulated", recipe="nine-locations", serial="N-1", batch="41", seed=7)
+    frames = run.frames("nine locations")
+    np.save("frames.npy", frames.isel(time=frames.load_stage.values == 2).voltage.values[-2:])
+    shutil.copy(run.result.calibration, "sensor.h5")
+    with pytest.raises(qa.CbsrError, match="load_calibration reads it"):
+        qa.load_press_calibration("sensor.h5")
+    (snippet,) = blocks(TOP / "README.md", "python")
+    exec(snippet, namespace := {})
+    assert np.all(np.abs(namespace["force"].force_N - 3.5) < 0.5)
+    assert len(snippet.strip().splitlines()) == 5
+    assert capsys.readouterr().out.strip()
+
+
 @pytest.mark.rest
 def test_what_the_pages_use_is_typed(tmp_path):
     for page in (_TUTORIAL, _REFERENCE):
         (tmp_path / f"{page.stem.replace('-', '_')}.py").write_text("\n".join(blocks(page, "python")))
     mypy = pytest.importorskip("mypy.api")
-    options = ["--config-file", str(TOP / "pyproject.toml"), "--follow-imports=silent"]
+    cache = TOP / ".mypy_cache"  # of `make types`
+    options = ["--config-file", str(TOP / "pyproject.toml"), "--cache-dir", str(cache)]
     out, _, code = mypy.run([*options, *map(str, tmp_path.glob("*.py"))])
     assert code == 0, out

@@ -126,7 +126,8 @@ def of_run(issued: Issued) -> Calibration:
     if isinstance(issued, PressCalibration):
         raise CalibrationError(
             "learned from labelled presses, not issued by a run",
-            remedy="`cbsr-qa calibration apply FILE READINGS.csv --pattern PAIRS.csv` applies it",
+            remedy="`cbsr-qa calibration apply FILE READINGS.csv --pattern PAIRS.csv` applies it,"
+            " in Python `cbsr_qa.load_press_calibration`",
         )
     return issued
 
