@@ -117,11 +117,13 @@ def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutc
     facts += [("Run", _named(run)) for run in done.runs[:_LISTED]]
     if len(done.runs) > _LISTED:
         facts.append(("Run", f"and {len(done.runs) - _LISTED} more; --json lists all"))
-    back = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),) if done.runs else ()
+    back = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),)
     headline = f"{what} would be archived" if done.dry_run else f"{what} archived"
     if not done.runs and not done.problems:
-        return answer(done, "no run is old enough, passed and in the database with its frames", facts=facts[:1])
-    return answer(done, headline, facts=facts, printed=back, warnings=done.problems)
+        why = "every run is too recent, did not pass, or is archived already"
+        return answer(done, "nothing to archive", why, facts=facts[:1])
+    printed = back if done.runs and not done.dry_run else ()
+    return answer(done, headline, facts=facts, printed=printed, warnings=done.problems)
 
 
 def _named(run: ArchivedRun) -> str:

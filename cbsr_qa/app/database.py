@@ -18,6 +18,7 @@ from cbsr_qa.store import (
     READER,
     STATION,
     Age,
+    address,
     copy_database,
     found_version,
     made_at,
@@ -144,7 +145,7 @@ def upgrade_database(
         before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
-    url, found = engine.url.render_as_string(hide_password=True), before.revision
+    url, found = address(engine.url), before.revision
     done = Upgrade(url, found, HEAD, found != HEAD, kept)
     words = f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
     undo = f"cbsr-qa db restore {shlex.quote(str(kept))}{database_option(option)}"
@@ -176,7 +177,7 @@ def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
         if runs:
             runs = _with_next(runs, database_url(option))
         status = DatabaseStatus(
-            url=engine.url.render_as_string(hide_password=True),
+            url=address(engine.url),
             schema=version.revision,
             head=HEAD,
             state=version.age.value,

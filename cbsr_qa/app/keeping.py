@@ -14,6 +14,7 @@ from cbsr_qa.report import answer, plural, text_table
 from cbsr_qa.store import (
     HEAD,
     Age,
+    address,
     copy_database,
     found_version,
     open_engine,
@@ -98,7 +99,7 @@ def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup
         version = found_version(engine)
     finally:
         engine.dispose()
-    url = engine.url.render_as_string(hide_password=True)
+    url = address(engine.url)
     done = Backup(url, to, version.revision, to.stat().st_size)
     facts = (("Of", url), ("Schema", str(done.schema)), ("Size", f"{done.size_bytes / 1e6:.1f} MB"))
     return answer(done, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
@@ -120,7 +121,7 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
         version = put_back(engine, backup, aside, count)
     finally:
         engine.dispose()
-    url = engine.url.render_as_string(hide_password=True)
+    url = address(engine.url)
     done = Restored(url, backup, aside if there else None, version.revision, HEAD)
     facts = [("Database", url), ("Schema", f"{done.schema} (this program's is {HEAD})")]
     printed = [("Kept", str(done.replaced))] if done.replaced else []

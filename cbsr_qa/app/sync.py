@@ -21,6 +21,7 @@ from cbsr_qa.store.sync import (
     Entry,
     Sent,
     age_h,
+    check_centre,
     held,
     let_go,
     refusals,
@@ -68,6 +69,7 @@ class Synchronised:
     Parameters
     ----------
     database, centre : passwords hidden; centre empty where none is configured.
+    centre_problem : why ``--status`` could not read the centre; empty if it could.
     items, runs, rows, bytes, seconds : sent by this command.
     waiting : number of items that wait, by kind.
     backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
@@ -92,6 +94,7 @@ class Synchronised:
     blocked: tuple[WaitingItem, ...]
     held: tuple[WaitingItem, ...]
     refused: tuple[RefusedItem, ...] = ()
+    centre_problem: str = ""
 
 
 def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) -> str:
@@ -164,14 +167,23 @@ def keep_synchronised(
 
 
 def sync_status(option: str | None, to: str | None, *, limit_h: float | None = None) -> CommandOutcome[Synchronised]:
-    """Return what waits, is quarantined or was let go; nothing is sent."""
+    """Return what waits, is quarantined or was let go, whether the centre answers or not; nothing is sent."""
     url = centre_url(to)
     with _station(option) as station:
         done = _outcome(station, "", Sent(), 0.0, limit_h)
         if not url:
             return done
         with _centre(to) as centre:
-            return _with_refusals(done, centre)
+            try:
+                check_centre(centre, station)
+                return _with_refusals(done, centre)
+            except StoreError as error:  # what waits is known without it
+                identity = (*done.page.identity, ("Centre", f"{error.reason}; what it refused is not listed"))
+                return replace(
+                    done,
+                    result=replace(done.result, centre=address(centre.url), centre_problem=error.reason),
+                    page=replace(done.page, identity=identity),
+                )
 
 
 def decide_item(option: str | None, item: str, *, again: bool) -> CommandOutcome[Synchronised]:
@@ -233,7 +245,8 @@ def _said(sent: Sent) -> str:
     words = (
         f"sent: {plural(sent.runs, 'run')}, {plural(sent.items - sent.runs, 'other item')} ({sent.size / 1e6:.1f} MB)"
     )
-    words = words if sent.items else "nothing was sent"
+    if not sent.items:
+        words = "nothing was sent" if sent.quarantined or sent.blocked else "there was nothing to send"
     held_back = f"; {plural(len(sent.quarantined), 'item')} quarantined" if sent.quarantined else ""
     return words + held_back
 

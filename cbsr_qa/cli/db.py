@@ -172,7 +172,7 @@ def sync(
     nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on.
 
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
-    used.
+    used. --status needs no central database.
     """
     from cbsr_qa.app import decide_item, keep_synchronised, sync_status, synchronise
 

@@ -1,6 +1,7 @@
-"""``cbsr-qa plugins``: what is installed and from where, and what each plugin takes."""
+"""``cbsr-qa plugins``: what is installed and from where, what each plugin takes; a new one, and its checks."""
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import PluginReference
 
-group("plugins", "List and describe installed plugins.")
+group("plugins", "List, describe, check and start plugins.")
 
 
 @command("plugins list", prints="cbsr_qa.plugin:ListedPlugins")
@@ -69,6 +70,56 @@ def show_plugin(
     )
     outcome = answer(ShownPlugins(shown), f"{name} is {kinds_text}")
     show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
+
+
+@command("plugins new", prints="cbsr_qa.testing.kit:NewPackage")
+def new_plugin(
+    kind: Annotated[str, typer.Argument(help="What it adds, e.g. metric.")],
+    name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case words joined by hyphens.")],
+    into: Annotated[
+        Path, typer.Option(help="Folder in which the package's folder is made.", metavar="FOLDER")
+    ] = Path(),
+    as_json: AsJson = False,
+) -> None:
+    """Write a package with one plugin that works, to be changed: code, test, README and pyproject.toml."""
+    from cbsr_qa.plugin import discover, kind_named
+    from cbsr_qa.report import answer
+    from cbsr_qa.testing.kit import make_package
+
+    wanted = kind_named(kind)
+    assert wanted is not None  # None stands for all kinds only where no kind is given
+    made = make_package(wanted, name, discover(), into)
+    printed = (
+        *(("file", str(made.folder / file)) for file in made.files),
+        ("change", str(made.folder / made.module / f"{made.kind}.py")),
+        ("check", f"cbsr-qa plugins check {made.folder}/"),
+        ("install", f"python -m pip install --no-deps --no-build-isolation {_path(made.folder)}"),
+    )
+    show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
+
+
+@command("plugins check", prints="cbsr_qa.testing.kit:CheckedPlugins")
+def check_plugin(
+    name: Annotated[str, typer.Argument(help="Name of a plugin, or folder of a package, installed or not.")],
+    kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Check a plugin with the test kit, and say what to change where it fails.
+
+    Exit code 0: all checks that apply passed. 1: a check failed. 2: the plugin cannot be found or loaded.
+    """
+    from cbsr_qa.cli.output import Counting
+    from cbsr_qa.plugin import kind_named
+    from cbsr_qa.testing.kit import check_plugins, checks_outcome, targets_of
+
+    targets = targets_of(name, kind_named(kind))
+    with Counting("checks") as counting:
+        return show(checks_outcome(check_plugins(targets, counting.stage)), as_json=as_json)
+
+
+def _path(folder: Path) -> str:
+    """Return a folder as pip takes it, which would look for a bare name on the net."""
+    return str(folder) if folder.is_absolute() else f"./{folder}"
 
 
 def _section(plugin: "PluginReference") -> "Section":

@@ -1,11 +1,12 @@
 from .discovery import (
+    Factory as Factory,
     Plugins as Plugins,
     create_plugin as create_plugin,
     discover as discover,
     left_running as left_running,
 )
 from .failures import Interruption as Interruption, contained as contained, failure as failure, said as said
-from .hooks import Kind as Kind, Register as Register, Veto as Veto, hookimpl as hookimpl
+from .hooks import Example as Example, Kind as Kind, Register as Register, Veto as Veto, hookimpl as hookimpl
 from .instruments import (
     Addressed as Addressed,
     Alive as Alive,

@@ -15,7 +15,7 @@ from cbsr_qa.domain import AbortedError, ConfigError, PluginError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.plugin import hooks as hookspecs
 from cbsr_qa.plugin.failures import contained, failure, said
-from cbsr_qa.plugin.hooks import PROJECT, Kind
+from cbsr_qa.plugin.hooks import PROJECT, Example, Kind
 from cbsr_qa.plugin.options import options_of
 
 Factory = Callable[..., Any]
@@ -147,6 +147,31 @@ class Plugins:
             (one.plugin_name, *(answer or late)) for one, answer in zip(implementations, tuple(answers), strict=True)
         ]
 
+    def example(self, kind: Kind, name: str) -> Example | None:
+        """Return how the distribution of a plugin wants it tried; None if it does not say.
+
+        PluginError if the plugin is unknown; what its hook raises is not caught.
+        """
+        registration = self._registered.get((kind, name))
+        if registration is None:
+            raise self.unknown(kind, name)
+        answers: Iterable[Any] = (
+            implementation.function(**{key: {"kind": kind, "name": name}[key] for key in implementation.argnames})
+            for implementation in self.manager.hook.cbsr_example.get_hookimpls()
+            if implementation.plugin_name.startswith(f"{registration.distribution}:")
+        )
+        example: Example | None = next((answer for answer in answers if answer is not None), None)
+        return example
+
+    def load(self, point: EntryPoint, distribution: str, version: str) -> None:
+        """Import the module of an entry point and take it in; a failure is kept."""
+        try:
+            module = point.load()
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            self.failures.append(PluginFailure(distribution, point.name, failure(error)))
+        else:
+            self.add(module, distribution, version, point.name)
+
     def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
         """Take in one plugin; whatever it does wrong is kept as a failure."""
         pending: dict[tuple[Kind, str], Registration] = {}
@@ -195,14 +220,8 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
     # The built-ins go first, so that third parties cannot take their names.
     for point in sorted(available, key=lambda p: (_provenance(p)[0] != "cbsr-qa", _provenance(p))):
         distribution, version = _provenance(point)[:2]
-        if distribution in set(blocked):
-            continue
-        try:
-            module = point.load()
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
-            plugins.failures.append(PluginFailure(distribution, point.name, failure(error)))
-        else:
-            plugins.add(module, distribution, version, point.name)
+        if distribution not in set(blocked):
+            plugins.load(point, distribution, version)
     return plugins
 
 

@@ -4,10 +4,11 @@ A distribution joins by one entry point in the group ``cbsr_qa`` that names a mo
 The built-ins (``cbsr_qa_plugins.registry``) enter by the same door.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import pluggy
 
@@ -46,6 +47,42 @@ def cbsr_register(register: Register) -> None:
     behind one is imported when that name is used. Registering a name twice within a kind is refused, and the
     later plugin is listed as failed. The return value is ignored. An exception here lists the plugin as
     failed with its reason and takes nothing else down.
+
+    Parameters
+    ----------
+    register : called once for each plugin, with its kind, its name and where its factory is.
+    """
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """How ``cbsr-qa plugins check`` and the kit try a plugin.
+
+    Parameters
+    ----------
+    options : of the plugin, as in a recipe, scene or station file. Of an instrument: the address of its emulator.
+    file : of a recording format: a file that it reads.
+    received : of a sink: returns the messages that have arrived so far, in order.
+    tolerances : of a reconstruction that needs other ones than usual, by field of ``cbsr_qa.testing.Tolerances``.
+    close : called after the checks, e.g. to stop an emulator.
+    """
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    file: Path | None = None
+    received: Callable[[], Sequence[Mapping[str, Any]]] | None = None
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    close: Callable[[], None] = lambda: None
+
+
+@hookspec
+def cbsr_example(kind: Kind, name: str) -> Example | None:
+    """Say how a plugin of this distribution is tried; called by ``cbsr-qa plugins check`` and the kit alone.
+
+    None tries it with its default options; an instrument is then not opened, because it could be a real one.
+
+    Parameters
+    ----------
+    kind, name : of the plugin, as registered.
     """
 
 
@@ -73,6 +110,12 @@ def cbsr_before_run(sensor: SensorIdentity, station: str, recipe: str, operator:
     (docs/reference/gate.md), and so is an exception, another return value, or no answer within ``before_run_s``. All
     implementations are called, each in a thread of its own. It is called for ``cbsr-qa gate`` and for a dry run too,
     so it must only look. It is not called when a run is resumed.
+
+    Parameters
+    ----------
+    sensor : serial number, batch and type.
+    station, recipe : their names.
+    operator : empty if not stated.
     """
 
 
@@ -83,12 +126,22 @@ def cbsr_run_started(identity: RunIdentity) -> None:
     All implementations are called; None is expected. An exception is reported as a warning of the run; it stops
     nothing and no other implementation; only ``AbortedError(by)`` stops the run in order and says by whom. The same
     holds for the hook below.
+
+    Parameters
+    ----------
+    identity : of the run: sensor, station, recipe, instruments.
     """
 
 
 @hookspec
 def cbsr_phase_finished(identity: RunIdentity, phase: str) -> None:
-    """A phase has ended and all its frames are stored. All implementations are called; None is expected."""
+    """A phase has ended and all its frames are stored. All implementations are called; None is expected.
+
+    Parameters
+    ----------
+    identity : of the run.
+    phase : its name in the recipe.
+    """
 
 
 @hookspec
@@ -96,4 +149,8 @@ def cbsr_calibration_issued(calibration: Calibration) -> None:
     """A calibration was stored and its file written.
 
     All implementations are called; None is expected. An exception is reported as a warning.
+
+    Parameters
+    ----------
+    calibration : as in the file.
     """

@@ -154,7 +154,8 @@ def _source(engine: Engine) -> Path:
 
 
 def _no_file(engine: Engine, command: str) -> RefusedError:
-    url = engine.url._replace(drivername=engine.url.get_backend_name(), password=None).render_as_string()
+    bare = engine.url.difference_update_query([name for name in engine.url.query if "password" in name.lower()])
+    url = bare._replace(drivername=bare.get_backend_name(), password=None).render_as_string()
     if engine.url.get_backend_name() == "sqlite":
         return RefusedError(f"{shown(engine.url)} is not a file")
     return RefusedError(

@@ -29,6 +29,7 @@ _KNOWN = (
         "check the disk and the limits (quota, ulimit -f); committed data is kept unless the disk loses it",
     ),
     ("authentication failed", "refuses the user or the password", "check both in the database URL"),
+    ("fatal:  role", "refuses the user", "check the user in the database URL, or create its role"),
     ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
     ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),
     ("could not translate host", "has an unknown host", "correct its address in the database URL"),
@@ -78,7 +79,7 @@ def shown(url: URL) -> str:
 def without_password(url: URL) -> str:
     """Return a URL with its password hidden, in its query too."""
     hidden = {name: "***" for name in url.query if "password" in name.lower()}
-    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+    return url.update_query_dict(hidden).render_as_string(hide_password=True).replace("%2A%2A%2A", "***")
 
 
 def address(url: URL) -> str:

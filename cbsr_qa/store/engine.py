@@ -103,9 +103,12 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """Open a read transaction; raise StoreError for database errors and for cells of the wrong type."""
-    with translated(engine.url), engine.begin() as connection, _foreign_cells_named(connection):
-        yield connection
+    """Open a read transaction on one snapshot; StoreError for database errors and for cells of the wrong type."""
+    with translated(engine.url), engine.connect() as connection:
+        if connection.dialect.name == "postgresql":  # what others commit meanwhile is not seen, as in SQLite
+            connection.execution_options(isolation_level="REPEATABLE READ")
+        with connection.begin(), _foreign_cells_named(connection):
+            yield connection
 
 
 @contextmanager

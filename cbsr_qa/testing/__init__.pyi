@@ -17,6 +17,7 @@ from .instruments import (
     check_frame_source as check_frame_source,
     check_sampler as check_sampler,
 )
+from .kit import assert_conforms as assert_conforms
 from .numerics import (
     assert_adjoint as assert_adjoint,
     assert_expected_order as assert_expected_order,

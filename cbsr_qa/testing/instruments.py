@@ -46,6 +46,9 @@ def check_instrument(instrument: Instrument, role: type) -> list[Checked]:
 def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorType) -> tuple[Checked, ...]:
     """Check a frame source: shape, unit and times of its frames, and that none is older than the request.
 
+    Remedy: give each frame the middle of its own time on the context's clock, and drop frames that began before
+    the request.
+
     Parameters
     ----------
     clock, sensor_type : those the source was opened with.
@@ -74,6 +77,8 @@ def check_sampler(
     sampler: Sampler, clock: Clock, *, within_s: float = 2.0, wait: Callable[[], object] | None = None
 ) -> tuple[Checked, ...]:
     """Check a sampler: samples arrive in order, for the requested time, without repetition.
+
+    Remedy: return samples after the given time only, in order of time, stamped on the context's clock.
 
     Parameters
     ----------
@@ -115,6 +120,8 @@ def check_applicator(
 ) -> tuple[Checked, ...]:
     """Check a force applicator: it takes the expected time, moves directly, and comes up on every request.
 
+    Remedy: follow the station's ``motion``, lift before each travel, and come up in ``safe_state``.
+
     Parameters
     ----------
     clock, motion : those the applicator was opened with.
@@ -145,6 +152,8 @@ def check_applicator(
 
 def check_closing(instrument: Instrument, use: Callable[[], object]) -> Checked:
     """Check that an instrument can be closed twice, and that using it then is at worst an InstrumentError.
+
+    Remedy: let ``close`` be called twice, and raise ``InstrumentError`` when the link is used afterwards.
 
     Parameters
     ----------

@@ -30,6 +30,9 @@ _MASKED = (2, 7, 12)  # electrodes whose readings are all left out
 def check_places_and_signs(prepared: PreparedReconstruction, *, tolerance: float = COMMON.place) -> Checked:
     """A target that conducts more is a positive blob where the target is, less a negative one, and it moves along.
 
+    Remedy: check the sign of the matrix and the order of readings; state wider ``tolerances`` if the method
+    blurs.
+
     Parameters
     ----------
     tolerance : distance between centres, of the sheet's radius. The blob's step from one place to the next must also
@@ -66,7 +69,10 @@ def check_turn(
     place_tolerance: float = COMMON.turned_place,
     symmetric: SymmetricProblem | None = None,
 ) -> Checked:
-    """A target one electrode further gives the same image one electrode further, on a symmetric mesh."""
+    """A target one electrode further gives the same image one electrode further, on a symmetric mesh.
+
+    Remedy: treat all electrodes alike; state wider ``tolerances`` if the method uses a grid of its own.
+    """
     symmetric = symmetric or symmetric_problem()
     problem, prepared = symmetric.problem, factory().prepare(symmetric.problem)
     radius, mesh = problem.sensor_type.radius_mm, problem.mesh
@@ -87,7 +93,10 @@ def check_turn(
 
 
 def check_masked_electrodes(factory: Factory, *, tolerance: float = COMMON.masked_place) -> Checked:
-    """With three electrodes masked a target is still found, and their readings are not used."""
+    """With three electrodes masked a target is still found, and their readings are not used.
+
+    Remedy: use only the readings in ``problem.used``, and take their number from the problem.
+    """
     sensor = example_problem().sensor_type
     touched = np.array(
         [
@@ -115,6 +124,8 @@ def check_masked_electrodes(factory: Factory, *, tolerance: float = COMMON.maske
 def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 2000) -> Checked:
     """The covariance of images of noise is R Σ Rᵀ within sampling error; for linear methods.
 
+    Remedy: return images of noise that follow from the same matrix as images of loads.
+
     R is taken from images of unit changes, a block of two frames at a time; Σ has unequal variances and a part common
     to all channels. With N draws of covariance C the sample's departs by √((tr²C + ‖C‖²)/N) in the mean (Wishart).
     """
@@ -138,6 +149,8 @@ def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 20
 
 def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> Checked:
     """Noisy readings have less weight if the problem states their noise; runs use one matrix.
+
+    Remedy: weight readings by ``problem.noise_variance``, or set ``weighs_noise = False``.
 
     By the propagated noise tr(R Σ Rᵀ) of a matrix prepared for those variances, against one for equal ones. A method
     that weights all readings equally states so (``weighs_noise = False``).

@@ -3,6 +3,9 @@
 Each check can be run by itself as well; those that do not apply are returned with the reason.
 """
 
+from collections.abc import Iterator
+from functools import partial
+
 import numpy as np
 
 from cbsr_qa.domain import Array, CbsrError
@@ -39,27 +42,35 @@ def check_reconstruction(
     AssertionError
         Naming the method, what it did and what was allowed.
     """
+    return tuple(check() for check in reconstruction_checks(factory, tolerances=tolerances, elsewhere=elsewhere))
+
+
+def reconstruction_checks(
+    factory: Factory, *, tolerances: Tolerances | None = None, elsewhere: bool = True
+) -> Iterator[partial[Checked]]:
+    """Yield the checks of :func:`check_reconstruction`, to be called one by one; parameters as there."""
     allowed, problem = tolerances or COMMON, example_problem()
     prepared = factory().prepare(problem)
-    done = [
-        check_description(prepared, problem),
-        check_nothing_changes_nothing(prepared),
-        check_linearity(prepared, tolerance=allowed.linearity),
-        check_places_and_signs(prepared, tolerance=allowed.place),
-        check_turn(factory, image_tolerance=allowed.turned_image, place_tolerance=allowed.turned_place),
-        check_repeatable(factory, prepared),
-        check_masked_electrodes(factory, tolerance=allowed.masked_place),
-        check_noise_propagation(prepared),
-        check_noise_weighing(factory, prepared),
-        check_refusals(prepared),
-    ]
+    yield partial(check_description, prepared, problem)
+    yield partial(check_nothing_changes_nothing, prepared)
+    yield partial(check_linearity, prepared, tolerance=allowed.linearity)
+    yield partial(check_places_and_signs, prepared, tolerance=allowed.place)
+    yield partial(check_turn, factory, image_tolerance=allowed.turned_image, place_tolerance=allowed.turned_place)
+    yield partial(check_repeatable, factory, prepared)
+    yield partial(check_masked_electrodes, factory, tolerance=allowed.masked_place)
+    yield partial(check_noise_propagation, prepared)
+    yield partial(check_noise_weighing, factory, prepared)
+    yield partial(check_refusals, prepared)
     if elsewhere:
-        done.append(check_same_elsewhere(factory, prepared, tolerance=allowed.threads))
-    return tuple(done)
+        yield partial(check_same_elsewhere, factory, prepared, tolerance=allowed.threads)
 
 
 def check_description(prepared: PreparedReconstruction, problem: ImagingProblem) -> Checked:
-    """A prepared method states its name, its problem, and the reason for its parameter."""
+    """A prepared method states its name, its problem, and the reason for its parameter.
+
+    Remedy: give the prepared method ``method``, the ``problem`` it got, and a ``ParameterChoice`` with name and
+    ``how``.
+    """
     choice = prepared.choice
     demand(prepared, bool(prepared.method), "has no name")
     demand(prepared, prepared.problem is problem, "does not hold the problem it was prepared for")
@@ -74,14 +85,20 @@ def check_description(prepared: PreparedReconstruction, problem: ImagingProblem)
 
 
 def check_nothing_changes_nothing(prepared: PreparedReconstruction) -> Checked:
-    """Readings that equal the reference give an image of zeros, not of noise."""
+    """Readings that equal the reference give an image of zeros, not of noise.
+
+    Remedy: return exactly zero for readings equal to the reference; check for an offset or noise that is added.
+    """
     largest = float(np.abs(prepared.images(np.zeros((2, len(prepared.problem.reference))))).max())
     demand(prepared, largest == 0, f"makes an image of up to {largest:.3g} out of no change at all")
     return Checked("nothing changes nothing", "zero")
 
 
 def check_linearity(prepared: PreparedReconstruction, *, tolerance: float = COMMON.linearity) -> Checked:
-    """Images of a sum are the sum of the images, for blocks of three frames; where the method claims it."""
+    """Images of a sum are the sum of the images, for blocks of three frames; where the method claims it.
+
+    Remedy: remove the nonlinear step, or do not claim ``linear``.
+    """
     if not is_linear(prepared):
         return Checked("linearity", "the method does not claim it", applies=False)
     random = np.random.default_rng(5)
@@ -94,7 +111,10 @@ def check_linearity(prepared: PreparedReconstruction, *, tolerance: float = COMM
 
 
 def check_repeatable(factory: Factory, prepared: PreparedReconstruction) -> Checked:
-    """Prepared and applied again, a method gives identical images."""
+    """Prepared and applied again, a method gives identical images.
+
+    Remedy: draw random numbers from a fixed seed, and keep no state between calls.
+    """
     readings = elsewhere_readings(prepared.problem)
     first = prepared.images(readings)
     demand(prepared, np.array_equal(first, prepared.images(readings)), "gives another image when asked twice")
@@ -106,7 +126,10 @@ def check_repeatable(factory: Factory, prepared: PreparedReconstruction) -> Chec
 def check_same_elsewhere(
     factory: Factory, prepared: PreparedReconstruction, *, tolerance: float = COMMON.threads
 ) -> Checked:
-    """A fresh process with two threads and another hash seed gives the same images, but for rounding."""
+    """A fresh process with two threads and another hash seed gives the same images, but for rounding.
+
+    Remedy: draw random numbers from a fixed seed, iterate over no set, and keep the factory importable by name.
+    """
     readings = elsewhere_readings(prepared.problem)
     (there,) = images_elsewhere([factory], prepared.problem, readings, threads=2)
     return compare_elsewhere(prepared, there, tolerance=tolerance)
@@ -122,7 +145,11 @@ def compare_elsewhere(
 
 
 def check_refusals(prepared: PreparedReconstruction) -> Checked:
-    """Readings that are no real numbers, or too few, are refused by name; no frames make no images."""
+    """Readings that are no real numbers, or too few, are refused by name; no frames make no images.
+
+    Remedy: check shape and type of the readings first, and raise ``NumericsError`` or another ``CbsrError``
+    with a reason.
+    """
     good = elsewhere_readings(prepared.problem)
     holed = {name: good.copy() for name in ("NaN", "infinity")}
     holed["NaN"][1, 3], holed["infinity"][0, 7] = np.nan, np.inf

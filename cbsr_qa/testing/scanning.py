@@ -20,6 +20,9 @@ _TICK_S: Final = 1e-3
 def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1e-4) -> tuple[Checked, ...]:
     """Check a source-measure unit: it sources the requested current, reports its times, and can be switched off.
 
+    Remedy: set the current before measuring, stamp readings on the context's clock, and switch the output off
+    in ``off`` and ``safe_state``.
+
     Parameters
     ----------
     clock : the one the meter was opened with.
@@ -48,7 +51,11 @@ def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1
 
 
 def check_multiplexer(multiplexer: Multiplexer, pattern: DrivePattern) -> tuple[Checked, ...]:
-    """Check a multiplexer: its order holds every combination once, and it can begin again from anywhere."""
+    """Check a multiplexer: its order holds every combination once, and it can begin again from anywhere.
+
+    Remedy: let ``order`` list every combination of drive and measure pair once, and ``start`` begin from any
+    state.
+    """
     done = check_instrument(multiplexer, Multiplexer)
     order, (drives, measures) = multiplexer.order(), pattern.shape
     wanted = {(drive, measure) for drive in range(drives) for measure in range(measures)}
@@ -69,6 +76,8 @@ def check_multiplexer(multiplexer: Multiplexer, pattern: DrivePattern) -> tuple[
 
 def check_self_test(instrument: SelfTesting) -> tuple[Checked, ...]:
     """Check a self-test: lines with names of their own, a remedy where one is not well, the same ones a second time.
+
+    Remedy: return a tuple of ``CheckResult`` with names of their own; give every warning and failure a remedy.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from cbsr_qa.plugin import Kind, Register, hookimpl
+from cbsr_qa.plugin import Example, Kind, Register, hookimpl
 
 _HERE: Final = "cbsr_qa_plugins"
 
@@ -149,3 +149,9 @@ def cbsr_register(register: Register) -> None:
     """Register every built-in."""
     for kind, name, target in BUILT_IN:
         register(kind, name, f"{_HERE}.{target}")
+
+
+@hookimpl
+def cbsr_example(kind: Kind, name: str) -> Example | None:
+    """Open the simulated bench, which moves nothing; drivers of real instruments are checked by their own tests."""
+    return Example() if (kind, name) == (Kind.INSTRUMENT, "simulated-bench") else None

@@ -30,7 +30,10 @@ TYPED = {
     "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",
     "docs/how-to/watch-a-station.md": "app/station_check/test_station_pages.py",
     "docs/how-to/what-to-do-when-it-stops.md": "commands/test_resume.py",
+    "docs/how-to/write-a-driver.md": "commands/test_plugin_tutorial.py",
+    "docs/how-to/write-a-plugin.md": "commands/test_plugin_tutorial.py",
     "docs/reference/recordings.md": "commands/test_documentation.py",
+    "docs/tutorials/your-first-plugin.md": "commands/test_plugin_tutorial.py",
     "docs/tutorials/your-first-recipe.md": "commands/test_tutorials.py",
     "docs/tutorials/your-own-bench.md": "commands/test_tutorials.py",
 }

@@ -30,7 +30,7 @@ def test_sending_and_looking(station):
     done = json.loads(sync(station, "--to", "centre.db", "--json").stdout)
     assert (done["runs"], done["waiting"], done["backlog_h"]) == (1, {}, None)
     again = sync(station, "--to", "centre.db")
-    assert (again.returncode, "nothing was sent" in again.stdout) == (0, True)
+    assert (again.returncode, "there was nothing to send" in again.stdout) == (0, True)
 
 
 def test_a_backlog_that_is_too_old_is_a_failure(station):
@@ -72,9 +72,13 @@ def test_a_centre_that_cannot_be_used_is_named_without_its_password(station, to,
     done = sync(station, "--to", to)
     assert done.returncode == 2
     assert words in done.stderr
+    status = sync(station, "--status", "--to", to)
+    assert not (station / "centre.db").exists()
     if "cannot be read" not in words:
         assert "1 item waits in this database" in done.stderr
-    assert "hidden-word" not in done.stdout + done.stderr
+        assert "1 item waits in this database" in status.stdout
+        assert (status.returncode, words in " ".join(status.stdout.split())) == (0, True)
+    assert "hidden-word" not in done.stdout + done.stderr + status.stdout + status.stderr
 
 
 def test_options_that_contradict_each_other_are_refused(station):

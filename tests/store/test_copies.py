@@ -130,7 +130,7 @@ def test_a_copy_that_differs_is_not_named(database, tmp_path, monkeypatch):
 
 
 def test_a_servers_database_is_left_to_its_tools():
-    engine = open_engine(parsed_url("postgresql://ada:secret@host:5432/name"))
+    engine = open_engine(parsed_url("postgresql://ada:secret@host:5432/name?password=secret"))
     with pytest.raises(RefusedError) as refused:
         copies.copy_database(engine, None)
     assert "pg_dump --format=custom --file=FILE --dbname='postgresql://ada@host:5432/name'" in refused.value.remedy

@@ -214,7 +214,7 @@ def test_the_status_document_hides_the_password_and_names_runs_that_were_cut_off
     with open_store(f"sqlite:///{filled}") as repository:
         journalled(repository, short_run("run-2")[:8])
     document = json_document(database_status(str(filled)).result)
-    assert document["url"] == f"sqlite:///{filled}"
+    assert document["url"] == str(filled)
     assert (document["schema"], document["head"]) == (schema.HEAD, schema.HEAD)
     assert document["counts"]["runs"] == 2
     assert document["incomplete"] == [

@@ -173,3 +173,14 @@ def test_programs_that_add_to_one_run_follow_one_another(repository):
     with reading(engine) as connection:
         links = sa.text("SELECT document FROM run_links WHERE run = :run ORDER BY number DESC LIMIT 2")
         assert connection.scalars(links, {"run": run}).all() == ["second", "first"]
+
+
+def test_what_is_committed_meanwhile_does_not_show_in_a_read_transaction(repository):
+    run, engine = repository.new_id(), repository._engine
+    journalled(repository, short_run(run))
+    with reading(engine) as connection:
+        count = sa.text("SELECT count(*) FROM run_links")
+        before = connection.scalar(count)
+        with writing(engine) as other:
+            add_links(other, run, [("verdict_overrides", "later", "0" * 64)])
+        assert connection.scalar(count) == before

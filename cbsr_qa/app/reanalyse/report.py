@@ -12,13 +12,13 @@ from cbsr_qa.report import duration, number, plural, text_table, unit_shown
 MOST_SHOWN: Final = 200
 
 # Sentences, in reading order.
-_COUNTS: Final = "{computed} computed, {reused} stored already; {unchanged} as the valid analysis in every value"
+_COUNTS: Final = "{computed} computed, {reused} stored already; {unchanged} equal the valid analysis in every value"
 _FREE: Final = "nothing was computed: {reused} of {reused} results were stored already"
 _TRIAL: Final = "nothing changes yet: --adopt --by NAME --why TEXT makes these results the valid analyses"
 _ADOPTED: Final = (
     "{adopted} adopted: they are the valid analyses now; earlier ones stay, and cbsr-qa db changes lists this"
 )
-_WITHDRAW: Final = "take calibration {calibration} of {serial} out of use: its run does not pass any more"
+_WITHDRAW: Final = "take calibration {calibration} of {serial} out of use: its run no longer passes"
 _NO_CALIBRATION: Final = (
     "{count} that did not pass before would pass now; adopting issues no calibration: test the sensor again for one"
 )

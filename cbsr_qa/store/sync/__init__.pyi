@@ -1,4 +1,4 @@
-from .centre import refusals as refusals
+from .centre import check_centre as check_centre, refusals as refusals
 from .queue import (
     QUARANTINED as QUARANTINED,
     Entry as Entry,

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, Row, Table, func, literal, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
+from cbsr_qa.store.archives import ARRAYS, with_arrays
 from cbsr_qa.store.chain import (
     FIGURES,
     KEYS,
@@ -23,11 +24,10 @@ from cbsr_qa.store.chain import (
     tables,
     unreadable,
 )
-from cbsr_qa.store.runs import check_frames, check_samples, current_state
+from cbsr_qa.store.runs import check_frames, check_samples, current_state, frame_block, frame_values
 from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
     AnalysisRow,
-    ArchiveRow,
     Base,
     CalibrationRow,
     FrameBlockRow,
@@ -269,9 +269,9 @@ def _linked_rows(
         _match(run, FIGURES, analysis, stored_figures(connection, analysis), content)
 
 
-def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str, str]) -> Sequence[Row[Any]]:
+def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str, str]) -> Sequence[Sequence[Any]]:
     names = table.columns.keys()
-    rows = connection.execute(raw_select(table).where(within(table, run, contents))).all()
+    rows: Sequence[Any] = connection.execute(raw_select(table).where(within(table, run, contents))).all()
     mappings = [dict(zip(names, row, strict=True)) for row in rows]
     stored = dict(documents(table, mappings))
     for key, content in contents.items():
@@ -280,12 +280,17 @@ def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str,
         rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
     check = _CHECKED.get(table.name)
     if check is not None:
-        if connection.scalar(select(ArchiveRow.run).where(ArchiveRow.run == run)) is not None:
-            what = f"cbsr-qa db unarchive {run} brings its frames back, --retry sends it then"
-            raise AlteredError(f"run {run} was archived before it was sent: {what}")
-        for row in rows:
+        whole = list(with_arrays(connection, rows) if table.name == FrameBlockRow.__tablename__ else rows)
+        for row in whole:
             check(row)  # raises where bytes do not match the digest in their row
+        rows = [row if isinstance(row, Row) else _unarchived(row, names) for row in whole]
     return rows
+
+
+def _unarchived(row: Any, names: Sequence[str]) -> Sequence[Any]:
+    """Return the row of a block of archived frames as it was stored before."""
+    values = vars(row) | {name: value for name, value in frame_values(frame_block(row)).items() if name in ARRAYS}
+    return [values[name] for name in names]
 
 
 def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> None:

@@ -23,7 +23,7 @@ def five():
 @pytest.fixture
 def exported(five, tmp_path, monkeypatch):
     """Return a function that exports, two runs at a time, and returns the outcome's result."""
-    monkeypatch.setattr(export, "_PAGE", 2)
+    monkeypatch.setattr(export, "AT_ONCE", 2)
 
     def exported(name, tell=lambda words: None, **options):
         return export_data(ExportRequest(tmp_path / name, **options), database=five[0], tell=tell).result

@@ -3,6 +3,8 @@
 import random
 import shutil
 import threading
+from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
@@ -18,6 +20,8 @@ from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, send_waiting, waiting
 from cbsr_qa.system import RealClock
+
+LATER = datetime(2100, 1, 1, tzinfo=UTC)
 
 
 class Place:
@@ -234,6 +238,21 @@ def test_each_alteration_is_named(station, centre, statement, why):
     assert why in entry.why
     assert not centre.said("SELECT run FROM runs")
     assert len(refusals(centre.engine)) == 1
+
+
+@pytest.mark.parametrize("spoil", [None, Path.unlink, lambda file: file.write_bytes(b"x")])
+def test_frames_archived_before_they_were_sent_are_read_from_their_file(station, centre, tmp_path, spoil):
+    judged(station.store, run_of(station.store))
+    before = content(station.engine)
+    (one,) = station.store.archivable(LATER)
+    file = Path(station.store.archive_run(one, tmp_path / "kept", LATER).file)
+    if spoil is None:
+        sent(station, centre)
+        assert content(centre.engine) == before
+    else:
+        spoil(file)
+        assert [entry.item for entry in sent(station, centre).quarantined] == [one.run]
+        assert f"archived in {file}" in held(station.engine)[0].why
 
 
 def test_another_run_of_the_same_name_is_quarantined(full, centre, place):

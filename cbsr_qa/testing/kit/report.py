@@ -1,0 +1,31 @@
+"""Checks of plugins for a person: a table of all, and what to do about each that failed."""
+
+from itertools import groupby
+
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Paragraph, Section
+from cbsr_qa.report import plural, text_table
+from cbsr_qa.testing.kit.conformance import CheckedPlugins, CheckOutcome, PluginCheck, described
+
+
+def checks_outcome(checked: CheckedPlugins) -> CommandOutcome[CheckedPlugins]:
+    """Return the outcome of ``plugins check``: exit code 1 if a check failed."""
+    failed = [check for check in checked.checks if check.outcome is CheckOutcome.FAILED]
+    if failed:
+        first = failed[0]
+        total = plural(checked.passed + checked.failed, "check")
+        banner = Banner("fail", "✗", f"{checked.failed} of {total} failed", f"{first.check}: {first.found}")
+    else:
+        banner = Banner("pass", "✓", f"{plural(checked.passed, 'check')} passed", "")
+    sections = [
+        _table(plugin, list(checks)) for plugin, checks in groupby(checked.checks, lambda c: (c.kind, c.name))
+    ]
+    if failed:
+        blocks = tuple(Paragraph(line) for check in failed for line in described(check).splitlines())
+        sections.append(Section("What to change", blocks))
+    return CommandOutcome(checked, Page("", "", banner, ()), tuple(sections), exit_code=int(bool(failed)))
+
+
+def _table(plugin: tuple[str, str], checks: list[PluginCheck]) -> Section:
+    rows = [(check.check, check.outcome.value, check.found) for check in checks]
+    kind, name = plugin
+    return Section(f"{kind.capitalize()} {name}", (text_table("Checks.", ("check", "outcome", "found"), rows),))

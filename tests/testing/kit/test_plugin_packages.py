@@ -1,0 +1,116 @@
+"""A package from the templates works as it is, for every kind of plugin, and replaces nothing."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cbsr_qa.cli import main
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.testing import assert_conforms
+from cbsr_qa.testing.kit.new import make_package
+
+TOP = Path(__file__).parents[3]
+PLUGINS = discover()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A package of each kind."""
+    into = tmp_path_factory.mktemp("packages")
+    return {kind: make_package(kind, f"made-{kind}", PLUGINS, into) for kind in Kind}
+
+
+@pytest.fixture(autouse=True)
+def own_path(monkeypatch):
+    """Folders of packages stay on the path of one test."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind is not Kind.RECONSTRUCTION])
+def test_a_new_package_conforms_without_being_installed(made, kind):
+    """A reconstruction takes seconds; tests/commands/test_plugin_tutorial.py checks one."""
+    assert_conforms(made[kind].folder)
+
+
+def _done(*words, cwd, **environment):
+    command = [sys.executable, "-m", *words]
+    return subprocess.run(
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+
+
+def test_new_packages_are_formatted_and_pass_ruff(made):
+    folder = made[Kind.METRIC].folder.parent
+    for words in (("ruff", "check", "."), ("ruff", "format", "--check", ".")):
+        done = _done(*words, "--no-cache", cwd=folder)
+        assert done.returncode == 0, done.stdout
+
+
+def test_a_long_and_a_short_name_leave_the_code_formatted(tmp_path):
+    for kind in Kind:
+        make_package(kind, "a", PLUGINS, _folder(tmp_path, f"short-{kind}"))
+        make_package(kind, "a-name-of-many-letters-x", PLUGINS, _folder(tmp_path, f"long-{kind}"))
+    for words in (("ruff", "check", "."), ("ruff", "format", "--check", ".")):
+        done = _done(*words, "--no-cache", cwd=tmp_path)
+        assert done.returncode == 0, done.stdout
+
+
+def _folder(parent, name):
+    (parent / name).mkdir()
+    return parent / name
+
+
+@pytest.mark.rest
+def test_new_packages_are_strictly_typed(made):
+    folder = made[Kind.METRIC].folder.parent
+    modules = [str(package.folder / package.module) for package in made.values()]
+    cache = ("--cache-dir", str(TOP / ".mypy_cache"))
+    path = os.pathsep.join(map(str, (TOP, TOP / "plugins", *(package.folder for package in made.values()))))
+    done = _done("mypy", "--strict", "--follow-imports=silent", *cache, *modules, cwd=folder, MYPYPATH=path)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.rest
+def test_the_test_of_a_new_package_runs_under_pytest(made):
+    done = _done("pytest", "-q", "-p", "no:cacheprovider", cwd=made[Kind.SEQUENCE].folder)
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "named"),
+    [
+        (Kind.METRIC, "Peak-Force", "'Peak-Force' cannot be the name"),
+        (Kind.METRIC, "peak_force", "'peak_force' cannot be the name"),
+        (Kind.METRIC, "-peak", "'-peak' cannot be the name"),
+        (Kind.METRIC, "../peak", "'../peak' cannot be the name"),
+        (Kind.METRIC, "", "'' cannot be the name"),
+        (Kind.METRIC, "p" * 25, "cannot be the name"),
+        (Kind.METRIC, "applied-force", "metric 'applied-force' is already registered by cbsr-qa"),
+        (Kind.SEQUENCE, "plugins", "a module cbsr_qa_plugins is installed already"),
+    ],
+)
+def test_a_name_that_is_not_allowed_or_taken_is_refused(tmp_path, kind, name, named):
+    with pytest.raises(RefusedError) as refused:
+        make_package(kind, name, PLUGINS, tmp_path)
+    assert named in refused.value.reason
+    assert refused.value.remedy
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_not_overwritten(tmp_path):
+    (tmp_path / "cbsr-qa-peak").mkdir()
+    (tmp_path / "cbsr-qa-peak" / "mine.txt").write_text("kept")
+    with pytest.raises(RefusedError, match="exists already"):
+        make_package(Kind.METRIC, "peak", PLUGINS, tmp_path)
+    with pytest.raises(RefusedError, match="is not a folder"):
+        make_package(Kind.METRIC, "peak", PLUGINS, tmp_path / "absent")
+    assert [path.name for path in tmp_path.rglob("*.*")] == ["mine.txt"]
+
+
+def test_new_names_the_kinds_there_are(capsys):
+    assert main.guarded(["plugins", "new", "metrik", "peak"]) == 2
+    assert "did you mean 'metric'?" in capsys.readouterr().err
