@@ -2,19 +2,39 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from cbsr_qa.app.analyse import Analysed, AnalyseRequest, analyse_file, analyse_frames, analyse_outcome
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.readings import Recording, ScanKind
-from cbsr_qa.interface.frames import Frames, frame_block
+from cbsr_qa.interface.frames import Frames, frame_block, recording_dataset
 from cbsr_qa.interface.result import Progress, Result, quiet
 from cbsr_qa.interface.scenes import Scene
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class Analysis(Result[Analysed]):
     """Channels, noise and events of a recording; ``result.events`` holds places and times."""
+
+    def frames(self) -> "xr.Dataset":
+        """Return the frames as recorded, in the recording's unit; see :meth:`Run.frames`.
+
+        RefusedError if no sensor type is known, or its frames have another shape.
+        """
+        analysed = self.result.result
+        assert analysed is not None
+        recording, sensor_type = analysed.recording, analysed.sensor_type
+        shape = recording.frames.voltages.shape[1:]
+        if sensor_type is None or sensor_type.pattern.shape != shape:
+            raise RefusedError(
+                f"{recording.path.name} has frames of {shape} of no known sensor type",
+                remedy='name one that fits: analyse(…, sensor_type="disc-100mm")',
+            )
+        return recording_dataset(recording, sensor_type, recording.path.name)
 
 
 def analyse(

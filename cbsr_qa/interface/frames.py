@@ -1,6 +1,7 @@
 """Frames as arrays, as datasets, and as the program keeps them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
@@ -49,7 +50,7 @@ def frame_block(frames: Frames, *, time_s: ArrayLike | None = None, current_A: f
 
     Parameters
     ----------
-    frames : volts; of a dataset its variables voltage, flags, time and current.
+    frames : an array in volts; of a dataset its variables voltage, flags, time and current.
     time_s : (n,) time of each frame [s]; by default that of the dataset, else frames are a second apart.
     current_A : drive current [A]; by default that of the dataset, else not known.
 
@@ -72,8 +73,9 @@ def _of_dataset(frames: "xr.Dataset", time_s: ArrayLike | None, current_A: float
             f"a dataset without the variable voltage: it has {', '.join(map(str, frames.data_vars)) or 'none'}",
             remedy="give one of Run.frames or Scene.frames, or an array",
         )
-    if frames["voltage"].attrs.get("units", "V") != VoltageUnit.VOLT:
-        raise RefusedError("the frames of this dataset are not in volts", remedy="convert them to volts")
+    unit = frames["voltage"].attrs.get("units", VoltageUnit.VOLT.value)
+    if unit not in list(VoltageUnit):
+        raise RefusedError(f"the frames of this dataset are in {unit}", remedy=f"give {' or '.join(VoltageUnit)}")
     ordered = [name for name in ("time", "drive", "measure") if name in frames["voltage"].dims]
     voltages = frames["voltage"].transpose(*ordered).values
     flags = frames["flags"].transpose(*ordered).values if "flags" in frames else np.zeros(voltages.shape, np.uint8)
@@ -84,7 +86,8 @@ def _of_dataset(frames: "xr.Dataset", time_s: ArrayLike | None, current_A: float
         if len(stated) > 1:
             raise RefusedError("these frames differ in their drive current", remedy="select those of one phase")
         current_A = None if np.isnan(stated[0]) else float(stated[0])
-    return _block(np.asarray(voltages, np.float64), np.asarray(flags, np.uint8), time_s, current_A)
+    block = _block(np.asarray(voltages, np.float64), np.asarray(flags, np.uint8), time_s, current_A)
+    return replace(block, unit=VoltageUnit(unit))
 
 
 def _block(

@@ -63,6 +63,6 @@ def image(
         If sensor type, reconstruction or an option is unknown, or the frames do not fit.
     """
     chosen = PluginChoice(reconstruction, options)
-    sensor = sensor_type_of(frames, sensor_type)
-    imaged = image_frames(frame_block(frames), frame_block(reference), sensor, chosen, tell=progress or quiet)
+    blocks = frame_block(frames), frame_block(reference)
+    imaged = image_frames(*blocks, sensor_type_of(frames, sensor_type), chosen, tell=progress or quiet)
     return Images(imaged_outcome(imaged))

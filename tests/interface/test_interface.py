@@ -5,12 +5,14 @@ import sys
 
 import numpy as np
 import pytest
+from force_calibration import force_calibration
 from stored_runs import journalled, short_run
 
 import cbsr_qa as qa
 from cbsr_qa.app.export import ExportRequest, export_data
 from cbsr_qa.interface import extras
 from cbsr_qa.store import open_store
+from cbsr_qa.studies.scenes import SceneRunRequest, run_scene
 
 pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")
@@ -108,12 +110,29 @@ def test_a_frame_is_imaged_where_it_was_pressed(scene):
     assert other.result.reconstruction == "truncated-svd"
 
 
+def test_frames_of_a_file_in_counts_are_imaged_as_they_are(tmp_path):
+    request = SceneRunRequest("faulty-electrode", output=tmp_path / "scene.h5", formats=("ert-board-csv",))
+    csv = run_scene(request).files[-1].path
+    with pytest.raises(qa.CbsrError, match="no known sensor type"):
+        qa.analyse(csv).frames()
+    analysis = qa.analyse(csv, sensor_type="disc-100mm")
+    frames, event = analysis.frames(), analysis.result.events[-1]
+    assert frames["voltage"].attrs["units"] == "count"
+    with pytest.raises(qa.CbsrError, match="in count, not in volts"):
+        qa.Calibration(force_calibration()).force(frames["voltage"])
+    pressed = (frames.time.values > event.end_s - 5) & (frames.time.values < event.end_s)
+    images = qa.image(frames.isel(time=pressed), frames.isel(time=slice(0, 5)), reconstruction="truncated-svd")
+    x_mm, y_mm = images.mesh.centroids_mm[images.values[-1].argmax()]
+    assert np.hypot(x_mm - event.x_mm, y_mm - event.y_mm) < 12
+
+
 @pytest.mark.parametrize(
     ("call", "reason"),
     [
         (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16))), "does not state its sensor type"),
         (lambda: qa.image(np.ones((8, 8)), np.ones((8, 8)), sensor_type="disc-100mm"), "have (8, 8)"),
         (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16)), sensor_type="disc-100m"), "disc-100m"),
+        (lambda: qa.image("absent.h5", "absent.h5"), "not real numbers"),
         (lambda: qa.analyse("absent.h5"), "absent.h5"),
         (lambda: qa.analyse(np.zeros((4, 16, 16))), "no signal"),
         (lambda: qa.open_database("absent.db"), "absent.db"),

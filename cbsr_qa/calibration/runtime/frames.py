@@ -16,7 +16,7 @@ from cbsr_qa.calibration.runtime.fewer_readings import (
 )
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag
 from cbsr_qa.calibration.runtime.spikes import SpikeFilter
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, real_numbers
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, NumericsError, real_numbers
 from cbsr_qa.domain.results import ForceModel, calibration as record
 
 #: A frame is from another sensor if its readings as a whole are further than this from the reference's (relative),
@@ -156,8 +156,11 @@ def volts(frames: ArrayLike) -> Array:
     Raises
     ------
     NumericsError
-        If they are not real numbers: a cast would drop imaginary parts, parse text, and reveal masked values.
+        If a dataset's variable states another unit than volts. If they are not real numbers: a cast would drop
+        imaginary parts, parse text, and reveal masked values.
     """
+    if (unit := getattr(frames, "attrs", {}).get("units", "V")) != "V":
+        raise NumericsError(f"the frames are in {unit}, not in volts", remedy="a calibration needs frames in volts")
     if isinstance(frames, np.ma.MaskedArray):
         frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)
     return real_numbers(frames, "frames")
