@@ -305,7 +305,10 @@ def test_stored_runs_take_less_room_and_keep_their_chain_and_every_bit_up_and_do
         tuple(row) for row in links
     ]
     schema.upgrade(engine)
-    assert content(engine) == compact
+    again = content(engine)
+    # Runs are announced again to a central database, at a later time.
+    assert [row[:3] for row in again.pop("outbox")] == [row[:3] for row in compact.pop("outbox")]
+    assert again == compact
     again = store.load_run(run)
     assert again.chain.chained
     for phase, same in zip(measured.phases, again.phases, strict=True):

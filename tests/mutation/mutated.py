@@ -177,21 +177,38 @@ def _processor_s() -> float:
     return sum(os.times()[:4])
 
 
-def peak_bytes() -> int:
-    """Largest memory of this process and of any child so far."""
-    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    return 1024 * max(resource.getrusage(each).ru_maxrss for each in who)
+class Memory:
+    """Memory taken from now on: what earlier tests of this process needed does not count."""
+
+    def __init__(self) -> None:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak begins anew
+        self._before = _status_bytes("VmRSS")
+        self._children = _children_bytes()
+
+    def peak_bytes(self) -> int:
+        """Largest growth of this process, or of a child beyond what it began with as a copy of this process."""
+        own, children = _status_bytes("VmHWM"), _children_bytes()
+        return max(own, children if children > self._children else 0) - self._before
+
+
+def _status_bytes(field: str) -> int:
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines())
+    return 1024 * int(status[field].split()[0])
+
+
+def _children_bytes() -> int:
+    return 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
 
 
 def found_wrong(folder: Path, numbers: range) -> list[str]:
     """Judge the files of some numbers: what must not happen, by the file; its bytes follow from the number."""
-    mutations, wrong = Mutations(folder), []
+    mutations, wrong, memory = Mutations(folder), [], Memory()
     for number in numbers:
         path = mutations.file(number)
         _, what = judged(path)
         if what:
             wrong.append(f"{path.name}: {what}")
         path.unlink()
-    if peak_bytes() > MOST_BYTES:
-        wrong.append(f"up to file {numbers[-1]}: {peak_bytes() / 2**30:.2f} GiB of memory")
+    if memory.peak_bytes() > MOST_BYTES:
+        wrong.append(f"up to file {numbers[-1]}: {memory.peak_bytes() / 2**30:.2f} GiB of memory")
     return wrong

@@ -346,7 +346,7 @@ def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
         writing.exec_driver_sql("SET session_replication_role = replica")
         for table in Base.metadata.sorted_tables:
             rows = [dict(row) for row in reading.execute(table.select()).mappings()]
-            if rows:
+            if rows and table.name != "sync_accepts":  # a new database has its row
                 writing.execute(table.insert(), rows)
     source.dispose()
     central.dispose()
