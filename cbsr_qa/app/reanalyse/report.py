@@ -12,7 +12,7 @@ from cbsr_qa.report import duration, number, plural, text_table, unit_shown
 MOST_SHOWN: Final = 200
 
 # Sentences, in reading order.
-_COUNTS: Final = "{computed} computed, {reused} stored already; {unchanged} equal to the valid analysis in every value"
+_COUNTS: Final = "{computed} computed, {reused} stored already; {unchanged} equal to the valid analysis in all values"
 _FREE: Final = "nothing was computed: {reused} of {reused} results were stored already"
 _TRIAL: Final = "nothing changes yet: --adopt --by NAME --why TEXT makes these results the valid analyses"
 _ADOPTED: Final = (
