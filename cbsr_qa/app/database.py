@@ -9,7 +9,7 @@ from cbsr_qa.app.command_hints import database_option
 from cbsr_qa.app.keeping import Count, stamped
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import CommandOutcome, EndReason
+from cbsr_qa.domain.results import Banner, CommandOutcome, EndReason
 from cbsr_qa.domain.run import run_named
 from cbsr_qa.report import answer
 from cbsr_qa.station import on_stderr
@@ -210,4 +210,7 @@ def _laid_out(
         facts.append(("no result", f"{name}: finished; next: its result"))
     resume = f"cbsr-qa run --resume RUN{database_option(option)} continues one of them"
     resumable = status.without_result or any(not run.writer for run in runs)
-    return answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
+    done = answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
+    if not status.remedy:
+        return done
+    return replace(done, page=replace(done.page, banner=Banner("plain", "–", status.url, "")))

@@ -160,7 +160,7 @@ def keep_synchronised(
                     trouble = ""
                     total = replace(total, **{name: getattr(total, name) + getattr(sent, name) for name in _TOTALS})
                     if sent.items or sent.quarantined:
-                        tell(_said(sent))
+                        tell(_said(sent, len(sent.quarantined)))
                 sleep(every_s)
         except KeyboardInterrupt:
             return _outcome(station, address(centre.url), total, time.monotonic() - begun_s, limit_h)
@@ -241,14 +241,21 @@ def _ago(hours: float) -> str:
     return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h" if hours < 48 else f"{hours / 24:.1f} days"
 
 
-def _said(sent: Sent) -> str:
+def _said(sent: Sent, quarantined: int) -> str:
     words = (
         f"sent: {plural(sent.runs, 'run')}, {plural(sent.items - sent.runs, 'other item')} ({sent.size / 1e6:.1f} MB)"
     )
     if not sent.items:
-        words = "nothing was sent" if sent.quarantined or sent.blocked else "there was nothing to send"
-    held_back = f"; {plural(len(sent.quarantined), 'item')} quarantined" if sent.quarantined else ""
-    return words + held_back
+        words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
+    return words + _held_back(quarantined)
+
+
+def _held_back(quarantined: int) -> str:
+    return f"; {plural(quarantined, 'item')} quarantined" if quarantined else ""
+
+
+def _why(kind: str, item: str, why: str) -> str:
+    return why.removeprefix(f"{kind} {item}: ")
 
 
 def _outcome(
@@ -274,10 +281,14 @@ def _outcome(
     quarantined = [entry for entry in kept if entry.state == QUARANTINED]
     facts = [("Database", address(station.url))]
     facts += [("Waits", _backlog(entries))] if entries and centre else []
-    facts += [(f"quarantined {entry.kind}", f"{entry.item}: {entry.why}") for entry in quarantined[:_LISTED]]
+    facts += [
+        (f"quarantined {entry.kind}", f"{entry.item}: {_why(entry.kind, entry.item, entry.why)}")
+        for entry in quarantined[:_LISTED]
+    ]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
-    headline = _said(sent) if centre else _backlog(entries)
+    count = len(quarantined)
+    headline = _said(sent, count) if centre else _backlog(entries) + _held_back(count)
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
     if not quarantined and not result.late:
@@ -293,7 +304,10 @@ def _with_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> Comman
     if not refused:
         return replace(done, result=result)
     lines = tuple(
-        Paragraph(f"{one.noted_at:%Y-%m-%d %H:%M} {one.station} {one.kind} {one.item}: {one.why}")
+        Paragraph(
+            f"{one.noted_at:%Y-%m-%d %H:%M}, station {one.station or '–'}, {one.kind} {one.item}:"
+            f" {_why(one.kind, one.item, one.why)}"
+        )
         for one in refused[-_LISTED:]
     )
     return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", lines)))

@@ -3,6 +3,8 @@
 import sqlalchemy as sa
 from alembic import op
 
+from cbsr_qa.domain import StoreError
+
 revision = "0018"
 down_revision = "0017"
 branch_labels = None
@@ -25,5 +27,8 @@ def upgrade() -> None:
 def downgrade() -> None:
     archived = op.get_bind().execute(sa.text("SELECT count(*) FROM archives")).scalar()
     if archived:  # the earlier program would find frames without readings
-        raise ValueError(f"{archived} runs are archived; bring them back first: cbsr-qa db unarchive RUN")
+        raise StoreError(
+            f"archived runs: {archived}; an earlier schema has no archives",
+            remedy="bring each back first: cbsr-qa db unarchive RUN",
+        )
     op.drop_table("archives")

@@ -28,7 +28,7 @@ from cbsr_qa.domain import CbsrError, ConfigError, RefusedError, StoreError, fil
 from cbsr_qa.domain.plan import PhaseSpec
 from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine, RunSelection
 from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.report import duration
+from cbsr_qa.report import duration, plural
 from cbsr_qa.store import Repository, open_store, parsed_url, sqlite_file
 from cbsr_qa.store.results import Reanalysis, StoredAnalysis, key_of
 from cbsr_qa.studies import check_names
@@ -262,7 +262,7 @@ def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begi
         count = min(request.workers or os.cpu_count() or 1, max(len(jobs), 1))
         where = f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
         if jobs:
-            tell(f"{len(jobs)} runs to analyse, {session.reused} stored already")
+            tell(f"{plural(len(jobs), 'run')} to analyse, {session.reused} stored already")
             with (begin or _beginning(request, count))() as workers:
                 session.compute(jobs, workers)
         computed = len(session.stored) - session.reused
