@@ -1,6 +1,7 @@
 """Tables of presses are refused by file, row and column."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -72,7 +73,8 @@ def test_a_file_that_is_no_table_is_refused(tmp_path):
 
 
 def test_parquet_says_what_it_needs(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    for module in ("pyarrow", "pyarrow.parquet"):
+        monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(RecordingError, match="needs pyarrow"):
         read_table(written(tmp_path, "", "presses.parquet"))
 
