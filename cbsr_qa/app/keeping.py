@@ -29,7 +29,9 @@ from cbsr_qa.system import RealClock
 Count = Callable[[str, int, int], None]
 
 _REMEDY: Final = "restore a backup (cbsr-qa db restore BACKUP), or recover the file and check it again"
-_VERIFIED: Final = "verified: the file is intact, and the chain of every run ends as in the database"
+_VERIFIED: Final = (
+    "verified: the file is intact, and the chain of every run ends as in the database; db check reads frames too"
+)
 _UNCHAINED: Final = "{count} without a chain of digests: changed rows of it cannot be detected"
 
 

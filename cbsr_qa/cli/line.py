@@ -222,7 +222,7 @@ class _Line:
                     note(f"{text!r} is ignored: the run of {serial} is under way")
 
     def _follow(self, process: "subprocess.Popen[str]") -> None:
-        """Show the questions of a run as they come, and hear the number of the open one, or that there is none."""
+        """Show the questions of a run as they come, and report the number of the open question, if any."""
         from cbsr_qa.station.control import RunChannel
 
         shown = ""

@@ -77,7 +77,7 @@ class Database(Result[DatabaseStatus]):
         return table_of(self._url, _request(selection), ExportTable.MEASUREMENTS)
 
     def run(self, run: str) -> Run:
-        """Return a run by its identifier, or the latest one of a serial number. StoreError if there is none."""
+        """Return a run by its identifier, or the latest run of a serial number. StoreError if neither is stored."""
         return Run(run, self._url)
 
 
@@ -91,6 +91,6 @@ def open_database(url: str | None = None) -> Database:
     Raises
     ------
     StoreError
-        If there is none, or it needs an upgrade.
+        If it does not exist, or needs an upgrade.
     """
     return Database(url)

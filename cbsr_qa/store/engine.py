@@ -185,7 +185,7 @@ def size_bytes(engine: Engine) -> int:
 def shrink(engine: Engine) -> None:
     """Give the free pages of a SQLite file back to the disk, which needs room for a copy of what remains.
 
-    StoreError if there is none, or another program reads the file; it is then as it was.
+    StoreError if the disk has no room, or another program reads the file; the file is unchanged then.
     """
     if sqlite_file(engine.url) is None:
         return

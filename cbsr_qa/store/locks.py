@@ -6,7 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -98,25 +98,21 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
         release()
 
 
-@contextmanager
-def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[bool]:
-    """Claim the seed of a sensor's run while entered; yields whether no other process has claimed it."""
-    name = hashlib.sha256(f"{serial}/{seed}".encode()).hexdigest()[:16]
-    release = _acquired(engine, f"seed-{name}", who)
-    if isinstance(release, str):
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        release()
+def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> AbstractContextManager[str]:
+    """Claim the seed of a sensor's run; see :func:`_claimed`."""
+    return _claimed(engine, "seed", f"{serial}/{seed}", who)
+
+
+def sensor_claimed(engine: Engine, serial: str, recipe: str, who: str) -> AbstractContextManager[str]:
+    """Claim a sensor for a run of a recipe; see :func:`_claimed`."""
+    return _claimed(engine, "sensor", f"{serial}/{recipe}", who)
 
 
 @contextmanager
-def sensor_claimed(engine: Engine, serial: str, recipe: str, who: str) -> Iterator[str]:
-    """Claim a sensor for a run of a recipe while entered; yields the other process that has it, empty without one."""
-    name = hashlib.sha256(f"{serial}/{recipe}".encode()).hexdigest()[:16]
-    release = _acquired(engine, f"sensor-{name}", who)
+def _claimed(engine: Engine, kind: str, claim: str, who: str) -> Iterator[str]:
+    """Claim something while entered; yields the other process that has it, empty without one."""
+    name = hashlib.sha256(claim.encode()).hexdigest()[:16]
+    release = _acquired(engine, f"{kind}-{name}", who)
     if isinstance(release, str):
         yield release
         return

@@ -102,8 +102,8 @@ class Repository:
     @contextmanager
     def seed_claimed(self, serial: str, seed: int, operator: str = "") -> Iterator[bool]:
         """Claim a seed for a run of a sensor while entered; yields False if another of its runs has it."""
-        with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as claimed:
-            yield claimed and seed not in self.seeds_of(serial)
+        with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as other:
+            yield not other and seed not in self.seeds_of(serial)
 
     def sensor_claimed(self, serial: str, recipe: str, operator: str = "") -> AbstractContextManager[str]:
         """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""

@@ -60,7 +60,7 @@ VIEWS: Final = {"v_runs": _RUNS, "v_measurements": _MEASUREMENTS, "v_calibration
 
 
 def create_views(connection: Connection) -> None:
-    """Create all views; there is none of them yet."""
+    """Create all views, which must not exist."""
     for name, query in VIEWS.items():
         connection.execute(text(f"CREATE VIEW {name} AS {query.strip()}"))
 

@@ -80,7 +80,7 @@ def key_of(data: str, recipe: str, software: Sequence[tuple[str, str]]) -> str:
 
 
 def find_reanalysis(engine: Engine, run: str, key_sha256: str) -> str | None:
-    """Return the latest re-analysis with this key; None if there is none."""
+    """Return the latest re-analysis with this key, or None."""
     r = ReanalysisRow
     query = select(func.max(r.reanalysis)).where(r.run == run, r.key_sha256 == key_sha256)
     with reading(engine) as connection:

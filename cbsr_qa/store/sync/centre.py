@@ -54,18 +54,21 @@ def check_centre(engine: Engine, station: Engine) -> None:
             )
         case Age.NEWER:
             oldest = _oldest_sender(engine)
-            if oldest > HEAD:
+            if oldest is None or oldest > HEAD:
+                whom = "states no schema of stations that it accepts"
+                if oldest is not None:
+                    whom = f"accepts stations of schema {oldest} or later"
                 raise StoreError(
-                    f"{where} accepts stations of schema {oldest} or later; this station's is {HEAD}",
+                    f"{where} {whom}; this station's is {HEAD}",
                     remedy="install the newer version of cbsr-qa on this station",
                 )
         case _:
             raise refusal(engine, version)
 
 
-def _oldest_sender(engine: Engine) -> str:
+def _oldest_sender(engine: Engine) -> str | None:
     with reading(engine) as connection:
-        return str(connection.scalar(select(SyncAcceptsRow.oldest_schema)) or "")
+        return connection.scalar(select(func.max(SyncAcceptsRow.oldest_schema)))
 
 
 def tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:

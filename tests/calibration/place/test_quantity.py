@@ -95,7 +95,7 @@ def test_a_gain_that_drifts_is_followed_and_intervals_hold_later_forces():
     strength, places_mm = located(sheet, np.arange(240))
     some, rest = np.arange(120), np.arange(120, 240)
     learned, still = (
-        learn_quantity((sheet.force_N)[some], (gain * strength)[some], places_mm[some], CENTRE, session=session)
+        learn_quantity(sheet.force_N[some], (gain * strength)[some], places_mm[some], CENTRE, session=session)
         for session in (Session(np.linspace(0, 1, 120), 0), None)
     )
     truth = sheet.force_N[rest]
