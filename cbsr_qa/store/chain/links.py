@@ -11,11 +11,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, select, text
+from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, literal_column, select, text
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
 from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.prepared import prepared
 from cbsr_qa.store.tables import (
     FEW_LINKS,
     AttendanceRow,
@@ -87,7 +88,12 @@ _PLAIN, _SIGNED = "sha256", "hmac-sha256:"
 # Statements are built once, and for the plain table: there is a row and its link with every frame.
 @cache
 def _insertion(table: Any) -> Insert:
-    return insert(table.__table__)
+    return insert(table.__table__).inline()
+
+
+def _insert(connection: Connection, table: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows that all give the columns of the first."""
+    prepared(_insertion(table), connection.dialect, tuple(rows[0])).execute(connection, rows)
 
 
 #: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
@@ -101,7 +107,7 @@ _NEWEST: Final = (
     .outerjoin(LinkRow, LinkRow.run == RunRow.run)
     .where(RunRow.run == bindparam("of_run"))
     .order_by(LinkRow.number.desc())
-    .limit(1)
+    .limit(literal_column("1"))
 )
 #: Two programs that add to one run must not both follow the same link. SQLite has one writer; on PostgreSQL this
 #: lasts to the end of the transaction. To lock the run's row would need the right to update it.
@@ -145,7 +151,7 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
     """
     if not rows:
         return
-    connection.execute(_insertion(table), rows)
+    _insert(connection, table, rows)
     kind = table.__tablename__
     add_links(connection, run, [(kind, *one) for one in documents(table.__table__, rows)])
 
@@ -163,7 +169,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     if connection.dialect.name == "postgresql":
         number = int.from_bytes(hashlib.sha256(f"cbsr-qa chain {run}".encode()).digest()[:8], signed=True)
         connection.execute(_ALONE, {"number": number})
-    chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
+    chain, last, before = prepared(_NEWEST, connection.dialect).one(connection, {"of_run": run})
     key = key_to_continue(connection, run, chain)
     if chain is None:
         announce(connection, Kind.RUN, [run])
@@ -175,7 +181,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         mac = None if key is None else key.sign(run, before)
         values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
         rows.append({"run": run, "number": number, **values})
-    connection.execute(_insertion(LinkRow), rows)
+    _insert(connection, LinkRow, rows)
     if any(row["kind"] not in OF_A_SESSION for row in rows):
         announce(connection, Kind.RUN, [run], number + 1)
 
