@@ -35,7 +35,7 @@ def verify(file: _EitherFile, public_key: _PublicKey = None, as_json: AsJson = F
     show_outcome(verify_file(file, public_key), as_json=as_json)
 
 
-@command("calibration new-key", prints="cbsr_qa.app:NewKey")
+@command("calibration keygen", prints="cbsr_qa.app:NewKey")
 def new_key(
     file: Annotated[Path, typer.Argument(help="File for the private key; must not exist yet, nor FILE.pub.")],
     as_json: AsJson = False,
@@ -52,7 +52,7 @@ def new_key(
 @command("calibration sign", prints="cbsr_qa.app:SignedFile")
 def sign(
     file: _EitherFile,
-    key: Annotated[Path, typer.Option(help="Private key that `cbsr-qa calibration new-key` made.")],
+    key: Annotated[Path, typer.Option(help="Private key, made by cbsr-qa calibration keygen.")],
     again: Annotated[bool, typer.Option("--again", help="Replace the signature that the file has.")] = False,
     as_json: AsJson = False,
 ) -> None:

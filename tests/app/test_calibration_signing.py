@@ -54,7 +54,7 @@ def _document(run, *arguments):
 def test_a_new_key_is_for_its_owner_alone(run, folder):
     before = os.umask(0)
     try:
-        made = _document(run, "new-key", "b.key")
+        made = _document(run, "keygen", "b.key")
     finally:
         os.umask(before)
     assert stat.S_IMODE((folder / "b.key").stat().st_mode) == 0o600
@@ -68,22 +68,22 @@ def test_a_new_key_is_for_its_owner_alone(run, folder):
 
 def test_a_key_is_never_replaced(run, folder):
     held = (folder / "a.key").read_bytes()
-    code, said = run("new-key", "a.key")
+    code, said = run("keygen", "a.key")
     assert (code, (folder / "a.key").read_bytes()) == (2, held)
     assert "a.key exists already; a key is never replaced" in said
     (folder / "b.key.pub").write_text("something")
-    code, said = run("new-key", "b.key")
+    code, said = run("keygen", "b.key")
     assert code == 2
     assert "b.key.pub exists already" in said
     assert not (folder / "b.key").exists()
-    assert "cannot be written" in run("new-key", "absent/c.key")[1]
+    assert "cannot be written" in run("keygen", "absent/c.key")[1]
 
 
 @pytest.mark.parametrize("given", ["päss", "@secret"])
 def test_a_passphrase_comes_from_the_environment_or_a_file(run, folder, monkeypatch, given):
     (folder / "secret").write_text("päss\n", encoding="utf-8")
     monkeypatch.setenv(_VARIABLE, given)
-    assert _document(run, "new-key", "b.key")["encrypted"] is True
+    assert _document(run, "keygen", "b.key")["encrypted"] is True
     assert "ENCRYPTED PRIVATE KEY" in (folder / "b.key").read_text()
     assert run("sign", "sensor.h5", "--key", "b.key")[0] == 0
     assert run("sign", "sensor.h5", "--key", "a.key", "--again")[0] == 0  # it needs none
@@ -101,7 +101,7 @@ def test_a_passphrase_comes_from_the_environment_or_a_file(run, folder, monkeypa
 )
 def test_a_passphrase_that_is_wrong_is_named_and_not_shown(run, folder, monkeypatch, given, said):
     monkeypatch.setenv(_VARIABLE, "right")
-    run("new-key", "b.key")
+    run("keygen", "b.key")
     monkeypatch.delenv(_VARIABLE)
     if given is not None:
         monkeypatch.setenv(_VARIABLE, given)
@@ -264,7 +264,7 @@ def test_without_the_library_a_robot_loads_the_file_and_a_check_says_what_to_ins
         with pytest.raises(RefusedError, match="need cryptography, which is not installed") as error:
             call()
         assert error.value.remedy == "pip install 'cbsr-qa[sign]'"
-    for arguments in (("new-key", "c.key"), ("sign", "sensor.h5", "--key", "a.key")):
+    for arguments in (("keygen", "c.key"), ("sign", "sensor.h5", "--key", "a.key")):
         assert "pip install 'cbsr-qa[sign]'" in run(*arguments)[1]
     code, said = run("verify", "force.h5", "--public-key", "a.key.pub")
     assert code == 2

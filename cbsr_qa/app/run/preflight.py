@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from cbsr_qa.analysis.run import check_weighing
-from cbsr_qa.calibration.file import signing_key
+from cbsr_qa.calibration.file import SigningKey, signing_key
 from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
 from cbsr_qa.domain.results import STRIP_MEASURES, Limit, linear
@@ -14,9 +14,6 @@ from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
 from cbsr_qa.eit.loads import check_strip
 from cbsr_qa.plugin import Kind, Plugins, contained, create_plugin
 from cbsr_qa.station import Plan
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 _WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
 _EQUAL: Final = 'set analysis.noise_weighting = "equal"'
@@ -88,7 +85,7 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
         )
 
 
-def station_key(station: Station) -> "Ed25519PrivateKey | None":
+def station_key(station: Station) -> SigningKey | None:
     """Return the key that signs a station's calibrations, or None. RefusedError if it cannot be used."""
     if station.signing_key is None:
         return None

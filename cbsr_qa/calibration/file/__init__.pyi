@@ -20,6 +20,7 @@ from .json import (
     verify_json_calibration as verify_json_calibration,
 )
 from .keys import (
+    SigningKey as SigningKey,
     new_key as new_key,
     passphrase as passphrase,
     public_path as public_path,

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
@@ -35,13 +35,11 @@ from cbsr_qa.calibration.file.content import (
 )
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
+from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature, with_signature
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
 from cbsr_qa.system import read_untrusted, writing, written_whole
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 _Kind = TypeVar("_Kind", bound=Issued)
 
@@ -72,7 +70,7 @@ def stamped(calibration: _Kind) -> _Kind:
     return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file, signature=None)
 
 
-def signed(calibration: _Kind, key: "Ed25519PrivateKey", at: datetime) -> _Kind:
+def signed(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
     """Return an issued calibration with its signature, and the bytes of its signed file.
 
     CalibrationError if its content was changed since it was issued.

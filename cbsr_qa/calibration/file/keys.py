@@ -7,13 +7,10 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final
 
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.system import secret_of, writing
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 PASSPHRASE: Final = "CBSR_QA_KEY_PASSPHRASE"
 #: Suffix of the file with the public key, after the name of the other.
@@ -21,7 +18,7 @@ PUBLIC: Final = ".pub"
 _LONGEST_BYTES: Final = 1023
 _LARGEST_FILE: Final = 2**16
 _REMEDY: Final = f"set {PASSPHRASE} to the passphrase, or to @FILE"
-_MAKE: Final = "`cbsr-qa calibration new-key FILE` makes FILE, and FILE.pub with the public key"
+_MAKE: Final = "`cbsr-qa calibration keygen FILE` makes FILE, and FILE.pub with the public key"
 
 
 def library(name: str) -> Any:
@@ -35,6 +32,18 @@ def library(name: str) -> Any:
             "signatures of calibrations need cryptography, which is not installed",
             remedy="pip install 'cbsr-qa[sign]'",
         ) from error
+
+
+class SigningKey:
+    """A private key in memory; ``public_key`` is the other half, in hexadecimal digits."""
+
+    def __init__(self, key: Any) -> None:
+        self._key = key
+        self.public_key: str = key.public_key().public_bytes_raw().hex()
+
+    def sign(self, statement: bytes) -> str:
+        """Return the signature of a statement, in hexadecimal digits."""
+        return str(self._key.sign(statement).hex())
 
 
 def passphrase(environment: Mapping[str, str] = os.environ) -> bytes | None:
@@ -69,7 +78,7 @@ def new_key(path: Path) -> str:
     except RefusedError:
         path.unlink()
         raise
-    return public_of(key)
+    return SigningKey(key).public_key
 
 
 def public_path(path: Path) -> Path:
@@ -96,7 +105,7 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
             raise
 
 
-def signing_key(path: Path) -> "Ed25519PrivateKey":
+def signing_key(path: Path) -> SigningKey:
     """Read a private key.
 
     ConfigError if it cannot be read, needs another passphrase, or is of another type.
@@ -117,7 +126,7 @@ def signing_key(path: Path) -> "Ed25519PrivateKey":
         raise _unreadable(path, "private") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise _another_type(path, key)
-    return cast("Ed25519PrivateKey", key)
+    return SigningKey(key)
 
 
 def _unlocked(path: Path, data: bytes, secret: bytes, serial: Any) -> Any:
@@ -128,11 +137,6 @@ def _unlocked(path: Path, data: bytes, secret: bytes, serial: Any) -> Any:
             f"key {path}: the passphrase in {PASSPHRASE} is not that of this key, or the file is damaged",
             remedy=_REMEDY,
         ) from error
-
-
-def public_of(key: "Ed25519PrivateKey") -> str:
-    """Return the public key of a private one, in hexadecimal digits."""
-    return key.public_key().public_bytes_raw().hex()
 
 
 def public_key(path: Path) -> str:

@@ -11,16 +11,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from cbsr_qa.calibration.file.content import content_digest
 from cbsr_qa.calibration.file.entries import Issued, encode
-from cbsr_qa.calibration.file.keys import library, public_key, public_of
+from cbsr_qa.calibration.file.keys import SigningKey, library, public_key
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import Signature, fingerprint
-
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 _Kind = TypeVar("_Kind", bound=Issued)
 
@@ -33,7 +30,7 @@ SIGNATURE: Final[Mapping[str, re.Pattern[str]]] = {
 _AS_ISSUED: Final = "use the file as it was issued: copy it again from who signed it"
 
 
-def with_signature(calibration: _Kind, key: "Ed25519PrivateKey", at: datetime) -> _Kind:
+def with_signature(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
     """Return an issued calibration with a signature; the bytes of its file are still those without it.
 
     Parameters
@@ -41,9 +38,9 @@ def with_signature(calibration: _Kind, key: "Ed25519PrivateKey", at: datetime) -
     at : time of signing, stated to the second.
     """
     signed_at = at.astimezone(UTC).isoformat(timespec="seconds")
-    public = public_of(key)
     digest = content_digest(encode(calibration))
-    signature = Signature(public, signed_at, key.sign(_statement(digest, signed_at, public)).hex())
+    statement = _statement(digest, signed_at, key.public_key)
+    signature = Signature(key.public_key, signed_at, key.sign(statement))
     return replace(calibration, digest=digest, signature=signature)
 
 
