@@ -198,5 +198,5 @@ def make_key(path: Path) -> CommandOutcome[NewKey]:
     encrypted = passphrase() is not None
     made = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
     lock = "encrypted with the passphrase" if encrypted else "not encrypted: anyone who reads it can sign"
-    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{made.public_key} (give it to who checks)"))
+    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{made.public_key} (give it to those who check)"))
     return answer(made, "key made", made.fingerprint, printed=printed)

@@ -27,7 +27,7 @@ SIGNATURE: Final[Mapping[str, re.Pattern[str]]] = {
     "signed_at": re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", re.ASCII),
     "signature": re.compile("[0-9a-f]{128}"),
 }
-_AS_ISSUED: Final = "use the file as it was issued: copy it again from who signed it"
+_AS_ISSUED: Final = "use the file as it was issued: copy it again from where it was signed"
 
 
 def with_signature(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
@@ -80,7 +80,7 @@ def check_signature(calibration: Issued, pinned: str = "") -> None:
         which = f"the pinned key {fingerprint(pinned)}" if pinned else "a key"
         raise CalibrationError(
             f"not signed, and a signature by {which} is required: it was removed, or there never was one",
-            remedy="use a file signed by that key; `cbsr-qa calibration sign` signs one, where the private key is",
+            remedy="use a file signed by that key; `cbsr-qa calibration sign` signs one that you trust",
         )
     if not _fits(signature, content_digest(encode(calibration))):
         raise CalibrationError(
