@@ -17,12 +17,18 @@ from .archive import Archived as Archived, archive_runs as archive_runs, unarchi
 from .calibrate import PressesCalibrated as PressesCalibrated, calibrate_from_presses as calibrate_from_presses
 from .calibration_file import (
     Converted as Converted,
-    SoundFile as SoundFile,
     export_calibration as export_calibration,
     read_any as read_any,
-    verify_file as verify_file,
 )
 from .calibration_shown import ShownCalibration as ShownCalibration, show_calibration as show_calibration
+from .calibration_signing import (
+    NewKey as NewKey,
+    SignedFile as SignedFile,
+    SoundFile as SoundFile,
+    make_key as make_key,
+    sign_file as sign_file,
+    verify_file as verify_file,
+)
 from .changes import (
     Changes as Changes,
     Overridden as Overridden,

@@ -11,7 +11,7 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import read_recording_file
 from cbsr_qa.app.calibration_file import check_free, write_text
-from cbsr_qa.calibration.file import read_contained
+from cbsr_qa.calibration.file import check_signed_file, read_contained
 from cbsr_qa.calibration.runtime import Calibration, Flag, SettlingForces
 from cbsr_qa.config import validate_serial
 from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, filled
@@ -191,6 +191,7 @@ class ApplyRequest:
     dataset: str | None = None
     reference: int | None = None
     serial: str | None = None
+    public_key: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,11 +226,14 @@ def apply_calibration(
     Raises
     ------
     CalibrationError
-        If the calibration cannot be used, or its sensor is not the stated one.
+        If the calibration cannot be used, is not signed by the stated key, or its sensor is not the stated one.
     ConfigError
-        If that serial number is malformed.
+        If that serial number is malformed, or the key cannot be used.
     """
-    sensor, plugins = Calibration(read_contained(calibration)), discover()
+    issued = read_contained(calibration)
+    if request.public_key is not None:
+        check_signed_file(calibration, issued, request.public_key)
+    sensor, plugins = Calibration(issued), discover()
     remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
     applied = []
     for path in recordings:

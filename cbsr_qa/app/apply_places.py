@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.analysis.recording import read_pressed_frames
-from cbsr_qa.calibration.file import Issued, read_issued
+from cbsr_qa.calibration.file import Issued, check_signed_file, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import FaultFinder, Flag
@@ -104,6 +104,7 @@ def apply_to_presses(
     differences: bool,
     rest: Path | None,
     reference: int | None = None,
+    public_key: Path | None = None,
 ) -> AppliedPlaces:
     """Turn rows of readings, or frames of a recording, into places.
 
@@ -114,11 +115,12 @@ def apply_to_presses(
     differences : whether the readings are changes; else they are frames, compared with ``rest``, with the
         ``reference`` first frames of the recording, or with the calibration's unloaded frames. Faults
         of pairs, electrodes and clipping are named in frames, and their readings left out.
+    public_key : file with the key that must have signed the calibration; None: not checked.
 
     Raises
     ------
     CalibrationError
-        If the calibration is damaged or of another kind, or a calibrated pair is missing.
+        If the calibration is damaged, of another kind or not signed by that key, or a calibrated pair is missing.
     RecordingError
         If a table cannot be used.
     """
@@ -128,6 +130,8 @@ def apply_to_presses(
             f"{calibration} was issued by a run; --pattern is for calibrations from labelled presses",
             remedy="apply it to recordings, without --pattern",
         )
+    if public_key is not None:
+        check_signed_file(calibration, issued, public_key)
     if pattern is None:
         read = read_pressed_frames(readings, _pattern(calibration, issued), rest, reference)
     else:

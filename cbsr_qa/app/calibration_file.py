@@ -1,4 +1,4 @@
-"""Checking and converting an issued calibration file."""
+"""Converting an issued calibration file."""
 
 import json
 from dataclasses import dataclass
@@ -12,17 +12,15 @@ from cbsr_qa.calibration.file import (
     of_run,
     read_issued,
     read_json_calibration,
-    verify_calibration_file,
     write_calibration,
 )
-from cbsr_qa.domain import CalibrationError, RefusedError, filled
-from cbsr_qa.domain.results import CommandOutcome
+from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.domain.results import CommandOutcome, fingerprint
 from cbsr_qa.report import answer
 from cbsr_qa.system import read_untrusted, writing, written_whole
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
-_UNCHECKED: Final = "the file states no SHA-256 of its bytes, so they were not checked before HDF5 parsed them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +31,7 @@ class Converted:
     ----------
     digest : SHA-256 of the content; for a firmware file, of its calibration.
     loss : what a firmware file omits; None if nothing is lost.
+    signed_by : fingerprint of the key whose signature it has; None if it has none, as a firmware file.
     """
 
     file: Path
@@ -40,6 +39,7 @@ class Converted:
     size_bytes: int
     digest: str
     loss: dict[str, Any] | None
+    signed_by: str | None
 
 
 def export_calibration(
@@ -74,8 +74,10 @@ def export_calibration(
         loss = {"lattice_stride": document["lattice_stride"], **document["loss"]}
         write_text(output, _json(document))
     else:
-        write_text(output, _json(json_document(calibration)))
-    converted = Converted(source, output, output.stat().st_size, calibration.digest, loss)
+        write_json(output, calibration)
+    signature = None if firmware else calibration.signature
+    signed_by = None if signature is None else fingerprint(signature.public_key)
+    converted = Converted(source, output, output.stat().st_size, calibration.digest, loss, signed_by)
     if loss is None:
         facts = [("SHA-256", f"{converted.digest}, as before")]
     else:
@@ -83,6 +85,9 @@ def export_calibration(
         forces = f"at {loss['places']} calibrated places forces differ by {rms:.2%} rms and {worst:.2%} at most"
         facts = [("Lattice", f"every {loss['lattice_stride']}th node"), ("Loss", forces)]
         facts.append(("Places lost", str(loss["places_lost"])))
+    if calibration.signature is not None:
+        kept = "lost: a firmware file has none" if firmware else f"by {calibration.signature.words}, as before"
+        facts.append(("Signature", kept))
     return answer(converted, "written", f"{converted.size_bytes / 1e3:.0f} kB", facts, [("File", str(output))])
 
 
@@ -94,8 +99,18 @@ def read_any(path: Path) -> Issued:
     CalibrationError
         If the file is damaged, or cannot be read within the limits.
     """
-    read = read_json_calibration if path.suffix.lower() == _JSON else read_issued
+    read = read_json_calibration if is_json(path) else read_issued
     return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
+
+
+def is_json(path: Path) -> bool:
+    """Whether a calibration is JSON, by its suffix."""
+    return path.suffix.lower() == _JSON
+
+
+def write_json(path: Path, calibration: Issued) -> None:
+    """Write a calibration as JSON, whole or not at all. RefusedError if it cannot be written."""
+    write_text(path, _json(json_document(calibration)))
 
 
 def _json(document: dict[str, Any]) -> str:
@@ -116,37 +131,3 @@ def write_text(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(text.encode())
-
-
-@dataclass(frozen=True, slots=True)
-class SoundFile:
-    """A complete, unaltered file of a known version.
-
-    Parameters
-    ----------
-    digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
-    bytes_checked : whether the file states the SHA-256 of its bytes, which is then checked before HDF5 parses them.
-    """
-
-    file: Path
-    sound: bool
-    digest: str
-    record_digest: str
-    schema_version: int
-    datasets: int
-    bytes_checked: bool
-
-
-def verify_file(path: Path) -> CommandOutcome[SoundFile]:
-    """Check digest and schema of a calibration file.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is damaged; the message says how.
-    """
-    checked = read_untrusted(path, lambda: verify_calibration_file(path), refusal=CalibrationError)
-    verified = filled(SoundFile, checked, file=path, sound=True)
-    content = f"{verified.datasets} datasets, schema {verified.schema_version}"
-    warnings = () if verified.bytes_checked else (_UNCHECKED,)
-    return answer(verified, f"{path} is sound", content, (("SHA-256", verified.digest),), warnings=warnings)

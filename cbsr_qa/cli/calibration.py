@@ -1,4 +1,4 @@
-"""``cbsr-qa calibration``: show, check and convert issued calibration files, turn frames into force."""
+"""``cbsr-qa calibration``: show, check, sign and convert calibration files, turn frames into force."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,10 +9,14 @@ from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
 
-group("calibration", "Show, check, convert and apply calibration files.")
+group("calibration", "Show, check, sign, convert and apply calibration files.")
 
 _STDOUT = Path("-")
 _File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
+_EitherFile = Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")]
+_PublicKey = Annotated[
+    Path | None, typer.Option(help="Public key that must have signed the calibration; any other file is refused.")
+]
 
 
 @command("calibration show", prints="cbsr_qa.app:ShownCalibration|ShownPressCalibration")
@@ -24,11 +28,41 @@ def show(file: _File, as_json: AsJson = False) -> None:
 
 
 @command("calibration verify", prints="cbsr_qa.app:SoundFile")
-def verify(file: _File, as_json: AsJson = False) -> None:
-    """Check that a calibration file is complete, unaltered and of a known version."""
+def verify(file: _EitherFile, public_key: _PublicKey = None, as_json: AsJson = False) -> None:
+    """Check that a calibration file is complete, unaltered and of a known version, and who signed it."""
     from cbsr_qa.app import verify_file
 
-    show_outcome(verify_file(file), as_json=as_json)
+    show_outcome(verify_file(file, public_key), as_json=as_json)
+
+
+@command("calibration keygen", prints="cbsr_qa.app:NewKey")
+def new_key(
+    file: Annotated[Path, typer.Argument(help="File for the private key; must not exist yet, nor FILE.pub.")],
+    as_json: AsJson = False,
+) -> None:
+    """Make a key pair that signs calibrations: FILE, for its owner alone, and FILE.pub for everybody.
+
+    If CBSR_QA_KEY_PASSPHRASE is set, to a passphrase or to @FILE, the private key is encrypted with it.
+    """
+    from cbsr_qa.app import make_key
+
+    show_outcome(make_key(file), as_json=as_json)
+
+
+@command("calibration sign", prints="cbsr_qa.app:SignedFile")
+def sign(
+    file: _EitherFile,
+    key: Annotated[Path, typer.Option(help="Private key, made by cbsr-qa calibration keygen.")],
+    again: Annotated[bool, typer.Option("--again", help="Replace the signature that the file has.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Sign a calibration file in its place; its content stays as it is.
+
+    CBSR_QA_KEY_PASSPHRASE is the passphrase of the key, or @FILE.
+    """
+    from cbsr_qa.app import sign_file
+
+    show_outcome(sign_file(file, key, again=again), as_json=as_json)
 
 
 @command("calibration export", prints="cbsr_qa.app:Converted")
@@ -96,6 +130,7 @@ def apply(
     output: Annotated[
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
+    public_key: _PublicKey = None,
     as_json: AsJson = False,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.
@@ -112,13 +147,14 @@ def apply(
             pattern,
             (differences, rest, reference),
             output,
+            public_key,
             as_json=as_json,
         )
     if differences or rest is not None:
         raise typer.BadParameter(
             "it is for calibrations from labelled presses", param_hint="--differences" if differences else "--rest"
         )
-    request = ApplyRequest(place, format_, dataset, reference, serial)
+    request = ApplyRequest(place, format_, dataset, reference, serial, public_key)
     applied = apply_calibration(file, recordings, request, tell=announce)
     for recording in applied.recordings:
         if recording.error is not None:
@@ -139,6 +175,7 @@ def _apply_places(
     pattern: Path | None,
     unloaded: tuple[bool, Path | None, int | None],
     output: Path | None,
+    public_key: Path | None,
     *,
     as_json: bool,
 ) -> int:
@@ -151,7 +188,9 @@ def _apply_places(
         raise typer.BadParameter("give one of --differences, --rest and --reference", param_hint="--differences")
     if pattern is not None and reference is not None:
         raise typer.BadParameter("a table has --rest FILE", param_hint="--reference")
-    applied = apply_to_presses(file, readings[0], pattern, differences=differences, rest=rest, reference=reference)
+    applied = apply_to_presses(
+        file, readings[0], pattern, differences=differences, rest=rest, reference=reference, public_key=public_key
+    )
     if output == _STDOUT and not as_json:
         say(places_csv(applied).rstrip())
         return 0

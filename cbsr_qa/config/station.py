@@ -153,6 +153,17 @@ class ReferenceRingTable(Table):
         )
 
 
+class CalibrationsTable(Table):
+    """``[calibrations]``: how the station issues calibrations."""
+
+    signing_key: Annotated[str, Field(min_length=1)]
+
+    def problems(self) -> Iterator[Problem]:
+        """The path is a full one: a run is resumed from what is stored, wherever its station file was."""
+        if not Path(self.signing_key).is_absolute() or "\0" in self.signing_key:
+            yield Problem(("calibrations", "signing_key"), "is not a full path", "give one that begins with /")
+
+
 class InstrumentTable(OpenTable):
     """``[instruments.<role>]``: driver, provided role, expected identity, and the driver's options."""
 
@@ -186,6 +197,7 @@ class StationFile(FileModel[Station]):
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
     emulation: EmulationTable | None = None
     reference_ring: ReferenceRingTable | None = None
+    calibrations: CalibrationsTable | None = None
     gate: GateTable = Field(default_factory=GateTable)
     events: Annotated[dict[Word, EventsTable], Field(default_factory=dict)]
 
@@ -208,6 +220,8 @@ class StationFile(FileModel[Station]):
         yield from self._unemulated()
         if self.reference_ring is not None:
             yield from self.reference_ring.problems()
+        if self.calibrations is not None:
+            yield from self.calibrations.problems()
         yield from self.gate.problems()
         if self.station.overdue is not None and self.gate.calibration_due is not None:
             what = "is given beside station.overdue, its earlier spelling; give one of them"
@@ -250,6 +264,7 @@ class StationFile(FileModel[Station]):
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
+            signing_key=None if self.calibrations is None else Path(self.calibrations.signing_key),
             gate=self.gate.to_domain(self.station.overdue),
             events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )

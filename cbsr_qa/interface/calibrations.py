@@ -7,15 +7,21 @@ from cbsr_qa.calibration import Calibration, ForceStream
 __all__ = ["Calibration", "ForceStream", "load_calibration"]
 
 
-def load_calibration(path: str | Path) -> Calibration:
+def load_calibration(path: str | Path, *, public_key: str | Path | None = None) -> Calibration:
     """Read the calibration file of a sensor that a run has calibrated.
 
     Apply it to frames with :meth:`Calibration.force`, to several heads with :meth:`Calibration.forces`, to a stream
     with ``ForceStream(calibration)``.
 
+    Parameters
+    ----------
+    public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
+
     Raises
     ------
     CalibrationError
-        If the file is missing, damaged, of a later version, or holds no force model.
+        If the file is missing, damaged, of a later version, holds no force model, or is not signed by that key.
+    RefusedError
+        If the key cannot be used.
     """
-    return Calibration.load(path)
+    return Calibration.load(path, public_key=public_key)

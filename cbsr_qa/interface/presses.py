@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.file import read_issued
+from cbsr_qa.calibration.file import check_signed_file, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import LearnedQuantity, PressCalibration as Issued
@@ -52,15 +52,23 @@ def _quantity(name: str, learned: LearnedQuantity | None, places: Places) -> Qua
     return QuantityEstimator(learned)(places)
 
 
-def load_press_calibration(path: str | Path) -> PressCalibration:
+def load_press_calibration(path: str | Path, *, public_key: str | Path | None = None) -> PressCalibration:
     """Read a calibration file that ``cbsr-qa calibrate`` has learned from labelled presses.
+
+    Parameters
+    ----------
+    public_key : as for :func:`cbsr_qa.load_calibration`.
 
     Raises
     ------
     CalibrationError
-        If the file is missing, damaged, of a later version, or was issued by a run.
+        If the file is missing, damaged, of a later version, was issued by a run, or is not signed by that key.
+    RefusedError
+        If the key cannot be used.
     """
     issued = read_issued(Path(path))
+    if public_key is not None:
+        check_signed_file(path, issued, public_key)
     if not isinstance(issued, Issued):
         raise CalibrationError(f"calibration file {path}: issued by a run", remedy="load_calibration reads it")
     return PressCalibration(issued)

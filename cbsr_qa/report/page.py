@@ -75,7 +75,9 @@ def _issued(result: RunResult) -> tuple[str, str]:
     """What a run issued: a calibration, or a material file where a material was characterised."""
     characterised = result.characterisation
     if characterised is None:
-        return "Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"
+        signature = result.calibration.signature if result.calibration else None
+        issued = f"issued, signed by {signature.words}" if signature else "issued"
+        return "Calibration", issued if result.calibration else f"none: {result.calibration_why}"
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
     why = next(iter(characterised.refused), "" if passed else "the run did not pass")
     return "Material file", f"none: {why}" if why else "issued"

@@ -24,5 +24,6 @@ from .pins import (
     pin_matches as pin_matches,
 )
 from .redelivery import Redelivery as Redelivery
+from .secret import secret_of as secret_of
 from .untrusted import CONTAINED as CONTAINED, largest_content as largest_content, read_untrusted as read_untrusted
 from .workers import heard_later as heard_later, worker_pool as worker_pool

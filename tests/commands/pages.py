@@ -23,6 +23,7 @@ TYPED = {
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
     "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
+    "docs/how-to/sign-calibrations.md": "commands/test_signed_calibrations.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",

@@ -208,6 +208,7 @@ _RUN_ABOVE = {"write-a-plugin.md", "describe-a-sensor.md", "forward-model.md", "
 _RUN_ABOVE |= {"your-first-plugin.md"}  # by test_plugin_tutorial.py
 _RUN_ABOVE |= {
     "use-a-calibration.md",
+    "sign-calibrations.md",
     "calibration-file.md",
     "calibrate-from-presses.md",
     "take-your-data-elsewhere.md",

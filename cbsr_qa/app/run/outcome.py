@@ -255,6 +255,8 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         facts.append(("Calibration", f"none: {tested.calibration_why or 'not written'}"))
     else:
         printed.append(("Calibration", str(tested.calibration)))
+        if result.calibration is not None and result.calibration.signature is not None:
+            facts.append(("Signed", f"the calibration, by {result.calibration.signature.words}"))
     if tested.place is not None:
         facts.append(("Place", tested.place.words.removeprefix("Place ")))
     if tested.material is not None:

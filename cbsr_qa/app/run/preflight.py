@@ -5,8 +5,9 @@ from difflib import get_close_matches
 from typing import Final
 
 from cbsr_qa.analysis.run import check_weighing
-from cbsr_qa.domain import CbsrError, ConfigError
-from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role
+from cbsr_qa.calibration.file import SigningKey, signing_key
+from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
+from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
 from cbsr_qa.domain.results import STRIP_MEASURES, Limit, linear
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
@@ -82,6 +83,17 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
             f"recipe {recipe.name!r} has [characterisation] and {pressed}; a strip is pressed at one place",
             remedy='give it one phase with sequence = "characterisation"',
         )
+
+
+def station_key(station: Station) -> SigningKey | None:
+    """Return the key that signs a station's calibrations, or None. RefusedError if it cannot be used."""
+    if station.signing_key is None:
+        return None
+    try:
+        return signing_key(station.signing_key)
+    except RefusedError as error:
+        where = f"station {station.name!r}: calibrations.signing_key: "
+        raise type(error)(f"{where}{error.reason}", remedy=error.remedy) from error
 
 
 def _check_limits(limits: Iterable[Limit], metrics: Mapping[str, object]) -> None:

@@ -14,10 +14,11 @@ from cbsr_qa.app.command_hints import report_command, resume_command
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
-from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded
+from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, station_key
+from cbsr_qa.calibration.file import signed
 from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError, filled
-from cbsr_qa.domain.results import EndReason, RunResult
+from cbsr_qa.domain import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError, filled
+from cbsr_qa.domain.results import Calibration, EndReason, RunResult
 from cbsr_qa.domain.run import (
     GateAnswer,
     InstrumentIdentity,
@@ -111,6 +112,7 @@ def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
     """Check recipe, plugins and limits before anything moves. RefusedError if one fails."""
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
     planned = plan_of(configuration, plugins)
+    station_key(configuration.station)
     check_unloaded(planned, configuration.recipe)
     check_cycles(planned, configuration.recipe)
 
@@ -320,7 +322,7 @@ def concluded(
     Raises
     ------
     BrokenRunError
-        If the result could not be stored or read back; the run's rows are kept.
+        If the result could not be stored or read back, or its calibration not be signed; the run's rows are kept.
     UnconcludedError
         If a signal or the keyboard stopped it.
     """
@@ -362,6 +364,8 @@ def _concluded(
     paused = _paused(record)
     charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    if calibration is not None:
+        calibration = _signed(calibration, configuration, store)
     result = filled(
         RunResult,
         conclusion,
@@ -389,6 +393,18 @@ def _concluded(
     store.save_result(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
     return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
+
+
+def _signed(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
+    """Sign a calibration with the station's key, if it has one. BrokenRunError if the key cannot be used any more."""
+    try:
+        key = station_key(configuration.station)
+    except RefusedError as error:
+        again = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
+        raise BrokenRunError(
+            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=again
+        ) from error
+    return calibration if key is None else signed(calibration, key, RealClock().wall())
 
 
 def _paused(record: RunRecord) -> Iterator[str]:

@@ -8,9 +8,22 @@ from .hdf5 import (
     read_calibration as read_calibration,
     read_contained as read_contained,
     read_issued as read_issued,
+    signed as signed,
     stamped as stamped,
     verify_calibration_file as verify_calibration_file,
     write_calibration as write_calibration,
 )
 from .hdf5_content import attribute as attribute, attribute_names as attribute_names, members as members
-from .json import json_document as json_document, read_json_calibration as read_json_calibration
+from .json import (
+    json_document as json_document,
+    read_json_calibration as read_json_calibration,
+    verify_json_calibration as verify_json_calibration,
+)
+from .keys import (
+    SigningKey as SigningKey,
+    new_key as new_key,
+    passphrase as passphrase,
+    public_path as public_path,
+    signing_key as signing_key,
+)
+from .signing import check_signed_file as check_signed_file

@@ -3,7 +3,8 @@
 Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, booleans are one byte (0 or 1), missing
 numbers are NaN, missing indices are −1, missing optional arrays are empty. Attributes of the root are ``format``,
 ``schema_version`` and ``digest``, which covers the content, not the file's bytes (see
-:mod:`cbsr_qa.calibration.file`), and so does not depend on the HDF5 library. The 512 bytes before the HDF5 file (its
+:mod:`cbsr_qa.calibration.file`), and so does not depend on the HDF5 library; a signed file also has ``public_key``,
+``signed_at`` and ``signature`` (:mod:`cbsr_qa.calibration.file.signing`). The 512 bytes before the HDF5 file (its
 user block, which every HDF5 library skips) hold a digest of all bytes after them. Schema version 1 had no group
 ``force``, version 2 matrix and Jacobian in double precision; these versions are still written if sufficient. Large
 arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
@@ -14,6 +15,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -33,11 +35,13 @@ from cbsr_qa.calibration.file.content import (
 )
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
+from cbsr_qa.calibration.file.keys import SigningKey
+from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature, with_signature
 from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import Calibration, PressCalibration, VerifiedFile
+from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
 from cbsr_qa.system import read_untrusted, writing, written_whole
 
-_Kind = TypeVar("_Kind", Calibration, PressCalibration)
+_Kind = TypeVar("_Kind", bound=Issued)
 
 #: More than in any calibration file.
 _LARGEST_BYTES: Final = 2**28
@@ -63,7 +67,17 @@ def stamped(calibration: _Kind) -> _Kind:
     entries = encode(calibration)
     digest = content_digest(entries)
     file = _whole_file(entries, digest)
-    return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file)
+    return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file, signature=None)
+
+
+def signed(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
+    """Return an issued calibration with its signature, and the bytes of its signed file.
+
+    CalibrationError if its content was changed since it was issued.
+    """
+    entries = _as_issued(calibration)
+    held = with_signature(calibration, key, at)
+    return replace(held, file=_whole_file(entries, held.digest, held.signature))
 
 
 def write_calibration(path: Path, calibration: Issued) -> str:
@@ -77,7 +91,10 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     """
     entries = _as_issued(calibration)
     digest = content_digest(entries)
-    data = calibration.file if calibration.file and digest == calibration.digest else _whole_file(entries, digest)
+    if calibration.file and digest == calibration.digest:
+        data = calibration.file
+    else:
+        data = _whole_file(entries, digest, calibration.signature)
     remedy = "give a folder that exists and may be written, with room for some megabytes"
     with writing(path, refusal=CalibrationError, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -86,18 +103,20 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     return digest
 
 
-def _whole_file(entries: Mapping[str, Entry], digest: str) -> bytes:
+def _whole_file(entries: Mapping[str, Entry], digest: str, signature: Signature | None = None) -> bytes:
     try:
-        image = _in_memory(entries, digest)
+        image = _in_memory(entries, digest, signature)
     except ValueError as error:
         raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
     return _block(image) + image
 
 
-def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
+def _in_memory(entries: Mapping[str, Entry], digest: str, signature: Signature | None) -> bytes:
     """Return the file's bytes, built in memory because a full disk would crash HDF5."""
     with h5py.File("calibration.h5", "w", driver="core", backing_store=False, userblock_size=_BLOCK_BYTES) as file:
         _write(file, entries, digest)
+        for name in SIGNATURE if signature else ():
+            file.attrs[name] = getattr(signature, name)
         file.flush()
         return bytes(file.id.get_file_image())
 
@@ -146,8 +165,9 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
 
 def _issued_in(data: bytes) -> Issued:
-    entries, digest, _ = _read(data)
-    return replace(decode(entries), digest=digest, record_digest=record_digest(entries), file=data)
+    entries, digest, _, signature = _read(data)
+    issued = decode(entries)
+    return replace(issued, digest=digest, record_digest=record_digest(entries), file=data, signature=signature)
 
 
 def read_contained(path: Path) -> Calibration:
@@ -161,14 +181,16 @@ def read_contained(path: Path) -> Calibration:
 def verify_calibration_file(path: Path) -> VerifiedFile:
     """Check digest and schema of a calibration file; refused as by :func:`read_calibration`."""
     with _naming(path):
-        entries, digest, checked = _read(file_bytes(path))
+        entries, digest, checked, signature = _read(file_bytes(path))
         decode(entries)
-        return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries), checked)
+        version = schema_version(entries)
+        return VerifiedFile(path, version, digest, record_digest(entries), len(entries), checked, signature)
 
 
 def _as_issued(calibration: Issued) -> Mapping[str, Entry]:
     entries = encode(calibration)
-    if calibration.record_digest and record_digest(entries) != calibration.record_digest:
+    changed = calibration.record_digest and record_digest(entries) != calibration.record_digest
+    if changed or (calibration.signature and content_digest(entries) != calibration.digest):
         raise CalibrationError(
             f"{calibration!r} is not what was issued: its content was changed since",
             remedy="issue a new one; a sensor's values are changed by calibrating it again",
@@ -201,7 +223,7 @@ def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
     return packing
 
 
-def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
+def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
     checked = _check_bytes(data)
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
@@ -209,6 +231,7 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
             held = members(file, len(data))
             entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
             stated = _stated(file)
+            parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
     digest = content_digest(entries, version)
@@ -222,7 +245,7 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
         raise CalibrationError(
             f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
         )
-    return entries, digest, checked
+    return entries, digest, checked, stated_signature(parts)
 
 
 def _block(image: bytes) -> bytes:

@@ -3,14 +3,15 @@
 One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: for each path in the HDF5 file its
 ``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or for
 large arrays ``base64`` of the little-endian bytes. Missing numbers are null. The digest is that of the HDF5 file, as
-the content is the same.
+the content is the same, and so is the signature: an object with the names of the HDF5 file's attributes.
 """
 
 import base64
 import binascii
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,8 +31,13 @@ from cbsr_qa.calibration.file.content import (
 )
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
+from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature
 from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import Signature, VerifiedFile
 
+#: Of a document; a file with any other is not what was written.
+_KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
+_AS_WRITTEN: Final = "use the file as it was written"
 #: Arrays of more values are written as bytes.
 _SPELT_OUT: Final = 256
 #: Lists, objects and their items; each takes some hundred bytes of memory when parsed.
@@ -46,6 +52,7 @@ def json_document(calibration: Issued) -> dict[str, Any]:
         "format": format_of(entries),
         "schema_version": schema_version(entries),
         "digest": content_digest(entries),
+        **({} if calibration.signature is None else {"signature": asdict(calibration.signature)}),
         "datasets": {path: dataset(entries[path]) for path in sorted(entries)},
     }
 
@@ -71,14 +78,29 @@ def read_json_calibration(path: Path) -> Issued:
     CalibrationError
         If it does not exist, is not a calibration in JSON, edited since it was written, or of a later version.
     """
+    with _naming(path):
+        entries, digest, signature = _read(path)
+        return replace(decode(entries), digest=digest, record_digest=record_digest(entries), signature=signature)
+
+
+def verify_json_calibration(path: Path) -> VerifiedFile:
+    """Check digest and schema of a calibration in JSON; refused as by :func:`read_json_calibration`."""
+    with _naming(path):
+        entries, digest, signature = _read(path)
+        decode(entries)
+        version = schema_version(entries)
+        return VerifiedFile(path, version, digest, record_digest(entries), len(entries), False, signature)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
     try:
-        entries, digest = _read(path)
-        return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
+        yield
     except CalibrationError as error:
         raise CalibrationError(f"calibration {path}: {printable(error.reason)}", remedy=error.remedy) from error
 
 
-def _read(path: Path) -> tuple[dict[str, Entry], str]:
+def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     document = _document(path)
     format_ = document.get("format")
     if format_ not in (FORMAT, PRESS_FORMAT) or not isinstance(document.get("datasets"), dict):
@@ -86,6 +108,8 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
             "JSON, but not a whole calibration",
             remedy="give what `cbsr-qa calibration export` wrote, without --firmware",
         )
+    if unknown := document.keys() - _KEYS:
+        raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
     if not isinstance(version, int) or not 1 <= version <= latest_version(format_):
         raise CalibrationError(
@@ -97,9 +121,18 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
     if digest != document.get("digest") or format_ != format_of(entries) or version != schema_version(entries):
         raise CalibrationError(
             f"the content was changed after it was written: its SHA-256 is {digest}",
-            remedy="use the file as it was written; a sensor's values are changed by calibrating it again",
+            remedy=f"{_AS_WRITTEN}; a sensor's values are changed by calibrating it again",
         )
-    return entries, digest
+    return entries, digest, _signature(document)
+
+
+def _signature(document: dict[str, Any]) -> Signature | None:
+    if "signature" not in document:
+        return None
+    stated = document["signature"]
+    if not isinstance(stated, dict) or set(stated) - set(SIGNATURE) or not stated:
+        raise CalibrationError("its signature is damaged: it has other parts than a signature", remedy=_AS_WRITTEN)
+    return stated_signature(stated)
 
 
 def _document(path: Path) -> dict[str, Any]:

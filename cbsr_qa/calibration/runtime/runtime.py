@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.file import read_calibration
+from cbsr_qa.calibration.file import check_signed_file, read_calibration
 from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
 from cbsr_qa.calibration.runtime.force import (
     LARGEST,
@@ -75,9 +75,24 @@ class Calibration(SensorFrames):
         return f"<Calibration of sensor {self.issued.sensor.serial}{force} {where}, head: {head}>"
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a calibration file. CalibrationError if damaged, of a later version, or without a force model."""
-        return cls(read_calibration(Path(path)))
+    def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
+        """Read a calibration file.
+
+        Parameters
+        ----------
+        public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
+
+        Raises
+        ------
+        CalibrationError
+            If it is damaged, of a later version, without a force model, or not signed by that key.
+        RefusedError
+            If the key cannot be used.
+        """
+        issued = read_calibration(Path(path))
+        if public_key is not None:
+            check_signed_file(path, issued, public_key)
+        return cls(issued)
 
     def force(
         self,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from cbsr_qa.domain.errors import ConfigError
@@ -164,6 +165,7 @@ class Station:
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
     gate : checks before every run.
     events : where events of its runs are delivered, by name.
+    signing_key : file with the private key that signs its calibrations; None: they are not signed.
     """
 
     name: str
@@ -179,6 +181,7 @@ class Station:
     events: tuple[EventSinkSpec, ...] = ()
     clock_speed: float | None = None
     gate: GateSettings = field(default_factory=GateSettings)
+    signing_key: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)

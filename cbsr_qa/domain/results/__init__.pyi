@@ -111,3 +111,4 @@ from .report import (
     Section as Section,
     Table as Table,
 )
+from .signature import Signature as Signature, fingerprint as fingerprint

@@ -14,6 +14,7 @@ from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.results.image import LinearReconstruction
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
+from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorType
 
@@ -246,6 +247,7 @@ class Calibration:
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     file : bytes of its file as it was issued; empty where it was read from something else.
+    signature : of the digest, as the file states it; None if it is not signed.
     """
 
     calibration: Annotated[str, Kept("identity/calibration")]
@@ -281,6 +283,7 @@ class Calibration:
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""
+    signature: Annotated[Signature | None, NOT_KEPT] = None
 
     def __repr__(self) -> str:
         force = f"no force model: {self.no_force}" if self.force is None else "with force model"
@@ -295,6 +298,7 @@ class VerifiedFile:
     Parameters
     ----------
     bytes_checked : whether the file states a digest of its bytes, which was checked before they were parsed.
+    signature : as the file states it; None if it is not signed.
     """
 
     path: Path
@@ -303,3 +307,4 @@ class VerifiedFile:
     record_digest: str
     datasets: int
     bytes_checked: bool
+    signature: Signature | None = None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.kept import NOT_KEPT, Kept
 from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
+from cbsr_qa.domain.results.signature import Signature
 
 #: What presses may be labelled with beside their places, and in which unit.
 PRESS_QUANTITIES: Final = {"force": "N", "depth": "mm"}
@@ -138,7 +139,7 @@ class PressCalibration:
     modelled : the same by the modelled sheet alone; None in earlier files.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
     drive, measure : pairs by row and column of a frame of the sensor type; empty in earlier files.
-    digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
+    digest, record_digest, file, signature : as of :class:`~cbsr_qa.domain.results.Calibration`.
     """
 
     calibration: Annotated[str, Kept("identity/calibration")]
@@ -170,6 +171,7 @@ class PressCalibration:
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""
+    signature: Annotated[Signature | None, NOT_KEPT] = None
 
     def __repr__(self) -> str:
         return f"<PressCalibration of a {self.sensor_type} from {self.used} presses, issued at {self.issued_at}>"

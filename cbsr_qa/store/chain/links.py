@@ -8,7 +8,6 @@ import hmac
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any, Final, Self
 
 from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, literal_column, select, text
@@ -29,6 +28,7 @@ from cbsr_qa.store.tables import (
     StepRow,
     UnloadedMarkRow,
 )
+from cbsr_qa.system import secret_of
 
 VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
 _LEAST: Final = 16
@@ -51,16 +51,9 @@ class SigningKey:
         ConfigError
             If it is empty or short, or its file cannot be read. The message does not quote the setting.
         """
-        said = environment.get(VARIABLE)
-        if said is None:
+        secret = secret_of(VARIABLE, remedy=_REMEDY, environment=environment)
+        if secret is None:
             return None
-        if said.startswith("@"):
-            try:
-                said = Path(said[1:]).read_text(encoding="utf-8")
-            except (OSError, ValueError) as error:
-                why = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
-                raise ConfigError(f"the file that {VARIABLE} names cannot be read: {why}", remedy=_REMEDY) from None
-        secret = said.strip()
         if len(secret) < _LEAST:
             raise ConfigError(f"the signing key in {VARIABLE} has {len(secret)} characters", remedy=_REMEDY)
         return cls(secret.encode("utf-8", "surrogateescape"))

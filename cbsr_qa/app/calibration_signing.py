@@ -1,0 +1,202 @@
+"""Checking, signing and the keys of calibration files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.calibration_file import is_json, read_any, write_json
+from cbsr_qa.calibration.file import (
+    Issued,
+    check_signed_file,
+    new_key,
+    passphrase,
+    public_path,
+    signed,
+    signing_key,
+    verify_calibration_file,
+    verify_json_calibration,
+    write_calibration,
+)
+from cbsr_qa.domain import CalibrationError, RefusedError, filled
+from cbsr_qa.domain.results import CommandOutcome, fingerprint
+from cbsr_qa.report import answer
+from cbsr_qa.system import RealClock, read_untrusted
+
+_UNCHECKED: Final = "the file states no SHA-256 of its bytes, so they were not checked before HDF5 parsed them"
+_NOT_PINNED: Final = (
+    "no key was pinned, so anybody may have made it: --public-key FILE requires the key that you trust"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedSignature:
+    """A file's signature.
+
+    Parameters
+    ----------
+    key : fingerprint of the signer's public key.
+    signed_at : time that the signer stated.
+    checked : whether it fits the content; False only where ``cryptography`` is not installed and no key was pinned.
+    pinned : whether the signature had to be by a given key, and is.
+    """
+
+    key: str
+    signed_at: str
+    checked: bool
+    pinned: bool
+
+    @property
+    def words(self) -> str:
+        which = f"by {'the pinned ' if self.pinned else ''}key {self.key}"
+        return f"valid, {which}" if self.checked else f"not checked, {which}"
+
+
+@dataclass(frozen=True, slots=True)
+class SoundFile:
+    """A complete, unaltered file of a known version.
+
+    Parameters
+    ----------
+    digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
+    bytes_checked : whether the file states the SHA-256 of its bytes, which is then checked before HDF5 parses them.
+        JSON states none.
+    signature : None if the file is not signed.
+    """
+
+    file: Path
+    sound: bool
+    digest: str
+    record_digest: str
+    schema_version: int
+    datasets: int
+    bytes_checked: bool
+    signature: CheckedSignature | None
+
+
+def verify_file(path: Path, key: Path | None = None) -> CommandOutcome[SoundFile]:
+    """Check digest, schema and signature of a calibration file, HDF5 or JSON.
+
+    Parameters
+    ----------
+    key : file with the public key that must have signed it; None for any signature, or none.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is damaged, or not signed as required; the message says how.
+    RefusedError
+        If the key cannot be used.
+    """
+    verify = verify_json_calibration if is_json(path) else verify_calibration_file
+    checked = read_untrusted(path, lambda: verify(path), refusal=CalibrationError)
+    issued = read_any(path)
+    signature, warnings = _checked(path, issued, key)
+    verified = filled(SoundFile, checked, file=path, sound=True, digest=issued.digest, signature=signature)
+    facts = [("SHA-256", verified.digest), ("Signature", "none" if signature is None else signature.words)]
+    if signature is not None:
+        facts.append(("Signed at", signature.signed_at))
+    if not (checked.bytes_checked or is_json(path)):
+        warnings.append(_UNCHECKED)
+    content = f"{verified.datasets} datasets, schema {verified.schema_version}"
+    return answer(verified, f"{path} is sound", content, facts, warnings=warnings)
+
+
+def _checked(path: Path, issued: Issued, key: Path | None) -> tuple[CheckedSignature | None, list[str]]:
+    """Return a file's signature, and what a reader must know of it."""
+    if issued.signature is None and key is None:
+        return None, []
+    warnings, checked = [] if key else [_NOT_PINNED], True
+    try:
+        check_signed_file(path, issued, key)
+    except CalibrationError:
+        raise
+    except RefusedError as error:  # the library is missing
+        if key is not None:
+            raise
+        warnings, checked = [f"its signature was not checked: {error.reason}; {error.remedy}"], False
+    assert issued.signature is not None
+    who, when = fingerprint(issued.signature.public_key), issued.signature.signed_at
+    return CheckedSignature(who, when, checked, key is not None), warnings
+
+
+@dataclass(frozen=True, slots=True)
+class SignedFile:
+    """A calibration file that was signed.
+
+    Parameters
+    ----------
+    key : fingerprint of the signer's public key.
+    replaced : fingerprint of the key whose signature it had before; None without.
+    """
+
+    file: Path
+    digest: str
+    key: str
+    signed_at: str
+    replaced: str | None
+
+
+def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[SignedFile]:
+    """Sign a calibration file, HDF5 or JSON, in its place: its content stays.
+
+    Parameters
+    ----------
+    key : file with the private key.
+    again : whether a signature that it has is replaced.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is damaged, cannot be written, or is signed and ``again`` is not given.
+    RefusedError
+        If the key cannot be used.
+    """
+    private = signing_key(key)
+    issued = read_any(path)
+    before = issued.signature
+    if before is not None and not again:
+        raise CalibrationError(
+            f"calibration file {path}: signed already, by {before.words}", remedy="--again replaces that signature"
+        )
+    held, file = signed(issued, private, RealClock().wall()), path.resolve()
+    if is_json(path):
+        write_json(file, held)
+    else:
+        write_calibration(file, held)
+    assert held.signature is not None
+    replaced = None if before is None else fingerprint(before.public_key)
+    who, when = fingerprint(held.signature.public_key), held.signature.signed_at
+    facts = [("SHA-256", f"{held.digest}, as before"), ("Signed at", when)]
+    if replaced is not None:
+        facts.append(("Replaced", f"the signature by key {replaced}"))
+    return answer(SignedFile(path, held.digest, who, when, replaced), f"{path} is signed", f"by key {who}", facts)
+
+
+@dataclass(frozen=True, slots=True)
+class NewKey:
+    """A key pair that was made.
+
+    Parameters
+    ----------
+    encrypted : whether the private key needs a passphrase.
+    """
+
+    private_key: Path
+    public_key: Path
+    fingerprint: str
+    encrypted: bool
+
+
+def make_key(path: Path) -> CommandOutcome[NewKey]:
+    """Make a key pair that signs calibrations: the private key, and beside it FILE.pub.
+
+    Raises
+    ------
+    RefusedError
+        If a file exists or cannot be written, the passphrase cannot be used, or ``cryptography`` is not installed.
+    """
+    encrypted = passphrase() is not None
+    made = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
+    lock = "encrypted with the passphrase" if encrypted else "not encrypted: anyone who reads it can sign"
+    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{made.public_key} (give it to those who check)"))
+    return answer(made, "key made", made.fingerprint, printed=printed)

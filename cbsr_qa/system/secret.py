@@ -1,0 +1,22 @@
+"""Secrets that a variable of the environment states, or the file that it names."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from cbsr_qa.domain import ConfigError
+
+
+def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os.environ) -> str | None:
+    """Return the secret in a variable, or with ``@FILE`` in a file, without blanks around it; None if it is not set.
+
+    ConfigError if the file cannot be read. The message does not quote the variable.
+    """
+    said = environment.get(variable)
+    if said is not None and said.startswith("@"):
+        try:
+            said = Path(said[1:]).read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            why = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
+            raise ConfigError(f"the file that {variable} names cannot be read: {why}", remedy=remedy) from None
+    return None if said is None else said.strip()

@@ -1,0 +1,105 @@
+"""A station that signs its calibrations: the page as printed, the bytes in the database, a key that is gone."""
+
+import json
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+from command import cbsr_qa
+from force_calibration import force_calibration, frames
+from pages import HOW_TO, TOP, blocks, commands, typed
+from stored_runs import SENSOR_TYPE
+
+import cbsr_qa as qa
+from cbsr_qa.analysis import write_recording
+from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+
+pytestmark = pytest.mark.rest
+
+_PAGE = HOW_TO / "sign-calibrations.md"
+_RUN = ("run", "--station", "bench.toml", "--recipe", "nine-locations", "--serial", "S-1", "--operator", "Z")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A bench whose station file has the table of the page, and what a robot has."""
+    monkeypatch.chdir(tmp_path)
+    (table,) = blocks(_PAGE, "toml")
+    table = table.replace("/etc/cbsr-qa", str(tmp_path))
+    (tmp_path / "bench.toml").write_text((TOP / "stations" / "simulated.toml").read_text() + "\n" + table)
+    write_calibration(tmp_path / "sensor.h5", force_calibration())
+    seen = frames(np.tile((5.0, 7.0), (3, 1)), np.full(3, 3.0))
+    block = FrameBlock(2.5 * np.arange(3), seen, np.zeros(seen.shape, np.uint8), VoltageUnit.VOLT, 4e-4)
+    path = tmp_path / "press.h5"
+    write_recording(
+        path,
+        Recording(
+            path,
+            "cbsr-recording",
+            "",
+            ScanKind.FULL,
+            block,
+            None,
+            False,
+            False,
+            "station",
+            sensor_type=SENSOR_TYPE.name,
+        ),
+    )
+    return tmp_path
+
+
+def test_the_page_runs_as_printed_and_the_database_holds_the_signed_bytes(folder):
+    for line in commands(_PAGE):
+        typed(folder, line)
+    (snippet,) = blocks(_PAGE, "python")
+    exec(snippet, {})
+    (issued,) = (folder / "var" / "calibrations").iterdir()
+    done = cbsr_qa(folder, "calibration", "verify", issued, "--public-key", "station.key.pub", "--json")
+    assert json.loads(done.stdout)["signature"]["pinned"] is True
+    database = folder / "var" / "cbsr-qa.db"
+    with closing(sqlite3.connect(database)) as held:
+        assert held.execute("SELECT file FROM calibrations").fetchall() == [(issued.read_bytes(),)]
+    assert qa.open_database(str(database)).run("S-1").calibration().issued.signature is not None
+    before = issued.read_bytes()
+    issued.unlink()
+    cbsr_qa(folder, "report", "S-1")
+    assert issued.read_bytes() == before
+    page = next((folder / "var" / "reports").glob("*.html")).read_text()
+    assert "issued, signed by key" in page
+
+
+def test_a_key_that_cannot_be_used_refuses_before_anything_moves(folder):
+    for extra in ((), ("--dry-run",)):
+        done = cbsr_qa(folder, *_RUN, *extra, check=False)
+        assert done.returncode == 2
+        assert "calibrations.signing_key: key" in done.stderr
+        assert "station.key cannot be read" in done.stderr
+    assert not (folder / "var" / "cbsr-qa.db").exists()
+    text = (folder / "bench.toml").read_text()
+    (folder / "bench.toml").write_text(text.replace(f'"{folder}/station.key"', '"station.key"'))
+    done = cbsr_qa(folder, *_RUN, check=False)
+    assert done.returncode == 2
+    line = 1 + next(n for n, row in enumerate(text.splitlines()) if "signing_key" in row)
+    assert f"bench.toml line {line}: calibrations.signing_key is not a full path" in done.stderr
+
+
+def test_a_key_that_is_gone_when_the_run_ends_issues_nothing_until_it_is_back(folder, monkeypatch):
+    """What is measured is kept, and the named command computes the result, without moving anything."""
+    from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
+    from cbsr_qa.calibration.file import new_key
+    from cbsr_qa.domain import BrokenRunError
+
+    monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
+    key, away = folder / "station.key", folder / "away.key"
+    new_key(key)
+    request = RunRequest(str(folder / "bench.toml"), "nine-locations", "S-1", operator="Z")
+    with pytest.raises(BrokenRunError, match="its calibration cannot be signed, and is not issued") as error:
+        run_sensor(request, begun=lambda run: key.rename(away))
+    assert "then this computes the result: cbsr-qa" in error.value.remedy
+    assert not list((folder / "var" / "calibrations").glob("*.h5"))
+    away.rename(key)
+    outcome = resume_run(error.value.run)
+    assert qa.load_calibration(outcome.calibration, public_key=f"{key}.pub").issued.signature is not None

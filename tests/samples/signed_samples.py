@@ -1,0 +1,23 @@
+"""A small signed calibration, and keys, for tests of signatures."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from calibration_samples import sparse_calibration
+
+from cbsr_qa.calibration.file import new_key, signed, signing_key, stamped
+from cbsr_qa.domain.results import Calibration
+
+AT = datetime(2026, 11, 27, 9, 30, 15, 400_000, tzinfo=UTC)
+
+
+def made_key(folder: Path, name: str = "a.key") -> Path:
+    """Make a key pair in a folder; return the private key's file."""
+    path = folder / name
+    new_key(path)
+    return path
+
+
+def signed_sample(key: Path) -> Calibration:
+    """A small calibration, issued and signed."""
+    return signed(stamped(sparse_calibration()), signing_key(key), AT)
