@@ -265,14 +265,14 @@ def test_a_calibration_file_that_could_not_be_written_costs_no_verdict_and_is_wr
     script = f"""
 import shutil, sys
 from pathlib import Path
-import cbsr_qa.app.run.session as session
+import cbsr_qa.app.run.conclusion as conclusion
 
-real = session.evaluate_run
+real = conclusion.evaluate_run
 def evaluate_run(*arguments):
     shutil.rmtree({str(blocked)!r})
     Path({str(blocked)!r}).write_text("in the way")
     return real(*arguments)
-session.evaluate_run = evaluate_run
+conclusion.evaluate_run = evaluate_run
 from cbsr_qa.cli.main import guarded
 sys.exit(guarded(sys.argv[1:]))
 """

@@ -23,4 +23,5 @@ from .run import (
     preview_gate as preview_gate,
     run_sensor as run_sensor,
 )
-from .session import Session as Session, stoppable as stoppable
+from .session import Session as Session
+from .stopping import stoppable as stoppable

@@ -7,10 +7,11 @@ from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
 from cbsr_qa.app.gate import ASKED_AGAIN, GateRequest, Override, ask_gate, gate_refusal
+from cbsr_qa.app.run.conclusion import concluded
 from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
-from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded, deliver_verdict
+from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, deliver_verdict
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,

@@ -1,24 +1,20 @@
 """One session of a run, new or resumed: drives the plan on an open bench, then evaluates what was stored."""
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Self
 
-from cbsr_qa.analysis import calibrated, evaluate_run
-from cbsr_qa.app.changes import unexplained
-from cbsr_qa.app.command_hints import report_command, resume_command
+from cbsr_qa.app.command_hints import resume_command
+from cbsr_qa.app.run.conclusion import concluded, concluding
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
-from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, station_key
-from cbsr_qa.calibration.file import signed
+from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError, filled
-from cbsr_qa.domain.results import Calibration, EndReason, RunResult
+from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, filled
+from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
     GateAnswer,
     InstrumentIdentity,
@@ -28,12 +24,10 @@ from cbsr_qa.domain.run import (
     RunEnded,
     RunEvent,
     RunIdentity,
-    RunRecord,
     RunStarted,
     gate_warnings,
 )
-from cbsr_qa.plugin import Plugins, left_running
-from cbsr_qa.report import duration
+from cbsr_qa.plugin import Plugins
 from cbsr_qa.station import (
     DryRun,
     EventSinks,
@@ -50,42 +44,7 @@ from cbsr_qa.station import (
 )
 from cbsr_qa.station.control import RunStatus
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.charts import charts_after
-from cbsr_qa.system import RealClock, Redelivery, Stages
-
-
-@contextmanager
-def stoppable() -> Iterator[None]:
-    """Let the first signal (Ctrl-C, termination, hang-up) interrupt the block; ignore others until it has cleaned up.
-
-    Raises
-    ------
-    AbortedError
-        After the clean-up, if a signal or the keyboard interrupted it.
-    """
-    heard: list[str] = []
-    redelivery = Redelivery()
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        if not heard or redelivery.was_dropped():
-            heard.append(signal.Signals(number).name)
-            redelivery.number = number
-            raise KeyboardInterrupt
-
-    here = threading.current_thread() is threading.main_thread()
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
-    numbers = [getattr(signal, name) for name in names]
-    # A signal inherited as ignored stays ignored, as the caller intended.
-    before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
-    try:
-        with redelivery:
-            yield
-    except KeyboardInterrupt as error:
-        raise AbortedError(f"signal {heard[0]}" if heard else "the keyboard") from error
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
+from cbsr_qa.system import Stages
 
 Ask = Callable[[str], str]
 
@@ -251,7 +210,7 @@ class Session:
                 )
         finally:
             self._events = sinks.number
-            with _concluding(identity.run, store):
+            with concluding(identity.run, store):
                 sinks.end()
 
     def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
@@ -306,113 +265,4 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
             run,
             ended.detail,
             remedy=f"correct that; stored data are kept, and this continues the run: {resume_command(run, store)}",
-        )
-
-
-def concluded(
-    run: str,
-    store: Repository,
-    configuration: Configuration,
-    plugins: Plugins,
-    stages: Stages,
-    warnings: Sequence[str],
-) -> RunOutcome:
-    """Evaluate a stored run, and write its report and calibration file.
-
-    Raises
-    ------
-    BrokenRunError
-        If the result could not be stored or read back, or its calibration not be signed; the run's rows are kept.
-    UnconcludedError
-        If a signal or the keyboard stopped it.
-    """
-    try:
-        with _concluding(run, store):
-            return _concluded(run, store, configuration, plugins, stages, warnings)
-    except StoreError as error:
-        remedy = "; if the database then holds the run, this continues it: ".join(
-            filter(None, [error.remedy, resume_command(run, store)])
-        )
-        raise BrokenRunError(run, error.reason, remedy=remedy) from error
-
-
-@contextmanager
-def _concluding(run: str, store: Repository) -> Iterator[None]:
-    """Let a signal or the keyboard stop what follows a run. UnconcludedError, with the next command, if it did."""
-    try:
-        with stoppable():
-            yield
-    except AbortedError as error:
-        following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
-        raise UnconcludedError(run, following, error.by) from error
-
-
-def _concluded(
-    run: str,
-    store: Repository,
-    configuration: Configuration,
-    plugins: Plugins,
-    stages: Stages,
-    warnings: Sequence[str],
-) -> RunOutcome:
-    with stages.stage("reading the run back"):
-        record = store.whole_run(run)
-    recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
-    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
-    conclusion = evaluate_run(record, recipe, plugins, stages)
-    issued_at = RealClock().wall().isoformat()
-    paused = _paused(record)
-    charts = charts_after(store, record.identity, conclusion.measurements)
-    calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
-    if calibration is not None:
-        calibration = _signed(calibration, configuration, store)
-    result = filled(
-        RunResult,
-        conclusion,
-        record=record,
-        calibration=calibration,
-        calibration_why=why,
-        compute_s=stages.table(),
-        warnings=(
-            *conclusion.warnings,
-            *warnings,
-            *paused,
-            *map(str, plugins.failures),
-            *left_running(threads),
-            *(charts.warnings() if charts else ()),
-            *unexplained(history.of(run)),
-            *record.chain.warnings,
-            *earlier.warnings,
-        ),
-        limits_version=recipe.limits_version,
-        station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
-        station_charts=charts,
-        history=history,
-        sensor_history=earlier,
-    )
-    store.save_result(result)
-    resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
-    return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
-
-
-def _signed(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
-    """Sign a calibration with the station's key, if it has one. BrokenRunError if the key cannot be used any more."""
-    try:
-        key = station_key(configuration.station)
-    except RefusedError as error:
-        again = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
-        raise BrokenRunError(
-            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=again
-        ) from error
-    return calibration if key is None else signed(calibration, key, RealClock().wall())
-
-
-def _paused(record: RunRecord) -> Iterator[str]:
-    """Yield a note if pauses made rests before presses longer than the recipe says."""
-    lasted_s = [pause.duration_s for pause in record.pauses if pause.duration_s is not None]
-    if lasted_s:
-        times = "once" if len(lasted_s) == 1 else f"{len(lasted_s)} times"
-        yield (
-            f"the run was paused {times}, for {duration(sum(lasted_s))} in all: before the next press"
-            " the sheet rested longer than the recipe states"
         )
