@@ -25,6 +25,7 @@ TYPED = {
     "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
+    "docs/how-to/stream-forces.md": "commands/test_stream.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",
     "docs/how-to/use-a-calibration.md": "commands/test_calibration_page.py",
     "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",

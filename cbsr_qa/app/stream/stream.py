@@ -1,7 +1,7 @@
 """Frames in, newtons out: the loop of a stream, and the same as an iterator for Python."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -55,7 +55,7 @@ def stream_messages(
     plugins: Plugins | None = None,
     tell: Callable[[str], None] = lambda words: None,
     waiting: Waiting = nullcontext,
-) -> Iterator[StreamMessage]:
+) -> Generator[StreamMessage, None, None]:
     """Yield the header, then a message for every frame, until a recording is over or the instrument fails.
 
     The last message is the end's, with its reason and exit code, also where a signal stops it. The instrument is
