@@ -179,7 +179,8 @@ class PressedPlaces:
             whole = np.where(faults.left_out, np.nan, changes)
         places = self._place(changes, faults)
         by_model = None if self._modelled is None else self._modelled(whole)
-        quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
+        with np.errstate(over="ignore"):  # of frames without a touch, which have none
+            quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
         return tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
 
     def _changes(self, readings: Array, *, relative: bool) -> Array:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from itertools import pairwise
 
 import pytest
 from command import cbsr_qa, document
@@ -73,7 +74,7 @@ def test_the_newtons_are_those_of_calibration_apply_to_the_last_bit(folder, appl
         assert lowest < low <= frame["force_N"] <= high < highest
         assert frame["touch"] == (frame["x_mm"] is not None)
     assert all(abs(f["x_mm"] - 5) < 2 and abs(f["y_mm"] - 7) < 2 for f in frames if f["touch"])
-    assert all(a["monotonic_s"] < b["monotonic_s"] for a, b in zip(frames, frames[1:], strict=False))
+    assert all(a["monotonic_s"] < b["monotonic_s"] for a, b in pairwise(frames))
     for line in out.encode().splitlines(keepends=True):  # the classes describe what is sent
         assert json_line(_MESSAGE.validate_json(line)) == line
 

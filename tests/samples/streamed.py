@@ -7,7 +7,7 @@ import subprocess
 import threading
 import time
 import tty
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from command import PROGRAM
@@ -125,7 +125,5 @@ class Board:
                 due_s += self.period_s
                 if self._over.wait(max(due_s - time.monotonic(), 0)):
                     return
-                try:
+                with suppress(BlockingIOError):  # nobody reads
                     os.write(self._master, frame)
-                except BlockingIOError:
-                    pass  # nobody reads
