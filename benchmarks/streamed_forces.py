@@ -1,8 +1,8 @@
 """Forces streamed to other programs: how late they are.
 
 ``python -m benchmarks.streamed_forces`` prints the table of docs/how-to/stream-forces.md: frames of a recording
-that is played at 20 Hz, from the end of a frame until a client has its newtons, on one computer, by a calibration with the
-physical estimate and by one from labelled presses. Mosquitto must answer at 127.0.0.1:1883 for the row on MQTT.
+that is played at 20 Hz, from the end of a frame until a client has its newtons, on one computer, by a calibration
+with the physical estimate and by one from labelled presses. Mosquitto must answer at 127.0.0.1:1883.
 """
 
 import os

@@ -47,7 +47,7 @@ def stream(
         typer.Option(
             metavar="PLACE",
             help="Where to: - for standard output (the default), tcp://HOST:PORT or unix:PATH to serve clients,"
-            " mqtt://[USER@]HOST[:PORT][/TOPIC] or mqtts://… to publish; may be repeated.",
+            " mqtt://HOST:PORT/TOPIC or mqtts://USER@HOST to publish (port and topic may be left out); may be repeated.",
         ),
     ] = None,
     reference: Annotated[

@@ -16,8 +16,7 @@ from pydantic import TypeAdapter
 from streamed import Board, loaded, messages, port_of, streaming, write_sensor
 
 import cbsr_qa as qa
-from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, stream_messages
-from cbsr_qa.app.stream.messages import json_line
+from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, json_line, stream_messages
 from cbsr_qa.domain import CbsrError
 
 _PAGE = HOW_TO / "stream-forces.md"

@@ -6,6 +6,7 @@ from .messages import (
     HeaderMessage as HeaderMessage,
     InterruptedMessage as InterruptedMessage,
     StreamMessage as StreamMessage,
+    json_line as json_line,
 )
 from .outlets import Outlets as Outlets
 from .source import FramesFrom as FramesFrom
