@@ -1,7 +1,7 @@
 """Forces streamed to other programs: how late they are.
 
 ``python -m benchmarks.streamed_forces`` prints the table of docs/how-to/stream-forces.md: frames of a recording
-that is played at 20 Hz, from the end of a frame until a client has its newtons, on one computer, by a calibration
+that is played at 32 Hz, from the end of a frame until a client has its newtons, on one computer, by a calibration
 with the physical estimate and by one from labelled presses. Mosquitto must answer at 127.0.0.1:1883.
 """
 
@@ -28,7 +28,7 @@ from cbsr_qa.analysis import read_recording, write_recording
 from cbsr_qa.domain.readings import FrameBlock, Recording
 
 _PROGRAM: Final = str(Path(sys.executable).with_name("cbsr-qa"))
-_PERIOD_S: Final = 0.05
+_PERIOD_S: Final = 0.03125
 _TCP: Final = 9771
 _TOPIC: Final = "cbsr-qa/benchmark"
 #: What a client does: give every line as it comes.

@@ -20,7 +20,7 @@ def schema(
         ),
     ] = None,
 ) -> None:
-    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, of the events of a run, or of a stream."""
+    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, or of events and streams."""
     if not words:
         for name in documents():
             say(name)

@@ -47,7 +47,8 @@ def stream(
         typer.Option(
             metavar="PLACE",
             help="Where to: - for standard output (the default), tcp://HOST:PORT or unix:PATH to serve clients,"
-            " mqtt://HOST:PORT/TOPIC or mqtts://USER@HOST to publish (port and topic may be left out); may be repeated.",
+            " mqtt://HOST:PORT/TOPIC or mqtts://USER@HOST to publish (port and topic may be left out); may be"
+            " repeated.",
         ),
     ] = None,
     reference: Annotated[
