@@ -18,6 +18,7 @@ from streamed import Board, loaded, messages, port_of, streaming, write_sensor
 import cbsr_qa as qa
 from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, json_line, stream_messages
 from cbsr_qa.domain import CbsrError
+from cbsr_qa.system import VirtualClock
 
 _PAGE = HOW_TO / "stream-forces.md"
 _REFERENCE = TOP / "docs" / "reference" / "stream.md"
@@ -219,6 +220,13 @@ def test_a_recording_of_another_sensor_type_is_refused(tmp_path):
     source = FramesFrom("replayed-recording", {"file": str(tmp_path / "press.h5")})
     with pytest.raises(CbsrError, match="is of sensor type 'disc-150mm', not 'disc-100mm'"):
         next(stream_messages(StreamRequest(tmp_path / "sensor.h5", source)))
+
+
+def test_a_recording_shorter_than_the_reference_is_refused(folder, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.app.stream.source.RealClock", VirtualClock)
+    source = FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
+    with pytest.raises(CbsrError, match=f"has {_FRAMES} frames; 100 are needed"):
+        next(stream_messages(StreamRequest(folder / "sensor.h5", source, reference=100)))
 
 
 def test_the_page_runs_as_printed(folder):

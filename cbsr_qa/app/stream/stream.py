@@ -18,7 +18,7 @@ from cbsr_qa.app.stream.messages import (
     StreamMessage,
 )
 from cbsr_qa.app.stream.source import FramesFrom, OpenedSource, opened_source
-from cbsr_qa.domain import CbsrError, InstrumentError, NoMoreFramesError, filled
+from cbsr_qa.domain import CbsrError, InstrumentError, NoMoreFramesError, RefusedError, filled
 from cbsr_qa.domain.readings import FrameBlock, join_frames
 from cbsr_qa.plugin import Plugins, discover
 
@@ -91,8 +91,15 @@ class _Stream:
         """Take the first frames, of which the scale is found, and return the header."""
         count = 1 if self._request.reference is None else self._request.reference
         source = self._source
-        with self._waiting():
-            self._taken = [_Taken.next(source) for _ in range(count)]
+        try:
+            with self._waiting():
+                while len(self._taken) < count:
+                    self._taken.append(_Taken.next(source))
+        except NoMoreFramesError as error:
+            raise RefusedError(
+                f"{source.spec.driver} has {len(self._taken)} frames; {count} are needed before the stream begins",
+                remedy="give a smaller --reference, or a longer recording",
+            ) from error
         first = join_frames([taken.block for taken in self._taken])
         remarks = self._forces.scale(source.spec.driver, first, self._request.reference)
         return filled(
