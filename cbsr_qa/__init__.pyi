@@ -19,6 +19,7 @@ from .interface import (
     open_database as open_database,
     run as run,
     simulate_scene as simulate_scene,
+    stream as stream,
 )
 
 __version__: str

@@ -1,131 +1,25 @@
 """A sensor's calibration applied to recordings: a row of force for every frame."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import read_recording_file
 from cbsr_qa.app.calibration_file import check_free, write_text
+from cbsr_qa.app.frame_scale import recorded_frames
 from cbsr_qa.calibration.file import check_signed_file, read_contained
-from cbsr_qa.calibration.runtime import Calibration, Flag, SettlingForces
+from cbsr_qa.calibration.runtime import Calibration, Flag, Forces, SettlingForces
 from cbsr_qa.config import validate_serial
-from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, filled
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain import Array, CalibrationError, CbsrError, filled
+from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.results import CommandOutcome, Section, Table
 from cbsr_qa.plugin import discover
 from cbsr_qa.report import IF_GIVEN, Refusal, answer, fixed, plural, text_table, with_uncertainty
 from cbsr_qa.system import csv_text
-
-Array = NDArray[np.float64]
-#: (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and what was done to them.
-_Scaled = tuple[Array, tuple[str, ...]]
-
-#: Largest relative difference, once scaled, of unloaded readings of the same sheet from the calibration's: more than
-#: drift, and far less than another order of electrodes causes. Chosen by us.
-_MOST_APART: Final = 0.2
-_BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING)
-_REFERENCE: Final = (
-    "give --reference N if its first N frames are of the unloaded sheet: they are then scaled to the calibration's"
-    " own unloaded frame"
-)
-
-
-def recorded_frames(calibration: Calibration, recording: Recording, reference: int | None) -> _Scaled:
-    """Bring the frames of a recording to the calibration's scale.
-
-    Parameters
-    ----------
-    reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
-        calibration's reference. None to keep the latter.
-
-    Raises
-    ------
-    RecordingError
-        If the recording is of another sensor type, scan, geometry, unit or scale, or its first frames are not those
-        of this sensor.
-    """
-    _check(calibration, recording)
-    frames = recording.frames
-    voltages = np.where((frames.flags & _BAD) != 0, np.nan, frames.voltages)
-    if reference is not None:
-        return _against_own(calibration, recording, voltages, reference)
-    if frames.unit is not VoltageUnit.VOLT:
-        raise RecordingError(
-            f"{recording.path.name} holds readings in {frames.unit.value} without their scale; the calibration of"
-            f" sensor {calibration.issued.sensor.serial} is in volts",
-            remedy=_REFERENCE,
-        )
-    ratio, remarks = _current_ratio(calibration, recording, frames)
-    return voltages * ratio, remarks
-
-
-def _check(calibration: Calibration, recording: Recording) -> None:
-    issued, name = calibration.issued, recording.path.name
-    if recording.sensor_type not in (None, issued.sensor_type.name):
-        raise RecordingError(
-            f"{name} is of sensor type {recording.sensor_type}, the calibration is of a {issued.sensor_type.name}",
-            remedy="apply the calibration that was issued for this sensor",
-        )
-    if recording.scan is not ScanKind.FULL or recording.magnitudes_only:
-        held = "absolute values" if recording.magnitudes_only else "driven pairs alone"
-        raise RecordingError(f"{name} holds {held}; a force needs every reading with its sign")
-    found, wanted = recording.frames.voltages.shape[1:], issued.reference.shape
-    if found != wanted:
-        raise RecordingError(
-            f"{name} holds frames of {found[0]} × {found[1]} readings, the calibration is for"
-            f" {wanted[0]} × {wanted[1]}"
-        )
-    if not len(recording.frames):
-        raise RecordingError(f"{name} holds no frame")
-
-
-def _current_ratio(
-    calibration: Calibration, recording: Recording, frames: FrameBlock
-) -> tuple[float, tuple[str, ...]]:
-    current_A, own_A = frames.current_A, calibration.issued.current_A
-    if current_A is None:
-        raise RecordingError(
-            f"{recording.path.name} does not say its drive current, which scales every reading", remedy=_REFERENCE
-        )
-    if not current_A > 0:
-        raise RecordingError(f"{recording.path.name} states a drive current of {current_A:g} A")
-    if np.isclose(current_A, own_A, rtol=1e-9):
-        return 1.0, ()
-    remark = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
-    return own_A / current_A, (remark,)
-
-
-def _against_own(calibration: Calibration, recording: Recording, voltages: Array, count: int) -> _Scaled:
-    name, frames = recording.path.name, len(voltages)
-    if not 1 <= count <= frames:
-        raise RecordingError(f"--reference {count} of {name}, which holds {frames} frames; 1 to {frames} are allowed")
-    used = calibration.issued.reconstruction.problem.used
-    own, reference = voltages[:count].mean(axis=0), calibration.issued.reference
-    seen, known = own[used], reference[used]
-    if not np.isfinite(seen).all():
-        raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")
-    power = float(seen @ seen)
-    ratio = float(seen @ known) / power if power > 0 else 0.0
-    apart = float(np.linalg.norm(ratio * seen - known) / np.linalg.norm(known))
-    if not (ratio > 0 and apart <= _MOST_APART):
-        raise RecordingError(
-            f"the first {count} frames of {name} are not those of sensor {calibration.issued.sensor.serial} unloaded:"
-            f" scaled as well as can be they differ from its reference by {apart:.0%}; {_MOST_APART:.0%} is allowed",
-            remedy="check the sensor, the order of its electrodes, and that nothing pressed",
-        )
-    unit = recording.frames.unit.value
-    remark = (
-        f"changes are against the first {count} frames, of which 1 {unit} is {ratio:.6g} V of the calibration;"
-        f" unloaded they differ from its reference by {apart:.2%}, and their own noise (1/{count} of a frame's"
-        " variance) is not in the standard errors"
-    )
-    return (voltages - own) * ratio + reference, (remark,)
-
 
 _NO_TIMES: Final = (
     "frames have no times, or not in order: whether loads had settled is not known; until then forces read low, and"
@@ -270,19 +164,24 @@ def _in_order(time_s: Array) -> bool:
 def _forces(
     sensor: Calibration, recording: Recording, voltages: Array, request: ApplyRequest, tell: Tell, *, in_order: bool
 ) -> Iterator[FrameForce]:
-    count, settling = len(voltages), SettlingForces(sensor)
+    count, follow = len(voltages), SettlingForces(sensor)
     for first in range(0, count, _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
-        f = sensor.force(voltages[part], place_mm=request.place_mm)
-        times, settled_in_s = recording.frames.time_s[part], np.full(len(f.force_N), np.nan)
+        times, frames = recording.frames.time_s[part], voltages[part]
         if in_order:
-            f, settled_in_s = settling(times, voltages[part], f)
-        columns = (times, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability, settled_in_s)
-        for *values, flags in zip(*columns, f.flags.tolist(), strict=True):
-            row: list[Any] = [float(value) if np.isfinite(value) else None for value in values]
-            row.append(flag_words(flags))
-            yield FrameForce(*row)
+            for time_s, frame in zip(times.tolist(), frames, strict=True):
+                yield from _rows([time_s], *follow.next(time_s, frame, place_mm=request.place_mm))
+        else:
+            yield from _rows(times, sensor.force(frames, place_mm=request.place_mm), np.full(len(times), np.nan))
+
+
+def _rows(time_s: Iterable[float], f: Forces, settled_in_s: Array) -> Iterator[FrameForce]:
+    columns = (time_s, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability, settled_in_s)
+    for *values, flags in zip(*columns, f.flags.tolist(), strict=True):
+        row: list[Any] = [float(value) if np.isfinite(value) else None for value in values]
+        row.append(flag_words(flags))
+        yield FrameForce(*row)
 
 
 def flag_words(flags: int) -> str:

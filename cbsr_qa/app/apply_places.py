@@ -10,7 +10,7 @@ import numpy as np
 from cbsr_qa.analysis.recording import read_pressed_frames
 from cbsr_qa.calibration.file import Issued, check_signed_file, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
-from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
+from cbsr_qa.calibration.presses import DistinctPairs, matched_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import FaultFinder, Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
@@ -89,10 +89,11 @@ class AppliedPlaces:
 
 def of_presses(calibration: Path) -> bool:
     """Return whether a calibration file was learned from labelled presses; CalibrationError if it is damaged."""
-    return isinstance(_issued(calibration), PressCalibration)
+    return isinstance(issued_file(calibration), PressCalibration)
 
 
-def _issued(calibration: Path) -> Issued:
+def issued_file(calibration: Path) -> Issued:
+    """Read a calibration of either kind; CalibrationError if it is damaged."""
     return read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
 
 
@@ -124,7 +125,7 @@ def apply_to_presses(
     RecordingError
         If a table cannot be used.
     """
-    issued = _issued(calibration)
+    issued = issued_file(calibration)
     if not isinstance(issued, PressCalibration):
         raise CalibrationError(
             f"{calibration} was issued by a run; --pattern is for calibrations from labelled presses",
@@ -133,49 +134,81 @@ def apply_to_presses(
     if public_key is not None:
         check_signed_file(calibration, issued, public_key)
     if pattern is None:
-        read = read_pressed_frames(readings, _pattern(calibration, issued), rest, reference)
+        read = read_pressed_frames(readings, pattern_of(calibration, issued), rest, reference)
     else:
         read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
-    changes = _changes(issued, read, differences=differences)
-    whole, faults = changes, None
-    if issued.rest is not None and not differences:
-        noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
-        faults = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes)
-        whole = np.where(faults.left_out, np.nan, changes)
-    modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
-    estimator = PlaceEstimator(issued.place, modelled, issued.pairs, issued.held_out_mm)
-    places, by_model = estimator(changes, faults), None if modelled is None else modelled(whole)
-    quantities = {
-        f"{name}_{{}}{unit}": QuantityEstimator(learned)(places)
-        for name, unit in PRESS_QUANTITIES.items()
-        if (learned := getattr(issued, name)) is not None
-    }
-    frames = tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
-    return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
+    estimate = PressedPlaces(issued, read.distinct, differences=differences)
+    frames = estimate(read.changes, relative=read.rest is not None)
+    return AppliedPlaces(calibration, readings, estimate.q68, estimate.q95, frames)
 
 
-def _pattern(calibration: Path, issued: PressCalibration) -> DrivePattern:
+class PressedPlaces:
+    """Turns readings into places, forces and depths.
+
+    CalibrationError if a calibrated pair is missing.
+
+    Parameters
+    ----------
+    issued : what was learned from presses.
+    distinct : pairs of the readings.
+    differences : whether readings are changes, in which faults cannot be found.
+    """
+
+    def __init__(self, issued: PressCalibration, distinct: DistinctPairs, *, differences: bool = False) -> None:
+        self._issued, self._differences = issued, differences
+        self._selection = matched_readings(issued.pairs, distinct)
+        self._modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
+        self._place = PlaceEstimator(issued.place, self._modelled, issued.pairs, issued.held_out_mm)
+        self._faults: FaultFinder | None = None
+        if issued.rest is not None and not differences:
+            noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
+            self._faults = FaultFinder(issued.pairs, issued.rest, noise)
+        self._quantities = {
+            f"{name}_{{}}{unit}": QuantityEstimator(learned)
+            for name, unit in PRESS_QUANTITIES.items()
+            if (learned := getattr(issued, name)) is not None
+        }
+        self.q68, self.q95 = float(self._place.q68), float(self._place.q95)
+
+    def __call__(self, readings: Array, *, relative: bool) -> tuple[FramePlace, ...]:
+        """Locate the press in each row of readings (n, k); ``relative`` to the unloaded sheet, or else whole frames.
+
+        CalibrationError if frames are whole, and the calibration does not hold the unloaded one.
+        """
+        issued, changes = self._issued, self._changes(readings, relative=relative)
+        whole, faults = changes, None
+        if self._faults is not None:
+            assert issued.rest is not None
+            faults = self._faults(issued.rest + changes)
+            whole = np.where(faults.left_out, np.nan, changes)
+        places = self._place(changes, faults)
+        by_model = None if self._modelled is None else self._modelled(whole)
+        with np.errstate(over="ignore"):  # of frames without a touch, which have none
+            quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
+        return tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
+
+    def _changes(self, readings: Array, *, relative: bool) -> Array:
+        missing, selection = np.isnan(readings), self._selection
+        matched: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, readings) @ selection)
+        if self._differences or relative:
+            return matched
+        if self._issued.rest is None:
+            raise CalibrationError(
+                "the calibration was made from changes and holds no unloaded frame",
+                remedy="give --differences if the readings are changes, --rest FILE with frames of the unloaded"
+                " sheet, or --reference N if the first N frames of a recording are",
+            )
+        return matched - self._issued.rest
+
+
+def pattern_of(calibration: Path, issued: PressCalibration) -> DrivePattern:
+    """Return the pattern of frames that a calibration was learned from; CalibrationError if it does not state it."""
     if not issued.drive:
         raise CalibrationError(
             f"{calibration} does not state the order of the pairs in a frame: it was issued before calibrations did",
             remedy="give the readings as a table, with --pattern, or calibrate again",
         )
     return DrivePattern(issued.electrodes, issued.drive, issued.measure)
-
-
-def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool) -> Array:
-    selection = matched_readings(issued.pairs, read.distinct)
-    missing = np.isnan(read.changes)
-    matched: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, read.changes) @ selection)
-    if differences or read.rest is not None:
-        return matched
-    if issued.rest is None:
-        raise CalibrationError(
-            "the calibration was made from changes and holds no unloaded frame",
-            remedy="give --differences if the readings are changes, --rest FILE with frames of the unloaded sheet, or"
-            " --reference N if the first N frames of a recording are",
-        )
-    return matched - issued.rest
 
 
 def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int) -> FramePlace:

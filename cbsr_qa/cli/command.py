@@ -25,10 +25,11 @@ _WORDS: Final = {bool: "", str: "TEXT", int: "N", float: "NUMBER", Path: "FILE",
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: its words after ``cbsr-qa``, and its function."""
+    """A command: its words after ``cbsr-qa``, its function, and whether it prints while it runs."""
 
     words: str
     run: Callable[..., Any]
+    live: bool = False
 
     @property
     def group(self) -> str:
@@ -55,7 +56,7 @@ _GROUPS: Final[dict[str, str]] = {}
 _PRINTED: Final[dict[str, str]] = {}
 
 
-def command(words: str, *, prints: str = "") -> Callable[[_Run], _Run]:
+def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_Run], _Run]:
     """Declare a command.
 
     Parameters
@@ -63,13 +64,15 @@ def command(words: str, *, prints: str = "") -> Callable[[_Run], _Run]:
     words : of the command line, e.g. ``"db status"``.
     prints : dataclass of its document, ``"cbsr_qa.app:DatabaseStatus"``, imported only to print its schema; several
         are separated by ``|``.
+    live : whether it writes to standard output while it runs, by :func:`cbsr_qa.cli.output.live_output`; the output
+        of other commands is printed when they have ended.
     """
     if prints:
         document(words, prints=prints)
 
     def declare(run: _Run) -> _Run:
         _name_values(run)
-        _COMMANDS[words] = Command(words, run)
+        _COMMANDS[words] = Command(words, run, live)
         return run
 
     return declare

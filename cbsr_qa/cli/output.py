@@ -117,6 +117,22 @@ def claim_stdout(stream: TextIO | None = None) -> None:
     sys.stdout, _claimed = sys.stderr, stream
 
 
+def live_output() -> Callable[[bytes], None] | None:
+    """Return what writes to stdout at once, past all buffers; OSError if nobody reads. None if there is no stdout."""
+    stream = _stream()
+    if stream is None:
+        return None
+    stream.flush()
+    number = stream.fileno()
+
+    def write(data: bytes) -> None:
+        left = memoryview(data)
+        while left:
+            left = left[os.write(number, left) :]
+
+    return write
+
+
 def _stream() -> TextIO | None:
     return sys.stdout if _claimed is None else _claimed
 

@@ -15,10 +15,12 @@ document("events", prints="cbsr_qa.domain.run:EventMessage")
 def schema(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="COMMAND", help="e.g. gauge, db status or events; without it, list all."),
+        typer.Argument(
+            metavar="COMMAND", help="e.g. gauge, db status, events or stream messages; without it, list all."
+        ),
     ] = None,
 ) -> None:
-    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, or of the events of a run."""
+    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, or of events and streams."""
     if not words:
         for name in documents():
             say(name)

@@ -36,12 +36,13 @@ def begun(run: str, database: str | None) -> None:
     _Child.tell(run=run, database=database)
 
 
-def supervise(*, judges: bool) -> int | None:
+def supervise(*, judges: bool, live: bool = False) -> int | None:
     """Fork: the child carries out the command, the parent waits for its end and shows its output.
 
     Parameters
     ----------
     judges : whether success means that a sensor passed, which the database must confirm.
+    live : whether the child keeps standard output; else its parent prints what it leaves.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def supervise(*, judges: bool) -> int | None:
     if child == 0:
         for end in (report[0], alive[1], echo[0]):
             os.close(end)
-        _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1])
+        _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1], live=live)
         return None
     for end in (report[1], alive[0], echo[1]):
         os.close(end)
@@ -97,12 +98,12 @@ class _Child:
             left = left[os.write(cls.report, left) :]
 
     @classmethod
-    def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int) -> None:
+    def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int, live: bool) -> None:
         """Redirect output to the parent, and install signal handlers."""
         encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # for escaping what cannot be shown
         cls.report, cls.pipe = report, os.fstat(report)
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
-        claim_stdout(cls.printed)
+        claim_stdout(None if live else cls.printed)
         os.set_blocking(echo, False)
         signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
         threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()

@@ -9,6 +9,7 @@ from .errors import (
     ConfigError as ConfigError,
     DeliveryError as DeliveryError,
     InstrumentError as InstrumentError,
+    NoMoreFramesError as NoMoreFramesError,
     NotReproducedError as NotReproducedError,
     NumericsError as NumericsError,
     PluginError as PluginError,

@@ -110,6 +110,10 @@ class InstrumentError(CbsrError):
         self.retryable = retryable
 
 
+class NoMoreFramesError(InstrumentError):
+    """A frame source has delivered all the frames it had: a recording is over. Not a fault of an instrument."""
+
+
 class DeliveryError(CbsrError):
     """Events were not delivered; they are sent again unless ``final``: the receiver would never take them."""
 

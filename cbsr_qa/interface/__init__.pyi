@@ -8,3 +8,4 @@ from .result import CbsrError as CbsrError, Result as Result
 from .running import run as run
 from .scenes import Scene as Scene, simulate_scene as simulate_scene
 from .stored_run import Run as Run
+from .streaming import stream as stream

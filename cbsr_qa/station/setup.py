@@ -1,6 +1,7 @@
 """Plan, clock and bench from configuration files."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -189,8 +190,6 @@ def _opened(
     resumed_at_s: float,
     ask: Callable[[str], str] | None,
 ) -> Instrument:
-    options: dict[str, Any] = dict(spec.options)
-    scene: Mapping[str, Any] | None = options.pop("scene", None)
     context = StationContext(
         role=spec.role,
         clock=clock,
@@ -198,22 +197,37 @@ def _opened(
         material=configuration.material,
         indenter=configuration.station.indenter,
         seed=configuration.seed,
-        options=options,
+        options=spec.options,
         motion=configuration.station.motion,
-        scene=None if scene is None else load_scene(scene).value,
-        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
         resumed_at_s=resumed_at_s,
         safety=configuration.station.safety,
         ask=ask,
+    )
+    return open_instrument(spec.driver, plugins, context)
+
+
+def open_instrument(driver: str, plugins: Plugins, context: StationContext) -> Instrument:
+    """Open one instrument, which is given the scene in its options and the readers of recordings and effects.
+
+    PluginError if there is no such driver; InstrumentError if the instrument does not answer; ConfigError if its
+    options are refused.
+    """
+    options: dict[str, Any] = dict(context.options)
+    scene: Mapping[str, Any] | None = options.pop("scene", None)
+    whole = replace(
+        context,
+        options=options,
+        scene=None if scene is None else load_scene(scene).value,
+        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
         read_recording=partial(_recording, plugins),
     )
-    factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
+    factory = plugins.factory(Kind.INSTRUMENT, driver)
     try:
-        with contained(f"instrument {spec.role!r}"):
-            instrument: Instrument = factory(context)
+        with contained(f"instrument {context.role!r}"):
+            instrument: Instrument = factory(whole)
     except (PluginError, ConfigError) as error:
-        who = f"instrument {spec.role!r}"
-        named, reason = f"{who} ({spec.driver})", error.reason
+        who = f"instrument {context.role!r}"
+        named, reason = f"{who} ({driver})", error.reason
         if not reason.startswith(named):
             reason = f"{named}{reason.removeprefix(who)}" if reason.startswith(who) else f"{named}: {reason}"
         raise ConfigError(reason, remedy=error.remedy) from error

@@ -27,9 +27,9 @@ DOORS = (
 _SCHEMAS = """\
 # Documents of `--json`
 
-This page lists the keys of what each command prints with `--json`, and of the events of a run. It is written from the
-code. `cbsr-qa schema COMMAND` prints the same as JSON Schema (draft 2020-12). The parts that documents share come
-after them.
+This page lists the keys of what each command prints with `--json`, of the events of a run, and of the messages of
+a stream. It is written from the code. `cbsr-qa schema COMMAND` prints the same as JSON Schema (draft 2020-12). The
+parts that documents share come after them.
 """
 
 

@@ -11,10 +11,12 @@ from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
+from cbsr_qa.app.stream import FramesFrom, StreamRequest, stream_messages
 from cbsr_qa.calibration.file import read_issued, stamped, write_calibration
 from cbsr_qa.cli import app
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.system import VirtualClock
 
 
 def run(*arguments):
@@ -302,13 +304,34 @@ def of_recording(folder, tmp_path_factory):
             flags[5, 0, 4] = ReadingFlag.SATURATED
         frames = FrameBlock(np.arange(len(values), dtype=float), voltages, flags, VoltageUnit.VOLT, 1e-3)
         write_recording(tmp_path / f"{name}.h5", recording(frames))
-    files = {"readings": tmp_path / "presses.h5", "presses": sheet.write(tmp_path)[1], "rest": tmp_path / "rest.h5"}
+    labels = sheet.write(tmp_path, labels={"force_N": sheet.force_N})[1]
+    files = {"readings": tmp_path / "presses.h5", "presses": labels, "rest": tmp_path / "rest.h5"}
     done = run(
         "calibrate", files["readings"], "--presses", files["presses"], "--sensor-type", folder / "T.toml",
         "--rest", files["rest"], "--to", tmp_path / "OUT.h5", "--json",
     )  # fmt: skip
     assert not done.exception, done.output
     return tmp_path, sheet
+
+
+def test_a_stream_tells_the_places_and_forces_of_apply(of_recording, folder, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.app.stream.source.RealClock", VirtualClock)
+    learned, _ = of_recording
+    for name in ("presses.h5", "dead.h5"):
+        applied = json.loads(run("calibration", "apply", learned / "OUT.h5", learned / name, "--json").stdout)
+        source = FramesFrom("replayed-recording", {"file": str(learned / name)})
+        request = StreamRequest(learned / "OUT.h5", source, sensor_type=str(folder / "T.toml"))
+        header, *frames, end = stream_messages(request)
+        assert (header.kind, header.force, header.serial, end.why) == ("presses", True, "", "over")
+        assert len(frames) == len(applied["frames"])
+        for one, told in zip(applied["frames"], frames, strict=True):
+            assert list(told.flags) == one["flags"]
+            if told.touch:
+                assert (told.x_mm, told.y_mm) == pytest.approx((one["x_mm"], one["y_mm"]), abs=1e-6)
+                radius_mm = np.sqrt(applied["q95"] * np.linalg.eigvalsh(one["covariance_mm2"])[-1])
+                assert told.radius_95_mm == pytest.approx(radius_mm, rel=1e-6)
+                assert told.force_N == pytest.approx(one["force_N"], rel=1e-6)
+                assert told.force_95_N == pytest.approx(tuple(one["force_95_N"]), rel=1e-6)
 
 
 def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):

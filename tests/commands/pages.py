@@ -26,6 +26,7 @@ TYPED = {
     "docs/how-to/sign-calibrations.md": "commands/test_signed_calibrations.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
+    "docs/how-to/stream-forces.md": "commands/test_stream.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",
     "docs/how-to/use-a-calibration.md": "commands/test_calibration_page.py",
     "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",

@@ -13,6 +13,7 @@ from .imaging import nominal_disc as nominal_disc, sheet_for as sheet_for
 from .places import Place as Place
 from .press_files import (
     PressFiles as PressFiles,
+    distinct_pairs as distinct_pairs,
     read_labelled_presses as read_labelled_presses,
     read_pressed_frames as read_pressed_frames,
 )

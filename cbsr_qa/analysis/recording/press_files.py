@@ -84,14 +84,15 @@ def read_pressed_frames(path: Path, pattern: DrivePattern, rest: Path | None, re
     if reference is not None and not 1 <= reference <= len(frames):
         raise RecordingError(f"--reference {reference} of {path.name}; it holds {len(frames)} frames")
     if rest is None and reference is None:
-        return PressReadings(path, _distinct(pattern), frames)
+        return PressReadings(path, distinct_pairs(pattern), frames)
     still = frames[:reference] if rest is None else _frames(rest, pattern)
     if not np.isfinite(still).all():
         raise RecordingError(f"a reading of the first {reference} frames of {path.name} is missing or saturated")
-    return PressReadings(path, _distinct(pattern), frames - still.mean(axis=0), still.mean(axis=0))
+    return PressReadings(path, distinct_pairs(pattern), frames - still.mean(axis=0), still.mean(axis=0))
 
 
-def _distinct(pattern: DrivePattern) -> DistinctPairs:
+def distinct_pairs(pattern: DrivePattern) -> DistinctPairs:
+    """Return the pairs of the usable readings of a frame, in its order."""
     return DistinctPairs.of(
         np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
     )
@@ -107,7 +108,7 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
             remedy="give --pattern FILE with source,sink,plus,minus of each column",
         )
     pattern = sensor_type.pattern
-    distinct = _distinct(pattern)
+    distinct = distinct_pairs(pattern)
     frames = _frames(files.readings, pattern)
     if files.rest is None:
         return PressReadings(files.readings, distinct, frames)

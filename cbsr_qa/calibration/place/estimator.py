@@ -127,7 +127,7 @@ class PlaceEstimator:
         features = features_of(changes, model.scaling)
         more = more_than_spikes(lost, used)
         few, less = lost.any(axis=1) & ~more, np.ones(len(features))
-        features[few] = filled(model.templates, features[few], lost[few])
+        features[few] = filled(model.templates, self._expected, features[few], lost[few])
         features[more], less[more] = self._without(features[more], lost[more])
         place, covariance, misfit = self._mixed(features)
         unsure = np.zeros(len(features))
@@ -176,7 +176,7 @@ class PlaceEstimator:
     def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
         known = np.where(lost, 0.0, features)
-        new = filled(self._model.templates, known, lost)
+        new = filled(self._model.templates, self._expected, known, lost)
         factor = size_factors(known, new, self._model.scaling)
         return new * factor[:, None], factor
 

@@ -127,7 +127,8 @@ class PressedSheet:
         for block in self.blocks():
             some = block[missing[block].any(axis=1)]
             if len(some):
-                features[some] = filled(learning.without(block), features[some], missing[some])
+                templates = learning.without(block)
+                features[some] = filled(templates, expected_features(templates), features[some], missing[some])
         return replace(self, features=features)
 
     def left_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:

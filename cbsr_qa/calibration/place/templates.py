@@ -53,9 +53,13 @@ def match(templates: PlaceTemplates, features: Array) -> tuple[Array, Array, Arr
     return mean, second - mean[:, :, None] * mean[:, None, :], squared.min(axis=1) / features.shape[1]
 
 
-def filled(templates: PlaceTemplates, features: Array, missing: Mask) -> Array:
-    """Features (n, m) whose missing ones are those expected where the others place the frame."""
-    expected = expected_features(templates)
+def filled(templates: PlaceTemplates, expected: Array, features: Array, missing: Mask) -> Array:
+    """Features (n, m) whose missing ones are those expected where the others place the frame.
+
+    ``expected`` (k, m): :func:`expected_features` of the templates.
+    """
+    if not len(features):
+        return features
     for _ in range(_FILLINGS):
         about = _posterior(templates, features)[0] @ expected
         known = np.where(missing, 0.0, about)

@@ -4,6 +4,7 @@ from .force import (
     NO_FORCE as NO_FORCE,
     Flag as Flag,
     ForceInverse as ForceInverse,
+    Forces as Forces,
     least_force_N as least_force_N,
     map_tables as map_tables,
 )

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, Forces, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
@@ -56,6 +57,13 @@ class SettlingForces:
             return forces, np.zeros(0)
         force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*parts, strict=True))
         return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
+
+    def next(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
+        """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].
+
+        As :meth:`Calibration.force`, corrected as by calling this object: the same whoever asks, to the last bit.
+        """
+        return self(np.array([time_s]), frame[None], self._calibration.force(frame, place_mm=place_mm))
 
     def _counted(
         self, loads: tuple[TrackedLoad, ...], single: Forces, time_s: float

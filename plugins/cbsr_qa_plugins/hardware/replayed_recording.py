@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import ConfigError, InstrumentError, PluginError, RecordingError
+from cbsr_qa.domain import ConfigError, NoMoreFramesError, PluginError, RecordingError
 from cbsr_qa.domain.plan import steps as kinematics
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.run import InstrumentIdentity
@@ -96,7 +96,7 @@ class ReplayedRecording(DriverBase):
     def acquire(self, count: int) -> FrameBlock:
         """Deliver the next frames of which at least half is still to come.
 
-        InstrumentError if the recording ends before; it is not to be tried again.
+        NoMoreFramesError if the recording ends before; it is not to be tried again.
         """
         frames = self._recording.frames
         self._check_count(count)
@@ -109,13 +109,15 @@ class ReplayedRecording(DriverBase):
         own = None if taken.reading_time_s is None else taken.reading_time_s + self._shift_s
         return replace(taken, time_s=taken.time_s + self._shift_s, reading_time_s=own)
 
-    def _over(self, left: int, asked: int) -> InstrumentError:
+    def _over(self, left: int, asked: int) -> NoMoreFramesError:
         played_s = self._clock.now() - self._shift_s
         held, end_s = len(self._recording.frames), float(self._recording.frames.time_s[-1])
-        return self._error(
+        return NoMoreFramesError(
+            self._role,
+            self._address,
             f"the recording is over: at {played_s:.4g} s of it {left} of {held} frames are left,"
             f" {asked} asked for; the last is at {end_s:.4g} s",
-            "use a recipe that takes no longer than what was recorded",
+            remedy="use a recipe that takes no longer than what was recorded",
         )
 
     # --- sampler ---
@@ -195,6 +197,11 @@ def _read(context: StationContext, options: ReplayOptions) -> Recording:
 def _check_frames(recording: Recording, context: StationContext, who: str) -> None:
     """Refuse a recording whose frames are not those of a run."""
     name, shape = recording.path.name, context.sensor_type.pattern.shape
+    if recording.sensor_type not in (None, context.sensor_type.name):
+        raise ConfigError(
+            f"{who}: {name} is of sensor type {recording.sensor_type!r}, not {context.sensor_type.name!r}",
+            remedy="replay a recording of this sensor type, or name the sensor type that was recorded",
+        )
     played = recording.frames.voltages.shape[1:]
     if recording.scan is not ScanKind.FULL or played != shape:
         raise ConfigError(

@@ -44,7 +44,8 @@ def _allowed(fields: tuple[str, ...]) -> str:
 
 def filled_template(template: str, message: Mapping[str, Any]) -> str:
     """Return a template with the fields of a message; a name cannot add a level to a path or a topic."""
-    values = {name: message[name] for name in _FIELDS} | {"type": message["event"]["type"]}
+    kind = message.get("event", message)["type"]
+    values = {name: message.get(name, "") or "_" for name in _FIELDS} | {"type": kind}
     return template.format(**{name: re.sub(r"^\.|[^\w.-]", "_", value) for name, value in values.items()})
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import ConfigError, DeliveryError
-from cbsr_qa.plugin import PluginOptions, Problem, WithOptions
+from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
 from cbsr_qa_plugins.sinks._options import (
     EnvironmentVariable,
     Timeout,
@@ -41,6 +41,7 @@ class Mqtt(WithOptions):
     host : name or address of the broker.
     port : of the broker; 1883 by default, with TLS 8883.
     topic : may have the fields {station}, {serial}, {run} and {type}, the type of the event.
+    retain : types of events of which the broker keeps the last one, for those who subscribe later.
     qos : 0 at most once, 1 at least once, 2 exactly once; with 1 and 2 the broker confirms each message.
     tls : encrypts, and checks the broker's certificate. Without TLS, events and password travel in clear.
     ca_file : certificates to check it with, instead of those of the operating system.
@@ -53,6 +54,7 @@ class Mqtt(WithOptions):
         host: Annotated[str, Field(min_length=1, max_length=253, pattern=r"^[A-Za-z0-9._:-]+$")]
         port: Annotated[int, Field(ge=1, le=65535)] | None = None
         topic: Annotated[str, AfterValidator(_topic)] = "cbsr-qa/{station}/{type}"
+        retain: Annotated[tuple[str, ...], Array] = ()
         qos: Literal[0, 1, 2] = 1
         tls: bool = False
         ca_file: str | None = None
@@ -109,6 +111,7 @@ class Mqtt(WithOptions):
                 filled_template(self.options.topic, message),
                 json.dumps(message, separators=(",", ":")),
                 self.options.qos,
+                retain=message.get("event", message)["type"] in self.options.retain,
             )
             for message in messages
         ]

@@ -1,0 +1,146 @@
+"""Frames brought to the scale of a calibration: by their drive current, or by first frames of the unloaded sheet."""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+
+from cbsr_qa.calibration.runtime import Calibration
+from cbsr_qa.domain import Array, RecordingError
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, Recording, ScanKind, VoltageUnit
+
+#: Largest relative difference, once scaled, of unloaded readings of the same sheet from the calibration's: more than
+#: drift, and far less than another order of electrodes causes. Chosen by us.
+_MOST_APART: Final = 0.2
+_REFERENCE: Final = (
+    "give --reference N if its first N frames are of the unloaded sheet: they are then scaled to the calibration's"
+    " own unloaded frame"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameScale:
+    """What turns readings into voltages at the calibration's current.
+
+    Parameters
+    ----------
+    ratio : V of the calibration in one unit of the readings.
+    own, reference : (drives, measures) unloaded readings, and the calibration's that replace them; 0 to keep those.
+    remarks : what is done, in words.
+    """
+
+    ratio: float
+    own: Array | float = 0.0
+    reference: Array | float = 0.0
+    remarks: tuple[str, ...] = ()
+
+    def voltages(self, frames: FrameBlock) -> Array:
+        """Return (n, drives, measures) voltages at the calibration's current [V], NaN where flagged."""
+        voltages: Array = (whole_readings(frames) - self.own) * self.ratio + self.reference
+        return voltages
+
+    @classmethod
+    def of(cls, calibration: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
+        """Find the scale of frames; see :func:`recorded_frames`.
+
+        Parameters
+        ----------
+        name : of the frames, in messages.
+        """
+        if reference is not None:
+            return cls._against_own(calibration, name, frames, reference)
+        if frames.unit is not VoltageUnit.VOLT:
+            raise RecordingError(
+                f"{name} holds readings in {frames.unit.value} without their scale; the calibration of"
+                f" sensor {calibration.issued.sensor.serial} is in volts",
+                remedy=_REFERENCE,
+            )
+        current_A, own_A = frames.current_A, calibration.issued.current_A
+        if current_A is None:
+            raise RecordingError(
+                f"{name} does not say its drive current, which scales every reading", remedy=_REFERENCE
+            )
+        if not current_A > 0:
+            raise RecordingError(f"{name} states a drive current of {current_A:g} A")
+        if np.isclose(current_A, own_A, rtol=1e-9):
+            return cls(1.0)
+        remark = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
+        return cls(own_A / current_A, remarks=(remark,))
+
+    @classmethod
+    def _against_own(cls, calibration: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
+        if not 1 <= count <= len(frames):
+            raise RecordingError(
+                f"--reference {count} of {name}, which holds {len(frames)} frames; 1 to {len(frames)} are allowed"
+            )
+        used = calibration.issued.reconstruction.problem.used
+        own, reference = whole_readings(frames)[:count].mean(axis=0), calibration.issued.reference
+        seen, known = own[used], reference[used]
+        if not np.isfinite(seen).all():
+            raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")
+        power = float(seen @ seen)
+        ratio = float(seen @ known) / power if power > 0 else 0.0
+        apart = float(np.linalg.norm(ratio * seen - known) / np.linalg.norm(known))
+        if not (ratio > 0 and apart <= _MOST_APART):
+            raise RecordingError(
+                f"the first {count} frames of {name} are not those of sensor {calibration.issued.sensor.serial}"
+                f" unloaded: scaled as well as can be they differ from its reference by {apart:.0%};"
+                f" {_MOST_APART:.0%} is allowed",
+                remedy="check the sensor, the order of its electrodes, and that nothing pressed",
+            )
+        remark = (
+            f"changes are against the first {count} frames, of which 1 {frames.unit.value} is {ratio:.6g} V of the"
+            f" calibration; unloaded they differ from its reference by {apart:.2%}, and their own noise (1/{count} of"
+            " a frame's variance) is not in the standard errors"
+        )
+        return cls(ratio, own, reference, (remark,))
+
+
+def recorded_frames(
+    calibration: Calibration, recording: Recording, reference: int | None
+) -> tuple[Array, tuple[str, ...]]:
+    """Bring the frames of a recording to the calibration's scale.
+
+    Parameters
+    ----------
+    reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
+        calibration's reference. None to keep the latter.
+
+    Returns
+    -------
+    (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and what was done to them.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is of another sensor type, scan, geometry, unit or scale, or its first frames are not those
+        of this sensor.
+    """
+    _check(calibration, recording)
+    scale = FrameScale.of(calibration, recording.path.name, recording.frames, reference)
+    return scale.voltages(recording.frames), scale.remarks
+
+
+def whole_readings(frames: FrameBlock) -> Array:
+    """Return readings (n, drives, measures) as they are, NaN where they say nothing of the sheet."""
+    return np.where((frames.flags & UNUSABLE) != 0, np.nan, frames.voltages)
+
+
+def _check(calibration: Calibration, recording: Recording) -> None:
+    issued, name = calibration.issued, recording.path.name
+    if recording.sensor_type not in (None, issued.sensor_type.name):
+        raise RecordingError(
+            f"{name} is of sensor type {recording.sensor_type}, the calibration is of a {issued.sensor_type.name}",
+            remedy="apply the calibration that was issued for this sensor",
+        )
+    if recording.scan is not ScanKind.FULL or recording.magnitudes_only:
+        held = "absolute values" if recording.magnitudes_only else "driven pairs alone"
+        raise RecordingError(f"{name} holds {held}; a force needs every reading with its sign")
+    found, wanted = recording.frames.voltages.shape[1:], issued.reference.shape
+    if found != wanted:
+        raise RecordingError(
+            f"{name} holds frames of {found[0]} × {found[1]} readings, the calibration is for"
+            f" {wanted[0]} × {wanted[1]}"
+        )
+    if not len(recording.frames):
+        raise RecordingError(f"{name} holds no frame")

@@ -1,0 +1,13 @@
+from .messages import (
+    AliveMessage as AliveMessage,
+    DroppedMessage as DroppedMessage,
+    EndMessage as EndMessage,
+    FrameMessage as FrameMessage,
+    HeaderMessage as HeaderMessage,
+    InterruptedMessage as InterruptedMessage,
+    StreamMessage as StreamMessage,
+    json_line as json_line,
+)
+from .outlets import Outlets as Outlets
+from .source import FramesFrom as FramesFrom
+from .stream import StreamRequest as StreamRequest, stream_messages as stream_messages

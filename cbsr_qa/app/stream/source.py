@@ -1,0 +1,200 @@
+"""Where the frames of a stream come from: an instrument opened by its driver alone, or that of a station."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from cbsr_qa.config import load_material
+from cbsr_qa.domain import ConfigError, InstrumentError, PluginError, RefusedError
+from cbsr_qa.domain.plan import InstrumentSpec
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.run import Indenter, InstrumentIdentity
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.plugin import FrameSource, Instrument, Linked, Plugins, StationContext, contained
+from cbsr_qa.station import (
+    FRAME_SOURCE,
+    MULTIPLEXER,
+    SOURCE_METER,
+    Mounted,
+    check_clock,
+    configure,
+    identity_of,
+    open_instrument,
+    opener,
+    station_clock,
+    stop_all,
+)
+from cbsr_qa.station.control import station_held
+from cbsr_qa.system import Clock, RealClock
+
+#: Simulated instruments want a material; those that measure something do not look at it.
+_MATERIAL: Final = "cbsr-8wt"
+#: A station is configured together with a recipe, of which a stream uses nothing.
+_RECIPE: Final = "golden-check"
+
+
+@dataclass(frozen=True, slots=True)
+class FramesFrom:
+    """Which instrument takes the frames: give a driver with its options, or a station.
+
+    Parameters
+    ----------
+    driver, options : as in the instrument's table of a station file.
+    station : station file, or the name of a shipped one: its frame source is used, and what that works through.
+    """
+
+    driver: str | None = None
+    options: Mapping[str, Any] | None = None
+    station: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedSource:
+    """An instrument that takes frames."""
+
+    spec: InstrumentSpec
+    instrument: FrameSource
+    clock: Clock
+    identity: InstrumentIdentity
+
+    def frame(self) -> FrameBlock:
+        """Take the next frame.
+
+        InstrumentError if the instrument fails, whatever its driver raises; NoMoreFramesError after the last one.
+        """
+        try:
+            with contained(f"driver {self.spec.driver}"):
+                return self.instrument.acquire(1)
+        except PluginError as error:
+            raise InstrumentError(
+                self.spec.role, self.spec.address, error.reason, remedy="report it to the driver's author"
+            ) from error
+
+
+@contextmanager
+def opened_source(
+    frames: FramesFrom,
+    plugins: Plugins,
+    sensor_type: SensorType,
+    indenter: Indenter,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Iterator[OpenedSource]:
+    """Open the instrument; it is made safe and closed at the end.
+
+    Parameters
+    ----------
+    sensor_type, indenter : of the calibration.
+    tell : called with what could not be made safe or closed.
+
+    Raises
+    ------
+    RefusedError
+        If driver or station are unknown, refuse their options, take no frames, or are of another sensor type; or if
+        another process uses the station.
+    InstrumentError
+        If an instrument does not answer.
+    """
+    if (frames.driver is None) == (frames.station is None):
+        raise RefusedError(
+            "give either a driver or a station" if frames.driver is None else "a driver and a station are given",
+            remedy="--from DRIVER opens one instrument, --station STATION the frame source of a station",
+        )
+    with ExitStack() as stack:
+        if frames.driver is not None:
+            specs, clock, opened = _alone(frames.driver, frames.options or {}, plugins, sensor_type, indenter)
+        else:
+            assert frames.station is not None
+            specs, clock, opened = _of_station(frames.station, plugins, sensor_type, stack)
+        mounted = []
+        for spec in specs:
+            one = Mounted(spec, opened(spec))
+            mounted.append(one)
+            stack.callback(_closed, one, tell)
+        yield _ready(mounted, clock)
+
+
+def _closed(one: Mounted, tell: Callable[[str], None]) -> None:
+    for action in (one.instrument.safe_state, one.instrument.close):
+        for words in stop_all([(one.name, action)]):
+            tell(f"{words}: switch its current off by hand")
+
+
+_Opener = Callable[[InstrumentSpec], Instrument]
+_Opened = tuple[list[InstrumentSpec], Clock, _Opener]
+
+
+def _alone(
+    driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, indenter: Indenter
+) -> _Opened:
+    clock = RealClock()
+    if options.get("address") == "emulated":
+        raise ConfigError(
+            f"{driver}: only a station emulates instruments", remedy="give --station, e.g. --station board-emulated"
+        )
+
+    def opened(spec: InstrumentSpec) -> Instrument:
+        context = StationContext(
+            FRAME_SOURCE, clock, sensor_type, load_material(_MATERIAL).value, indenter, 0, spec.options
+        )
+        return open_instrument(spec.driver, plugins, context)
+
+    return [InstrumentSpec(FRAME_SOURCE, driver, (FRAME_SOURCE,), options, None)], clock, opened
+
+
+def _of_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: ExitStack) -> _Opened:
+    """Open no head and no load cell: whoever built the sensor in presses."""
+    here = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
+    _check_sensor_type(here.station.name, here.sensor_type, sensor_type)
+    stack.enter_context(station_held(here.station.name, who="", doing="streaming forces"))
+    if here.station.clock == "virtual":  # time passes as for whoever reads
+        here = replace(here, station=replace(here.station, clock_speed=here.station.clock_speed or 1.0))
+    clock = station_clock(here)
+    opened, after = opener(here, plugins, clock)
+    if after:
+        stack.callback(stop_all, after)
+    specs = here.station.instruments
+    source = next(spec for spec in specs if FRAME_SOURCE in spec.provides)
+    through = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
+
+    def checked(spec: InstrumentSpec) -> Instrument:
+        instrument = opened(spec)
+        if not isinstance(instrument, Linked):  # it is as real as those that it works through
+            check_clock(here, [identity_of(Mounted(spec, instrument))])
+        return instrument
+
+    return [*through, source], clock, checked
+
+
+def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) -> None:
+    """Refuse a station whose frames are not those of the calibrated sensor."""
+    own, wanted = has.pattern, calibrated.pattern
+    if has.name == calibrated.name and (own.drive, own.measure) == (wanted.drive, wanted.measure):
+        return
+    how = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
+    if has.name == calibrated.name:
+        how = f"drives or measures sensor type {has.name!r} in another pattern than the calibration"
+    raise ConfigError(
+        f"station {station!r} {how}",
+        remedy="give the calibration of the sensor at this station, or set sensor_type in the station file",
+    )
+
+
+def _ready(mounted: list[Mounted], clock: Clock) -> OpenedSource:
+    """Link the frame source, which was opened last, with the others, and ask who it is."""
+    source = mounted[-1]
+    instrument = source.instrument
+    if not isinstance(instrument, FrameSource):
+        raise ConfigError(
+            f"driver {source.spec.driver!r} takes no frames", remedy="give the driver of a frame source"
+        )
+    if isinstance(instrument, Linked):
+        if len(mounted) == 1:
+            raise ConfigError(
+                f"driver {source.spec.driver!r} works through other instruments",
+                remedy="describe them in a station file, and give --station FILE",
+            )
+        with contained(f"instrument {source.name}"):
+            instrument.link({role: one.instrument for one in mounted for role in one.spec.provides})
+    emulated = any(one.spec.emulated for one in mounted)
+    return OpenedSource(source.spec, instrument, clock, identity_of(source, emulated=emulated))

@@ -1,0 +1,48 @@
+"""Forces of an instrument's frames as they are taken."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.app.stream import EndMessage, FrameMessage, FramesFrom, StreamRequest, stream_messages
+from cbsr_qa.domain import BrokenError
+
+__all__ = ["FrameMessage", "stream"]
+
+
+def stream(
+    calibration: str | Path,
+    *,
+    driver: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    station: str | Path | None = None,
+    reference: int | None = None,
+    sensor_type: str | None = None,
+) -> Iterator[FrameMessage]:
+    """Yield the force in every frame of an instrument, as ``cbsr-qa stream`` sends it with the same options.
+
+    It ends with a recording that is played. The instrument is closed with the iterator.
+
+    Parameters
+    ----------
+    driver, options : of an instrument that takes frames, as in its table of a station file.
+    station : station file or name, in place of a driver.
+    reference : number of first frames that are of the unloaded sheet.
+    sensor_type : of a calibration from labelled presses, if it is not a shipped one.
+
+    Raises
+    ------
+    CbsrError
+        If it is refused, or the instrument fails.
+    """
+    source = FramesFrom(driver, options, None if station is None else str(station))
+    request = StreamRequest(Path(calibration), source, reference, sensor_type)
+    with closing(stream_messages(request)) as messages:
+        for message in messages:
+            if isinstance(message, FrameMessage):
+                yield message
+            elif isinstance(message, EndMessage) and message.why == "stopped":
+                raise KeyboardInterrupt(message.reason)
+            elif isinstance(message, EndMessage) and message.why == "failed":
+                raise BrokenError(message.reason)
