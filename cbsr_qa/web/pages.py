@@ -224,6 +224,8 @@ class Pages:
     def __init__(self, line: Line) -> None:
         self._line = line
         self._environment = _environment()
+        for template in self._environment.list_templates(extensions=["j2"]):
+            self._environment.get_template(template)  # compiled before a run is watched
         self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
         self._cards: dict[str, tuple[Snapshot | None, Part]] = {}
 
