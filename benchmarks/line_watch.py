@@ -131,13 +131,13 @@ class Line:
     def wait_for_frames(self) -> None:
         """Return once a first frame is stored."""
         query = "SELECT count(*) FROM frame_blocks"
-        for _ in range(120):
+        for _ in range(1200):
             self.keep_running()  # as soon as the page knows that the stations are free
             time.sleep(0.5)
             with suppress(sqlite3.OperationalError), sqlite3.connect(self.database) as store:
                 if store.execute(query).fetchone()[0]:
                     return
-        raise SystemExit("no frame was stored within a minute")
+        raise SystemExit("no frame was stored within ten minutes")
 
     def close(self) -> None:
         """Stop all runs and the server."""

@@ -18,7 +18,7 @@ from cbsr_qa.web.live_run import LiveRun, LiveView
 from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
-from cbsr_qa.web.texts import text
+from cbsr_qa.web.texts import refusal_words, text
 
 #: Between looks whether anything was written [s].
 _LOOK_S: Final = 0.02
@@ -219,7 +219,7 @@ class Watcher(threading.Thread):
                     self._watch(store, discover())
                 return
             except CbsrError as error:
-                self._say(f"{error.reason}. {error.remedy}" if error.remedy else error.reason)
+                self._say(refusal_words(error))
             except Exception as error:  # noqa: BLE001 - pages would stay as they are without a word
                 self._say(text("trouble.unforeseen", error=repr(error)[:200]), error)
             self._woken.wait(_AGAIN_S)
