@@ -28,7 +28,7 @@ import numpy as np
 from benchmarks.rows import Row
 from cbsr_qa.app import own_command
 
-_STATION: Final = Path(__file__).parents[1] / "stations" / "line-1.toml"
+_STATIONS: Final = Path(__file__).parents[1] / "stations"
 _CHROMIUM: Final = Path("/usr/bin/chromium")
 _ARGUMENTS: Final = ["--headless", "--no-sandbox", "--disable-gpu"]
 #: Between looks at the store [s]: a frame is taken to be stored as soon as the look before it was seen.
@@ -82,11 +82,12 @@ class Seen:
 class Line:
     """``cbsr-qa serve`` of some simulated stations, each of which tests one sensor after the other."""
 
-    def __init__(self, folder: Path, stations: int, speed: float, recipe: str) -> None:
+    def __init__(self, folder: Path, stations: int, speed: float, recipe: str, kind: str) -> None:
         self.names = [f"bench-{index + 1}" for index in range(stations)]
-        text = re.sub(r"clock_speed = \S+", f"clock_speed = {speed}", _STATION.read_text(encoding="utf-8"))
+        text = re.sub(r"clock_speed = .*\n", "", (_STATIONS / f"{kind}.toml").read_text(encoding="utf-8"))
+        text = text.replace('clock = "virtual"', f'clock = "virtual"\nclock_speed = {speed}')
         for name in self.names:
-            (folder / f"{name}.toml").write_text(text.replace('"line-1"', f'"{name}"'), encoding="utf-8")
+            (folder / f"{name}.toml").write_text(text.replace(f'"{kind}"', f'"{name}"'), encoding="utf-8")
         self._environment = {**os.environ, "CBSR_QA_VAR": str(folder / "var")}
         self._log = (folder / "serve.log").open("wb")
         program = [*own_command("serve"), f"--recipe={recipe}", "--port=0"]
@@ -264,8 +265,8 @@ def rows(without: Seen, seen: Seen, speed: float, watched_by: str) -> Iterator[R
     yield Row(
         "processor time of the page", "≤ 10 % of a core", f"{100 * seen.page_share:.1f} %", met=seen.page_share <= 0.1
     )
-    begin, end = (float(np.median(part)) for part in (seen.memory_MB[:30], seen.memory_MB[-30:]))
-    yield Row("memory of the page, first and last half minute", "", f"{begin:.0f} MB, {end:.0f} MB")
+    fifths = (float(np.median(part)) for part in np.array_split(seen.memory_MB, 5))
+    yield Row("memory of the page, of each fifth of the time", "", ", ".join(f"{one:.0f} MB" for one in fifths))
     yield Row("write-ahead log", "", f"at most {max(seen.log_MB):.1f} MB")
 
 
@@ -283,9 +284,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--alone", type=float, default=3.0, help="minutes before, with nobody watching")
     parser.add_argument("--speed", type=float, default=1.0, help="station seconds per second")
     parser.add_argument("--recipe", default="nine-locations")
+    parser.add_argument("--kind", default="line-1", help="shipped station to serve several of, e.g. bench-emulated")
     chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        line = Line(Path(folder), chosen.stations, chosen.speed, chosen.recipe)
+        line = Line(Path(folder), chosen.stations, chosen.speed, chosen.recipe, chosen.kind)
         try:
             watch = Watch(line)
             line.wait_for_frames()
