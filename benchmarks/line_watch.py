@@ -147,7 +147,8 @@ class Line:
     def close(self) -> None:
         """Stop all runs and the server."""
         for name in self.names:
-            self.request("POST", f"/stations/{name}/stop")
+            stop = own_command("station", "stop", name)  # also where the server has ended already
+            subprocess.run(stop, env=self._environment, capture_output=True, check=False)
         self.process.terminate()
         self.process.wait(30)
 
