@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import AT_COMMAND_LINE, ConfigError
 
 
 def var_folder(environment: Mapping[str, str] = os.environ) -> Path:
@@ -78,5 +78,5 @@ def writable_folder(folder: Path) -> Path:
 def _unwritable(folder: Path, why: str) -> ConfigError:
     return ConfigError(
         f"folder {folder} cannot be written to: {why}",
-        remedy="free it, or name another one in CBSR_QA_VAR, for the database with --database",
+        remedy=f"free it, or choose another one\n{AT_COMMAND_LINE}CBSR_QA_VAR names it, for the database --database",
     )

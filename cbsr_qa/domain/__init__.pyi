@@ -1,5 +1,6 @@
 from . import errors as errors
 from .errors import (
+    AT_COMMAND_LINE as AT_COMMAND_LINE,
     LONGEST_PROBLEM as LONGEST_PROBLEM,
     AbortedError as AbortedError,
     BrokenError as BrokenError,
@@ -20,6 +21,7 @@ from .errors import (
     StoppedError as StoppedError,
     StoreError as StoreError,
     UnconcludedError as UnconcludedError,
+    off_command_line as off_command_line,
 )
 from .filling import filled as filled, fitted as fitted, typed as typed
 from .goodness import (

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
+#: Begins a line of a remedy that only helps at the command line.
+AT_COMMAND_LINE: Final = "at the command line: "
 #: Longest description of a row, in characters.
 LONGEST_PROBLEM: Final = 300
 
@@ -29,13 +31,19 @@ class RowProblem:
             object.__setattr__(self, "what", f"{self.what[:LONGEST_PROBLEM]}… ({len(self.what)} characters)")
 
 
+def off_command_line(words: str) -> str:
+    """Return a remedy without its lines that only help at the command line."""
+    return "\n".join(line for line in words.splitlines() if not line.startswith(AT_COMMAND_LINE))
+
+
 class CbsrError(Exception):
     """Base class of all errors that this package raises deliberately.
 
     Parameters
     ----------
     reason : what was found, naming the file, key, row or role.
-    remedy : what the reader can do about it; may be empty.
+    remedy : what the reader can do about it; may be empty. Commands and options that do it are a line of their own,
+        which begins with :data:`AT_COMMAND_LINE`: a page has buttons instead.
     """
 
     exit_code: ClassVar[int] = 2

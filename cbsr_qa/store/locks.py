@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
 from cbsr_qa.store.damage import shown, translated
 from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.system import FileLock, HeldError, holder
@@ -46,7 +46,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     if isinstance(release, str):
         raise StoreError(
             f"run {run} is being written by {release} ({shown(engine.url)})",
-            remedy="wait for it to end, or stop it and continue with cbsr-qa run --resume",
+            remedy=f"wait for it to end, or stop it, and resume the run\n{AT_COMMAND_LINE}cbsr-qa run --resume {run}",
         )
     try:
         yield

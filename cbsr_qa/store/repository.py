@@ -135,6 +135,7 @@ class Repository:
     shrink = _of_engine(shrink)
 
     change_notice = _of_engine(ChangeNotice)
+    links_of = _of_engine(live.links_of)
     run_tail = _of_engine(live.run_tail)
     frames_between = _of_engine(live.frames_between)
     latest_run_at = _of_engine(live.latest_run_at)

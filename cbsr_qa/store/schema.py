@@ -20,7 +20,7 @@ from sqlalchemy import (
     text,
 )
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
 from cbsr_qa.store.locks import changing_schema
@@ -185,7 +185,7 @@ def _make_folder(engine: Engine) -> None:
     except OSError as error:
         raise StoreError(
             f"{shown(engine.url)}: its folder cannot be created: {error.strerror}",
-            remedy="free the path, or use another database with --database or CBSR_QA_DATABASE",
+            remedy=f"free the path, or use another database\n{AT_COMMAND_LINE}--database or CBSR_QA_DATABASE",
         ) from error
 
 

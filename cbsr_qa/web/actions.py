@@ -19,7 +19,7 @@ from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.processes import start_run
 from cbsr_qa.web.start import StartForm, resume_arguments
 from cbsr_qa.web.state import Mode
-from cbsr_qa.web.texts import text
+from cbsr_qa.web.texts import refusal_words, text
 
 Action = Callable[[str, dict[str, str]], Awaitable[Response]]
 
@@ -113,7 +113,7 @@ class Actions:
                 return await action(station, form)
             except CbsrError as error:
                 LOG.warning("%s: %s", station, error.reason)
-                words = f"{error.reason}. {error.remedy}" if error.remedy else error.reason
+                words = refusal_words(error)
                 return _said(words=words, parts=[["gate", ""]])
 
         return worded

@@ -18,12 +18,12 @@ from starlette.routing import Route
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.files import calibration_response, prompt_picture, report_response
-from cbsr_qa.web.guard import LOG, Access, Guard, Right
+from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right
 from cbsr_qa.web.line import MOST_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
 from cbsr_qa.web.shift import sensor_page, shift_page
 from cbsr_qa.web.streams import EventStream
-from cbsr_qa.web.texts import text
+from cbsr_qa.web.texts import refusal_words, text
 
 _KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
 #: Files of the package that are served, read once.
@@ -149,7 +149,8 @@ class Site:
     async def shift(self, request: Request) -> Response:
         names = tuple(self._line.stations)
         found = await run_in_threadpool(shift_page, self._line.database, names)
-        return HTMLResponse(self._pages.page("shift", control=_controls(request), here="shift", **found))
+        page = self._pages.page("shift", control=_controls(request), here="shift", **found)
+        return HTMLResponse(page, headers={"content-security-policy": DRAWINGS_POLICY})
 
     async def sensor(self, request: Request) -> Response:
         found = await run_in_threadpool(sensor_page, self._line.database, request.path_params["serial"])
@@ -195,7 +196,7 @@ class Site:
     async def refusal(self, request: Request, error: Exception) -> Response:
         assert isinstance(error, CbsrError)
         LOG.warning("%s: %s", request.url.path[:120], error.reason)
-        return self._problem(request, f"{error.reason}. {error.remedy}" if error.remedy else error.reason, 400)
+        return self._problem(request, refusal_words(error), 400)
 
     async def broken(self, request: Request, error: Exception) -> Response:
         LOG.error("%s", request.url.path[:120], exc_info=error)

@@ -38,6 +38,8 @@ _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
     " form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 )
+#: Of a page whose drawings bring their own data.
+DRAWINGS_POLICY: Final = _POLICY.replace("img-src 'self'", "img-src 'self' data:")
 #: Of a report, which brings its own style and drawings and runs nothing.
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none';"

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from cbsr_qa.config import database_url
 from cbsr_qa.web.channel import ChannelClient
@@ -38,7 +39,9 @@ class Line:
     def __init__(self, served: Sequence[ServedStation], database: str | None) -> None:
         self.database = database
         self.viewers: set[Viewer] = set()
-        self.stations = {one.name: StationWatch(one, ChannelClient(one.name, self._woken)) for one in served}
+        self.stations = {
+            one.name: StationWatch(one, ChannelClient(one.name, partial(self.wake, one.name))) for one in served
+        }
         self._watcher = Watcher(tuple(self.stations.values()), database_url(database), self._publish)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -66,11 +69,8 @@ class Line:
         await asyncio.to_thread(self._watcher.stop)
 
     def wake(self, station: str) -> None:
-        """Look at a station soon: something was started or asked."""
+        """Look at a station soon: something was started or asked, or its run says something new."""
         self.stations[station].wake()
-        self._watcher.wake()
-
-    def _woken(self) -> None:
         self._watcher.wake()
 
     def _publish(self, names: list[str]) -> None:

@@ -109,9 +109,9 @@ def decided_words(run: RunLook | ListedRun) -> str:
 
 
 def minutes_left(snapshot: Snapshot) -> str:
-    """Return the time left in words, that changes once a minute."""
+    """Return the time left in words, that changes once a minute; empty while a run waits or is at its end."""
     if snapshot.mode in (Mode.PAUSED, Mode.ASKING, Mode.CONCLUDING):
-        return text(f"mode.{snapshot.mode}")
+        return ""
     ends_at = None if snapshot.control is None else snapshot.control.ends_at
     if ends_at is None:
         return text("page.no_estimate")
@@ -224,6 +224,8 @@ class Pages:
     def __init__(self, line: Line) -> None:
         self._line = line
         self._environment = _environment()
+        for template in self._environment.list_templates(extensions=["j2"]):
+            self._environment.get_template(template)  # compiled before a run is watched
         self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
         self._cards: dict[str, tuple[Snapshot | None, Part]] = {}
 

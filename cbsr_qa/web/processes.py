@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app import own_command
-from cbsr_qa.app.gate import OVERRIDE_AT_COMMAND_LINE
 from cbsr_qa.config import var_folder, writable_folder
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import ConfigError, off_command_line
 from cbsr_qa.web.guard import LOG
 
 _LOG_NAME: Final = "%Y%m%dT%H%M%S%f"
@@ -56,7 +55,7 @@ class Started:
         start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), None)
         if start is None and self.process is None:  # it was not refused, or has not been yet
             return ""
-        chosen = [line for line in lines[start:] if not line.startswith(OVERRIDE_AT_COMMAND_LINE)]
+        chosen = off_command_line("\n".join(lines[start:])).splitlines()
         shown = chosen[-_SHOWN_LINES:] if start is None else chosen[:_SHOWN_LINES]
         return "\n".join(line.removeprefix("cbsr-qa: ") for line in shown)
 

@@ -1,13 +1,54 @@
 """What the views of a shift and of a sensor show."""
 
-from typing import Any
+from base64 import b64encode
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 from starlette.exceptions import HTTPException
 
 from cbsr_qa.config import database_url, validate_serial
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.results import Banner, Figure, RunSelection, Section
 from cbsr_qa.store import open_store
 from cbsr_qa.web.texts import text
+
+if TYPE_CHECKING:
+    from cbsr_qa.studies.charts import MetricChart
+
+#: Charts that are drawn of a station, recipe and golden sensor, those that signal first.
+_MOST_DRAWN: Final = 6
+#: Drawings that are kept: a chart is drawn again only once it has another run.
+_MOST_KEPT: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ChartPicture:
+    """A drawn chart. ``source``: address of an image that brings its own data."""
+
+    title: str
+    source: str
+    alternative: str
+
+
+@dataclass(frozen=True, slots=True)
+class StationChartsView:
+    """Charts of a station's runs of one recipe, of production or of one golden sensor.
+
+    Parameters
+    ----------
+    banner : their state; None if they could not be charted.
+    why : the reason then.
+    left : how many are not drawn.
+    """
+
+    station: str
+    recipe: str
+    golden: str
+    banner: Banner | None
+    why: str
+    pictures: tuple[ChartPicture, ...]
+    left: int
 
 
 def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any]:
@@ -19,7 +60,40 @@ def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any
     with open_store(database_url(database)) as store:
         summary = shift_summary(store, selection)
         runs = store.listed_runs(selection)
-    return {"day": since, "summary": summary, "runs": tuple(reversed(runs))}
+        references = {name: store.chart_references(name) for name in stations}
+    groups = dict.fromkeys((name, one.recipe, one.golden or "") for name, held in references.items() for one in held)
+    charts = tuple(_charts(database, *group) for group in groups)
+    return {"day": since, "summary": summary, "runs": tuple(reversed(runs)), "charts": charts}
+
+
+def _charts(database: str | None, station: str, recipe: str, golden: str) -> StationChartsView:
+    from cbsr_qa.studies.charts import ChartsRequest, charts_outcome, control_charts
+
+    try:
+        charts = control_charts(ChartsRequest(station, recipe, golden or None), database=database)
+    except CbsrError as error:
+        return StationChartsView(station, recipe, golden, None, error.reason, (), 0)
+    outcome = charts_outcome(charts)
+    sections = outcome.sections[-len(charts.charts) :]  # one of each chart, after those of all
+    shown = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MOST_DRAWN]
+    pictures = tuple(picture for chart, section in shown for picture in _pictures(chart, section))
+    left = len(charts.charts) - len(shown)
+    return StationChartsView(station, recipe, golden, outcome.page.banner, "", pictures, left)
+
+
+_kept: dict[tuple[object, ...], str] = {}
+
+
+def _pictures(chart: "MetricChart", section: Section) -> Iterator[ChartPicture]:
+    for block in section.blocks:
+        if isinstance(block, Figure):
+            key = (chart.reference, chart.runs, chart.values)
+            if key not in _kept:
+                svg = block.svg if isinstance(block.svg, str) else block.svg()
+                _kept[key] = f"data:image/svg+xml;base64,{b64encode(svg.encode()).decode()}"
+                while len(_kept) > _MOST_KEPT:
+                    del _kept[next(iter(_kept))]
+            yield ChartPicture(section.title, _kept[key], block.alternative)
 
 
 def sensor_page(database: str | None, serial: str) -> dict[str, Any]:

@@ -6,6 +6,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Final
 
+from cbsr_qa.domain import CbsrError, off_command_line
+
 _FILE: Final = "texts.toml"
 
 
@@ -21,6 +23,14 @@ def _catalogue() -> Mapping[str, str]:
 def text(key: str, **names: Any) -> str:
     """Return a text of the catalogue. KeyError if it has none of this key."""
     return _catalogue()[key].format(**names)
+
+
+def refusal_words(error: CbsrError) -> str:
+    """Return what is wrong and what to do about it, in words of a page."""
+    remedy = off_command_line(error.remedy)
+    if not remedy.startswith("cbsr-qa"):
+        remedy = remedy[:1].upper() + remedy[1:]
+    return f"{error.reason}. {remedy}" if remedy else error.reason
 
 
 def keys() -> frozenset[str]:

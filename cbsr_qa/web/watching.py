@@ -18,14 +18,16 @@ from cbsr_qa.web.live_run import LiveRun, LiveView
 from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
-from cbsr_qa.web.texts import text
+from cbsr_qa.web.texts import refusal_words, text
 
 #: Between looks whether anything was written [s].
-_LOOK_S: Final = 0.03
+_LOOK_S: Final = 0.02
 #: Between images of one station at least [s].
-_IMAGE_S: Final = 0.1
+_IMAGE_S: Final = 0.06
 #: Between snapshots of a station of which nothing is heard [s].
 _QUIET_S: Final = 1.0
+#: Between looks whether a run in progress has ended, if its channel does not say so [s].
+_END_S: Final = 0.5
 #: Between looks at what changes by the hour [s].
 _HEALTH_S: Final = 15.0
 #: Between attempts to open the store [s].
@@ -53,7 +55,7 @@ class StationWatch:
         self.look: RunLook | None = None
         self.snapshot: Snapshot | None = None
         self.failure: Exception | None = None
-        self._due, self._next_s = True, 0.0
+        self._due, self._next_s, self._look_s, self._links = True, 0.0, 0.0, -1
         self._health, self._healthy, self._health_s = "", True, 0.0
         self._said = ""
 
@@ -75,9 +77,27 @@ class StationWatch:
         """Whether the run that was started last is stored, at least with its beginning."""
         return self.started is not None and self.look is not None and self.look.worked_at > self.started.at
 
+    @property
+    def _followed(self) -> bool:
+        """Whether the run that its channel tells of is the one that was read."""
+        control, look = self.channel.control, self.look
+        return control is not None and look is not None and control.run == look.run
+
     def wake(self) -> None:
         """Have a look soon."""
         self._due = True
+
+    def written(self, store: Repository) -> None:
+        """Have a look soon if what was written is of the run in progress."""
+        if self._due or self.live is None:
+            self._due = self._due or self.busy
+            return
+        try:
+            links = store.links_of(self.live.run)
+        except CbsrError:  # the look itself says what is wrong
+            self._due = True
+            return
+        self._due, self._links = links != self._links, links
 
     def refresh(self, store: Repository, plugins: Plugins) -> bool:
         """Look at station and store if it is time; return whether there is a new snapshot, with any trouble in it."""
@@ -110,7 +130,8 @@ class StationWatch:
     def _read(self, store: Repository, now_s: float) -> str:
         """Read the latest run and check; return what went wrong."""
         try:
-            self.look = store.latest_run_at(self.served.name)
+            if not self._followed or now_s >= self._look_s:
+                self.look, self._look_s = store.latest_run_at(self.served.name), now_s + _END_S
             self._look_after(store, now_s)
         except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
             self.failure = error
@@ -198,7 +219,7 @@ class Watcher(threading.Thread):
                     self._watch(store, discover())
                 return
             except CbsrError as error:
-                self._say(f"{error.reason}. {error.remedy}" if error.remedy else error.reason)
+                self._say(refusal_words(error))
             except Exception as error:  # noqa: BLE001 - pages would stay as they are without a word
                 self._say(text("trouble.unforeseen", error=repr(error)[:200]), error)
             self._woken.wait(_AGAIN_S)
@@ -208,11 +229,11 @@ class Watcher(threading.Thread):
         notice: ChangeNotice = store.change_notice()
         with closing(notice):
             while not self._stopped:
-                woken = self._woken.wait(_LOOK_S)
+                self._woken.wait(_LOOK_S)
                 self._woken.clear()
-                if notice.changed() or woken:
+                if notice.changed():
                     for station in self._stations:
-                        station.wake()
+                        station.written(store)
                 fresh = [one.served.name for one in self._stations if one.refresh(store, plugins)]
                 if fresh:
                     self._publish(fresh)

@@ -71,7 +71,7 @@ def test_a_start_that_was_refused_is_shown_after_the_page_was_restarted_until_a_
     logs.mkdir(parents=True)
     (logs / "20200101T100000000000.log").write_text("cbsr-qa: of before\n")
     refusal = (
-        "cbsr-qa: the gate refuses\n  retest: S-1 passed\nretest: take the next\nor override: --override retest\n"
+        "cbsr-qa: the gate refuses\n  retest: S-1 passed\nretest: take the next\nat the command line: --override R\n"
     )
     (logs / "20240101T100000000000.log").write_text(f"opening the bench …\n{refusal}")
     _, (only,) = watched("only")

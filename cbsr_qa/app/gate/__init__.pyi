@@ -1,6 +1,5 @@
 from .gate import (
     ASKED_AGAIN as ASKED_AGAIN,
-    OVERRIDE_AT_COMMAND_LINE as OVERRIDE_AT_COMMAND_LINE,
     ask_before as ask_before,
     ask_gate as ask_gate,
     asked_again as asked_again,

@@ -12,15 +12,12 @@ from cbsr_qa.app.gate.sensor import retest_allowed, serial_fits
 from cbsr_qa.app.gate.station_state import charts_in_control, golden_measured
 from cbsr_qa.app.gate.vetoes import no_veto
 from cbsr_qa.config import Configuration
-from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, RefusedError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
 from cbsr_qa.plugin import Plugins
 from cbsr_qa.store import Repository, database_exists, open_store
 from cbsr_qa.system import RealClock
-
-#: How the line of a refusal begins that says how to override it with ``cbsr-qa run``.
-OVERRIDE_AT_COMMAND_LINE: Final = "or override:"
 
 CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.SERIAL_PATTERN: serial_fits,
@@ -95,12 +92,16 @@ def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     if not refused:
         return None
     listed = "\n".join(f"  {one.check}: {one.words}" for one in refused)
-    remedies = [f"{one.check}: {one.instruction}" for one in refused if one.remedy]
+    remedies = [f"{one.check}: {one.remedy}{_command(one)}" for one in refused if one.remedy]
     names = " ".join(f"--override {one.check}" for one in refused)
-    override = f"{OVERRIDE_AT_COMMAND_LINE} {names} --override-by NAME --override-why TEXT"
+    override = f"{AT_COMMAND_LINE}override by {names} --override-by NAME --override-why TEXT"
     return RefusedError(
         f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])
     )
+
+
+def _command(answer: GateAnswer) -> str:
+    return f"\n{AT_COMMAND_LINE}{answer.command}" if answer.command else ""
 
 
 def _answer(check: GateCheck, asked: Asked) -> GateAnswer:

@@ -22,7 +22,7 @@ from cbsr_qa.config import (
     validate_operator,
     writable_folder,
 )
-from cbsr_qa.domain import CbsrError, ConfigError, StoreError
+from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, ConfigError, StoreError
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -31,7 +31,10 @@ from cbsr_qa.station import describe, plan_of, schedule
 from cbsr_qa.store import Repository, database_exists, open_store, parsed_url, shown
 from cbsr_qa.system import RealClock, Stages
 
-_ELSEWHERE: Final = "a run that was begun with another database is resumed with the same --database"
+_ELSEWHERE: Final = (
+    "a run that was begun with another database is resumed with that one\n"
+    f"{AT_COMMAND_LINE}--database; cbsr-qa db status lists the runs that can be resumed"
+)
 
 
 def resume_run(
@@ -99,7 +102,7 @@ def _configuration(store: Repository, run: str) -> str:
     except StoreError as error:
         raise StoreError(
             f"{error.reason} ({store.shown})",
-            remedy=error.remedy or f"cbsr-qa db status lists the runs that can be resumed; {_ELSEWHERE}",
+            remedy=error.remedy or _ELSEWHERE,
         ) from error
 
 
@@ -152,7 +155,7 @@ def _as_it_is_now(configuration: Configuration, station: str | None) -> Configur
     if now.name != configuration.station.name:
         raise ConfigError(
             f"the run was begun on station {configuration.station.name!r}, and the file given is of {now.name!r}",
-            remedy="give the file of the run's own station, or leave --station out",
+            remedy=f"resume it on its own station\n{AT_COMMAND_LINE}give that station's file, or leave --station out",
         )
     return replace(configuration, station=now)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from cbsr_qa.config import var_folder
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import AT_COMMAND_LINE, RefusedError
 from cbsr_qa.system import FileLock, HeldError, holder
 
 #: Names that are used as they are; others are shortened and get a digest.
@@ -172,7 +172,7 @@ def _busy(station: str, found: Holder | None) -> RefusedError:
     who = "another process" if found is None or not found.pid else found.words
     return RefusedError(
         f"station {station!r} is in use: {who}",
-        remedy=f"wait until it has ended, or stop it: cbsr-qa station stop {shlex.quote(station)}",
+        remedy=f"wait until it has ended, or stop it\n{AT_COMMAND_LINE}cbsr-qa station stop {shlex.quote(station)}",
     )
 
 

@@ -5,7 +5,7 @@ from datetime import datetime
 from time import monotonic
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Engine, select, tuple_
+from sqlalchemy import ColumnElement, Connection, Engine, func, select, tuple_
 from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain.plan import Role
@@ -23,6 +23,7 @@ from cbsr_qa.store.tables import (
     AnalysisRow,
     CalibrationRow,
     FrameBlockRow,
+    LinkRow,
     LoadRow,
     PhaseRow,
     RunRow,
@@ -103,6 +104,12 @@ def frames_between(engine: Engine, run: str, phase: int, start_s: float, end_s: 
         blocks = [frame_block(row) for row in with_arrays(connection, connection.execute(query).all())]
     frames = join_frames(blocks).between(start_s, end_s) if blocks else None
     return frames if frames is not None and len(frames) else None
+
+
+def links_of(engine: Engine, run: str) -> int:
+    """Return the number of the last link of a run's chain: it grows with all that is stored of the run."""
+    with reading(engine) as connection:
+        return connection.scalar(select(func.max(LinkRow.number)).where(LinkRow.run == run)) or 0
 
 
 @dataclass(frozen=True, slots=True)

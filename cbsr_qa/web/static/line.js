@@ -33,8 +33,8 @@ async function show(address) {
 }
 
 function take({ parts = [], picture = "", words = "" }) {
+  if (picture) show(picture);  // it is fetched while parts are laid out
   parts.forEach(put);
-  if (picture) show(picture);
   if (words) {
     say.textContent = words;
     setTimeout(() => { if (say.textContent === words) say.textContent = ""; }, 10000);

@@ -1,0 +1,53 @@
+"""The shift view draws the charts of its stations, those that signal first, and fetches nothing for them."""
+
+import re
+from base64 import b64decode
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from filled_databases import filled
+
+from cbsr_qa.domain.results import Limit, Measurement
+from cbsr_qa.studies.charts import ChartsRequest, ReferencePeriod, control_charts
+from cbsr_qa.web.line import Line
+from cbsr_qa.web.pages import Pages
+from cbsr_qa.web.shift import shift_page
+
+_STEADY, _SHIFTED = Limit("drift", "1", None, 1.0), Limit("force_gain", "N/V", 8.0, 12.0)
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    """Thirty runs of station A that are well, then ten with another gain: its second chart signals."""
+    random = np.random.default_rng(3)
+    runs = []
+    for number in range(40):
+        gain, drift = 10 + 0.1 * random.standard_normal(2)
+        gain += 0.8 * (number >= 30)
+        values = Measurement("drift", drift / 100, "1").judged(_STEADY), Measurement("force_gain", gain, "N/V")
+        measured = (values[0], values[1].judged(_SHIFTED))
+        runs.append((f"S-{number:03d}", measured, {"station": "A", "day": number}))
+    path = str(tmp_path_factory.mktemp("shift") / "runs.db")
+    filled(path, runs)
+    control_charts(ChartsRequest("A", period=ReferencePeriod(None, 30, None), operator="q"), database=path)
+    return path
+
+
+def test_charts_are_drawn_the_one_that_signals_first(database):
+    (view,) = shift_page(database, ("A", "B"))["charts"]
+    assert (view.station, view.banner.tone, view.left) == ("A", "fail", 0)
+    assert [picture.title for picture in view.pictures] == ["Force gain, chart i-mr [N/V]", "Drift, chart i-mr"]
+    for picture in view.pictures:
+        svg = b64decode(picture.source.removeprefix("data:image/svg+xml;base64,"))
+        assert ElementTree.fromstring(svg).tag.endswith("svg")
+    assert shift_page(database, ("B",))["charts"] == ()
+
+
+def test_the_page_says_how_stations_stand_and_fetches_no_chart(database):
+    pages = Pages(Line((), database))
+    shown = pages.page("shift", control=True, here="shift", **shift_page(database, ("A",)))
+    assert shown.count("Out of control") == 2  # among the stations, and at the charts
+    assert all(source.startswith("data:") for source in re.findall(r'<img src="([^"]*)"', shown))
+    without = pages.page("shift", control=True, here="shift", **shift_page(database, ("B",)))
+    assert "No station has control charts yet" in without
