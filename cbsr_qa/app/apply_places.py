@@ -92,9 +92,12 @@ def of_presses(calibration: Path) -> bool:
     return isinstance(issued_file(calibration), PressCalibration)
 
 
-def issued_file(calibration: Path) -> Issued:
-    """Read a calibration of either kind; CalibrationError if it is damaged."""
-    return read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
+def issued_file(calibration: Path, public_key: Path | None = None) -> Issued:
+    """Read a calibration of either kind; CalibrationError if it is damaged, or not signed by a given key."""
+    issued = read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
+    if public_key is not None:
+        check_signed_file(calibration, issued, public_key)
+    return issued
 
 
 def apply_to_presses(
@@ -125,14 +128,12 @@ def apply_to_presses(
     RecordingError
         If a table cannot be used.
     """
-    issued = issued_file(calibration)
+    issued = issued_file(calibration, public_key)
     if not isinstance(issued, PressCalibration):
         raise CalibrationError(
             f"{calibration} was issued by a run; --pattern is for calibrations from labelled presses",
             remedy="apply it to recordings, without --pattern",
         )
-    if public_key is not None:
-        check_signed_file(calibration, issued, public_key)
     if pattern is None:
         read = read_pressed_frames(readings, pattern_of(calibration, issued), rest, reference)
     else:

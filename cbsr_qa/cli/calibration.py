@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, group
-from cbsr_qa.cli.options import AsJson
+from cbsr_qa.cli.options import AsJson, PublicKey
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
 
 group("calibration", "Show, check, sign, convert and apply calibration files.")
@@ -14,9 +14,6 @@ group("calibration", "Show, check, sign, convert and apply calibration files.")
 _STDOUT = Path("-")
 _File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
 _EitherFile = Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")]
-_PublicKey = Annotated[
-    Path | None, typer.Option(help="Public key that must have signed the calibration; any other file is refused.")
-]
 
 
 @command("calibration show", prints="cbsr_qa.app:ShownCalibration|ShownPressCalibration")
@@ -28,7 +25,7 @@ def show(file: _File, as_json: AsJson = False) -> None:
 
 
 @command("calibration verify", prints="cbsr_qa.app:SoundFile")
-def verify(file: _EitherFile, public_key: _PublicKey = None, as_json: AsJson = False) -> None:
+def verify(file: _EitherFile, public_key: PublicKey = None, as_json: AsJson = False) -> None:
     """Check that a calibration file is complete, unaltered and of a known version, and who signed it."""
     from cbsr_qa.app import verify_file
 
@@ -130,7 +127,7 @@ def apply(
     output: Annotated[
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
-    public_key: _PublicKey = None,
+    public_key: PublicKey = None,
     as_json: AsJson = False,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.

@@ -24,6 +24,9 @@ Database = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Since = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs from this day on (UTC).")]
 Until = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs to the end of this day (UTC).")]
+PublicKey = Annotated[
+    Path | None, typer.Option(help="Public key that must have signed the calibration; any other file is refused.")
+]
 PageOutput = Annotated[Path | None, typer.Option("--output", help="HTML page to write.")]
 
 

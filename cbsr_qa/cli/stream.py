@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, document
-from cbsr_qa.cli.options import plugin_options
+from cbsr_qa.cli.options import PublicKey, plugin_options
 from cbsr_qa.cli.output import live_output, note
 from cbsr_qa.domain import StoppedError
 
@@ -68,6 +68,7 @@ def stream(
         float,
         typer.Option(metavar="SECONDS", min=0, help="How long to ask an instrument again that has lost its link."),
     ] = 30.0,
+    public_key: PublicKey = None,
 ) -> int:
     """Send the force in every frame of an instrument to other programs, as lines of JSON or by MQTT.
 
@@ -82,7 +83,7 @@ def stream(
     plugins, places = discover(), to or ["-"]
     write = live_output() if "-" in places else None
     source = FramesFrom(driver, plugin_options(option or ()), station)
-    request = StreamRequest(calibration, source, reference, sensor_type, give_up)
+    request = StreamRequest(calibration, source, reference, sensor_type, give_up, public_key)
     with (
         Interrupts(lambda line: None) as interrupts,
         interrupts.heard(),

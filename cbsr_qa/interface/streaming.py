@@ -19,6 +19,7 @@ def stream(
     station: str | Path | None = None,
     reference: int | None = None,
     sensor_type: str | None = None,
+    public_key: str | Path | None = None,
 ) -> Iterator[FrameMessage]:
     """Yield the force in every frame of an instrument, as ``cbsr-qa stream`` sends it with the same options.
 
@@ -30,6 +31,7 @@ def stream(
     station : station file or name, in place of a driver.
     reference : number of first frames that are of the unloaded sheet.
     sensor_type : of a calibration from labelled presses, if it is not a shipped one.
+    public_key : PEM file with the key that must have signed the calibration.
 
     Raises
     ------
@@ -37,7 +39,8 @@ def stream(
         If it is refused, or the instrument fails.
     """
     source = FramesFrom(driver, options, None if station is None else str(station))
-    request = StreamRequest(Path(calibration), source, reference, sensor_type)
+    key = None if public_key is None else Path(public_key)
+    request = StreamRequest(Path(calibration), source, reference, sensor_type, public_key=key)
     with closing(stream_messages(request)) as messages:
         for message in messages:
             if isinstance(message, FrameMessage):

@@ -17,6 +17,7 @@ from streamed import Board, loaded, messages, port_of, streaming, write_sensor
 
 import cbsr_qa as qa
 from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, json_line, stream_messages
+from cbsr_qa.calibration.file import new_key
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.system import VirtualClock
 
@@ -220,6 +221,13 @@ def test_a_recording_of_another_sensor_type_is_refused(tmp_path):
     source = FramesFrom("replayed-recording", {"file": str(tmp_path / "press.h5")})
     with pytest.raises(CbsrError, match="is of sensor type 'disc-150mm', not 'disc-100mm'"):
         next(stream_messages(StreamRequest(tmp_path / "sensor.h5", source)))
+
+
+def test_a_calibration_that_the_pinned_key_did_not_sign_is_not_streamed(folder):
+    new_key(folder / "station.key")
+    source = FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
+    with pytest.raises(CbsrError, match="not signed, and a signature by the pinned key"):
+        next(stream_messages(StreamRequest(folder / "sensor.h5", source, public_key=folder / "station.key.pub")))
 
 
 def test_a_recording_shorter_than_the_reference_is_refused(folder, monkeypatch):

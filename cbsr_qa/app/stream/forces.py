@@ -71,22 +71,23 @@ class FrameForces(Protocol):
         ...
 
 
-def frame_forces(calibration: Path, sensor_type: str | None = None) -> FrameForces:
+def frame_forces(calibration: Path, sensor_type: str | None = None, public_key: Path | None = None) -> FrameForces:
     """Make a calibration file ready for a stream.
 
     Parameters
     ----------
     sensor_type : file or name of the sensor type of a calibration from presses; by default the shipped one of its
         name. Calibrations of runs hold their own.
+    public_key : file with the key that must have signed the calibration; None: not checked.
 
     Raises
     ------
     CalibrationError
-        If the file cannot be used.
+        If the file cannot be used, or is not signed by that key.
     ConfigError
-        If there is no such sensor type.
+        If there is no such sensor type, or the key cannot be used.
     """
-    issued = issued_file(calibration)
+    issued = issued_file(calibration, public_key)
     if isinstance(issued, PressCalibration):
         return _OfPresses(calibration, issued, load_sensor_type(sensor_type or issued.sensor_type).value)
     if sensor_type is not None:

@@ -40,6 +40,7 @@ class StreamRequest:
     reference : number of first frames that are of the unloaded sheet; None to use the calibration's.
     sensor_type : of a calibration from presses, if its name is not that of a shipped one.
     give_up_s : how long an instrument that failed may take until it delivers frames again [s].
+    public_key : file with the key that must have signed the calibration; None: not checked.
     """
 
     calibration: Path
@@ -47,6 +48,7 @@ class StreamRequest:
     reference: int | None = None
     sensor_type: str | None = None
     give_up_s: float = 30.0
+    public_key: Path | None = None
 
 
 def stream_messages(
@@ -71,7 +73,7 @@ def stream_messages(
     CbsrError
         Before the header, if the stream is refused or the instrument does not answer.
     """
-    forces = frame_forces(request.calibration, request.sensor_type)
+    forces = frame_forces(request.calibration, request.sensor_type, request.public_key)
     plugins = plugins or discover()
     with opened_source(request.frames, plugins, forces.sensor_type, forces.indenter, tell) as source:
         stream = _Stream(request, source, forces, waiting)
