@@ -6,7 +6,8 @@ The rows of its blocks stay, with shape, times and digest, which the chain cover
 import hashlib
 import io
 import os
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -71,8 +72,27 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     return data
 
 
-def with_arrays(connection: Connection, rows: Sequence[Any]) -> Iterator[Any]:
+class Archives:
+    """Archives of runs, of which the latest stays open: what is read in parts is read from its file once."""
+
+    def __init__(self) -> None:
+        self._run = ""
+        self._archive: Archive | None = None
+
+    def of(self, connection: Connection, run: str) -> "Archive | None":
+        """Return the archive of a run; None if its frames are in the database. StoreError as checked_bytes."""
+        if run != self._run:
+            data = checked_bytes(connection, run)
+            self._run, self._archive = run, None if data is None else Archive(data)
+        return self._archive
+
+
+def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives | None = None) -> Iterator[Any]:
     """Yield rows of frame blocks of one run with their arrays, from the run's archive where it has one.
+
+    Parameters
+    ----------
+    archives : read before, if the run is read in parts.
 
     Raises
     ------
@@ -80,16 +100,9 @@ def with_arrays(connection: Connection, rows: Sequence[Any]) -> Iterator[Any]:
         As :func:`checked_bytes`, or if the archive does not hold a block.
     """
     archived = next((row.run for row in rows if not row.voltages), None)
-    data = None if archived is None else checked_bytes(connection, archived)
-    if data is None:  # a row that lacks its arrays without an archive is refused by its digest
-        yield from rows
-        return
-    cells = read_archive(data, {row.phase for row in rows})
-    for row in rows:
-        own = cells.get((row.phase, row.block))
-        if own is None:
-            raise StoreError(f"run {row.run}: its archive lacks block {row.block} of phase {row.phase}")
-        yield row if row.voltages else with_cells(row, own)
+    archive = None if archived is None else (archives or Archives()).of(connection, archived)
+    for row in rows:  # one that lacks its arrays without an archive is refused by its digest
+        yield row if row.voltages or archive is None else with_cells(row, archive.cells(row.phase, row.block))
 
 
 def with_cells(row: Any, cells: dict[str, bytes | None]) -> Any:
@@ -149,27 +162,47 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_archive(data: bytes, phases: Collection[int]) -> dict[tuple[int, int], dict[str, bytes | None]]:
-    """Return (phase, block) → arrays as bytes, of some phases. StoreError if the data are no archive."""
-    found: dict[tuple[int, int], dict[str, bytes | None]] = {}
+class Archive:
+    """Content of an archive; arrays are read when they are asked for.
+
+    Raises
+    ------
+    StoreError
+        If the data are no archive; also of :meth:`cells`, if the block is not there.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
+        with _readable():
+            self._content = h5py.File(io.BytesIO(data), "r")
+            for name, phase in self._content.items():
+                for group in phase.values():
+                    self._add(int(name.removeprefix("phase-")), group)
+
+    def _add(self, phase: int, group: h5py.Group) -> None:
+        start = 0
+        for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
+            self._places[phase, number] = group, slice(start, start + count)
+            start += count
+
+    def cells(self, phase: int, block: int) -> dict[str, bytes | None]:
+        """Return the arrays of a block as bytes, by column."""
+        if (phase, block) not in self._places:
+            run = self._content.attrs.get("run", "")
+            raise StoreError(f"run {run}: its archive lacks block {block} of phase {phase}")
+        group, part = self._places[phase, block]
+        with _readable():
+            return {
+                name: np.ascontiguousarray(group[name][part], dtype=_KINDS.get(name, "<f8")).tobytes()
+                if name in group
+                else None
+                for name in ARRAYS
+            }
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
     try:
-        with h5py.File(io.BytesIO(data), "r") as content:
-            for phase in phases:
-                for group in content[f"phase-{phase}"].values():
-                    _read_group(group, phase, found)
+        yield
     except (OSError, KeyError, ValueError, RuntimeError, AttributeError) as error:
         raise StoreError(f"the archive cannot be read: {error}") from error
-    return found
-
-
-def _read_group(group: h5py.Group, phase: int, found: dict[tuple[int, int], dict[str, bytes | None]]) -> None:
-    arrays = {
-        name: np.ascontiguousarray(group[name][()], dtype=_KINDS.get(name, "<f8")) if name in group else None
-        for name in ARRAYS
-    }
-    start = 0
-    for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
-        part = slice(start, start + count)
-        cells = {name: None if values is None else values[part].tobytes() for name, values in arrays.items()}
-        found[phase, number] = cells
-        start += count

@@ -14,11 +14,11 @@ from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.store.archives import (
     ARRAYS,
+    Archive,
     archive_row,
     checked_bytes,
     file_at,
     place_of,
-    read_archive,
     with_arrays,
     with_cells,
     write_archive,
@@ -134,14 +134,12 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
 def _verified(file: Path, rows: list[Any]) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
     data = file.read_bytes()
-    cells = read_archive(data, {row.phase for row in rows})
-    for row in rows:
-        own = cells.get((row.phase, row.block))
-        if own is None:
-            raise StoreError(
-                f"{file} lacks block {row.block} of phase {row.phase}", remedy="move that file away, or use --to"
-            )
-        frame_block(with_cells(row, own))
+    try:
+        archive = Archive(data)
+        for row in rows:
+            frame_block(with_cells(row, archive.cells(row.phase, row.block)))
+    except StoreError as error:
+        raise StoreError(f"{file}: {error.reason}", remedy="move that file away, or use --to") from error
     return data
 
 

@@ -6,6 +6,7 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
+from cbsr_qa.store.archives import Archives
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.outbox import EntryState, Kind
@@ -127,9 +128,10 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
             raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
         confirm(station, entry, newest[0] + 1, more=False)
         return
+    archives = Archives()
     while True:
         with reading(station) as connection:
-            parcel = next_parcel(connection, run, tail)
+            parcel = next_parcel(connection, run, tail, archives)
         if parcel.rows:
             _store(centre, parcel, sent)
             tail = parcel.tail

@@ -150,7 +150,9 @@ def test_adopted_results_are_the_valid_analyses_and_the_earlier_ones_stay(databa
                 assert (now.adoption.operator, now.adoption.why, before.adoption) == ("Ada", "corrected gain", None)
                 assert "that issues no calibration" in now.calibration_why
                 store.load_run(run.run)  # the chain covers it
-    (adopted,) = list_changes(database).result.adoptions
+    listed = list_changes(database)
+    assert listed.page.banner.headline == "changes of 3 analyses"
+    (adopted,) = listed.result.adoptions
     assert (adopted.operator, adopted.why, adopted.runs) == ("Ada", "corrected gain", 3)
     repeated = again(database, Made(), adopt=True, by="Ada", why="corrected gain")
     assert (repeated.adopted, repeated.flips, repeated.unchanged) == (0, (), 3)
