@@ -1,6 +1,7 @@
 """The gate: asks every check of a station before a run, and refuses the run where one refuses."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import nullcontext
 from typing import Final
 
 from cbsr_qa.app.gate.disk import enough_disk
@@ -16,7 +17,7 @@ from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
 from cbsr_qa.plugin import Plugins
-from cbsr_qa.store import Repository, database_exists, open_store
+from cbsr_qa.store import Repository, open_existing
 from cbsr_qa.system import RealClock
 
 #: How the line of a refusal begins that says how to override it with ``cbsr-qa run``.
@@ -68,9 +69,7 @@ def ask_before(
     checks: Collection[GateCheck] = tuple(GateCheck),
 ) -> tuple[GateAnswer, ...]:
     """Return the answers as :func:`ask_gate`, by the database of the request as far as it exists."""
-    if not database_exists(request.database):
-        return ask_gate(request, configuration, plugins, None, checks)
-    with open_store(request.database, create=False) as store:
+    with open_existing(request.database) or nullcontext() as store:
         return ask_gate(request, configuration, plugins, store, checks)
 
 
