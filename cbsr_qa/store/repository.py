@@ -24,6 +24,7 @@ from cbsr_qa.store.results import (
     reanalyses,
 )
 from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
+from cbsr_qa.store.sync import backlog
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -166,6 +167,8 @@ class Repository:
     latest_golden_check = _of_engine(stations.latest_golden_check)
     runs_since = _of_engine(stations.runs_since)
     station_check_ring = _of_engine(stations.ring_of)
+
+    backlog = _of_engine(backlog)
 
     file_problems = _of_engine(soundness.file_problems)
     check_stored_run = _of_engine(soundness.check_stored_run)

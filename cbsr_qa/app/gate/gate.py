@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import nullcontext
 from typing import Final
 
+from cbsr_qa.app.gate.backlog import backlog_sent
 from cbsr_qa.app.gate.disk import enough_disk
 from cbsr_qa.app.gate.files import files_released
 from cbsr_qa.app.gate.instrument_dates import instruments_in_date
@@ -32,6 +33,7 @@ CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.DISK: enough_disk,
     GateCheck.OPERATOR: operator_known,
     GateCheck.RELEASED: files_released,
+    GateCheck.BACKLOG: backlog_sent,
     GateCheck.BEFORE_RUN: no_veto,
 }
 #: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others

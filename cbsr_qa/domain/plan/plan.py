@@ -152,6 +152,20 @@ class ReferenceRing:
 
 
 @dataclass(frozen=True, slots=True)
+class SyncSettings:
+    """Where a station sends what it stores, and how long that may wait.
+
+    Parameters
+    ----------
+    centre : URL of the central database, without a password; empty if none is named.
+    backlog_hours : longest time that something may wait [h]; None for any.
+    """
+
+    centre: str = ""
+    backlog_hours: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Station:
     """A bench with instruments.
 
@@ -164,6 +178,7 @@ class Station:
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
     gate : checks before every run.
     events : where events of its runs are delivered, by name.
+    sync : where its database is sent.
     """
 
     name: str
@@ -179,6 +194,7 @@ class Station:
     events: tuple[EventSinkSpec, ...] = ()
     clock_speed: float | None = None
     gate: GateSettings = field(default_factory=GateSettings)
+    sync: SyncSettings = field(default_factory=SyncSettings)
 
 
 @dataclass(frozen=True, slots=True)
