@@ -105,7 +105,11 @@ def archive(
     ],
     to: Annotated[
         Path | None,
-        typer.Option("--to", metavar="FOLDER", help="Folder of the files; by default beside the SQLite file."),
+        typer.Option(
+            "--to",
+            metavar="FOLDER",
+            help="Folder of the files; by default beside a SQLite file, else CBSR_QA_ARCHIVE.",
+        ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show which runs; nothing is moved.")] = False,
     database: Database = None,

@@ -23,21 +23,54 @@ from cbsr_qa.system import writing, written_whole
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
+#: Names the folder of a server's archives, as this computer reaches it.
+ROOT_VARIABLE: Final = "CBSR_QA_ARCHIVE"
+_NAME_ROOT: Final = f"set {ROOT_VARIABLE} to the folder of the archives, as this computer reaches it"
 _UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
 _FORMAT: Final = "cbsr-qa archive"
 _KINDS: Final = {"flags": np.uint8}
 
 
-def place_of(engine: Engine, file: Path) -> str:
-    """Return how a database names a file: from the folder of a SQLite file, else in full."""
+def archive_root(engine: Engine) -> Path | None:
+    """Return the folder that places of archives start at: of a SQLite file, else as CBSR_QA_ARCHIVE says, or None."""
     database = sqlite_file(engine.url)
-    return str(file.resolve()) if database is None else os.path.relpath(file.resolve(), database.resolve().parent)
+    if database is not None:
+        return database.resolve().parent
+    named = os.environ.get(ROOT_VARIABLE)
+    return Path(named).resolve() if named else None
+
+
+def place_of(engine: Engine, file: Path) -> str:
+    """Return how a database names a file: its path from the root of its archives.
+
+    Raises
+    ------
+    StoreError
+        If a server's archives have no root, or the file is not below it: other computers would not find it.
+    """
+    root, full = archive_root(engine), file.resolve()
+    if root is None:
+        raise StoreError("a PostgreSQL database has no folder", remedy=_NAME_ROOT)
+    if sqlite_file(engine.url) is None and not full.is_relative_to(root):
+        raise StoreError(
+            f"{file} is not below {root}, the folder of archives: other computers would not find it",
+            remedy=f"choose a folder below it, or name another one with {ROOT_VARIABLE}",
+        )
+    return os.path.relpath(full, root)
 
 
 def file_at(engine: Engine, place: str) -> Path:
-    """Return the file that a database names."""
-    database = sqlite_file(engine.url)
-    return Path(place) if database is None else database.resolve().parent / place
+    """Return the file that a database names. StoreError if this computer does not name or reach the root."""
+    root = archive_root(engine)
+    if Path(place).is_absolute():  # of an earlier version
+        return Path(place)
+    if root is None:
+        raise StoreError(f"{place} is in the folder of archives, which nothing names here", remedy=_NAME_ROOT)
+    if not root.is_dir():
+        raise StoreError(
+            f"{place} is in the folder of archives, and {root} is not reached from this computer", remedy=_NAME_ROOT
+        )
+    return root / place
 
 
 def archive_row(connection: Connection, run: str) -> Row[Any] | None:
@@ -56,7 +89,10 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     row = archive_row(connection, run)
     if row is None:
         return None
-    file = file_at(connection.engine, row.file)
+    try:
+        file = file_at(connection.engine, row.file)
+    except StoreError as error:
+        raise StoreError(f"run {run}: its frames are archived; {error.reason}", remedy=error.remedy) from error
     try:
         data = file.read_bytes()
     except OSError as error:
