@@ -145,6 +145,7 @@ class Repository:
     data_sha256 = _of_engine(reanalyses.data_sha256)
     find_reanalysis = _of_engine(reanalyses.find_reanalysis)
     reanalysis = _of_engine(reanalyses.load_reanalysis)
+    reanalyses_of = _of_engine(reanalyses.reanalyses_of)
     adoptions = _of_engine(reanalyses.adoptions)
     run_lines = _of_engine(fleets.run_lines)
     fleet = _of_engine(fleets.fleet_table)
