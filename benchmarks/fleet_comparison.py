@@ -134,7 +134,7 @@ def _sensor(
 
 def _analysis(analysis: str, run: str, at: datetime, outcome: str) -> dict[str, Any]:
     ends = {"outcome": outcome, "reason": "simulated", "calibration_why": "", "noise_weighting": "equal"}
-    more = {"weight_ratio": None, "compute_s": []}
+    more: dict[str, Any] = {"weight_ratio": None, "compute_s": []}
     return {"analysis": analysis, "run": run, "analysed_at": at, "software": _SOFTWARE, **ends, **more}
 
 

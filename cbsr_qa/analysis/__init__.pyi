@@ -4,6 +4,7 @@ from .evaluate import (
     calibrated as calibrated,
     evaluate_run as evaluate_run,
     judge as judge,
+    judge_again as judge_again,
 )
 from .recording_files import (
     FORMAT as FORMAT,

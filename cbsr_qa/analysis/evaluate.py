@@ -292,6 +292,11 @@ def measure_run(
     return tuple(taken), tuple(warnings)
 
 
+#: Why a limit found nothing to judge: of a measurement that is there for the limit alone.
+_NOT_ENABLED: Final = "no metric of this recipe measures it: enable one, or remove the limit"
+_OTHER_UNIT: Final = "the limit is in "
+
+
 def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
     """Judge measurements by limits; if several limits match one measurement, the strictest outcome counts.
 
@@ -307,11 +312,17 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
         for number in same_unit:
             judged[number] = _stricter(judged[number], judged[number].judged(limit))
         if not fitting:
-            judged.append(_unmeasured(limit, "no metric of this recipe measures it: enable one, or remove the limit"))
+            judged.append(_unmeasured(limit, _NOT_ENABLED))
         elif not same_unit:
             unit = judged[fitting[0]].unit
-            judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {unit}"))
+            judged.append(_unmeasured(limit, f"{_OTHER_UNIT}{limit.unit}, the measurement in {unit}"))
     return tuple(judged)
+
+
+def judge_again(judged: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
+    """Judge measurements by other limits than those they were judged by."""
+    own = (one for one in judged if not (one.how == _NOT_ENABLED or one.how.startswith(_OTHER_UNIT)))
+    return judge((replace(one, limit=None, outcome=Outcome.NOT_JUDGED) for one in own), limits)
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:

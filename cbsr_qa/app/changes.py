@@ -43,13 +43,13 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
         charts = tuple(_chart_changes(store.all_chart_references()))
         changes = Changes(store.changes(), charts, store.overrides(), store.adoptions())
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
-    listed = {
-        "file": changes.changes,
-        "control chart": changes.chart_references,
-        "verdict": changes.overrides,
-        "analysis": changes.adoptions,
+    found = {
+        "file": len(changes.changes),
+        "control chart": len(changes.chart_references),
+        "verdict": len(changes.overrides),
+        "analysis": sum(one.runs for one in changes.adoptions),
     }
-    counts = ", ".join(plural(len(rows), noun, _PLURALS.get(noun, "")) for noun, rows in listed.items() if rows)
+    counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in found.items() if count)
     outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED)
     return replace(outcome, sections=tuple(_sections(changes, lambda run: names.get(run, run))))
 

@@ -171,6 +171,9 @@ def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
     checked = "every row" if done.quick else "every row, frame and sample"
     reason = f"{checked} of {plural(done.runs, 'run')} was checked"
     banner = Banner("pass", "✓", "the database is sound", reason)
+    if not done.runs:
+        since = f" from {done.since} on" if done.since else ""
+        banner = Banner("not-measured", "?", "no run was checked", f"the database has none{since}")
     if done.problems:
         banner = Banner("fail", "✗", f"{plural(len(done.problems), 'problem')} found", reason)
     facts = [("Database", done.url)]

@@ -3,7 +3,7 @@
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -18,9 +18,9 @@ from cbsr_qa.report import answer, plural
 from cbsr_qa.store import Age, address, found_version, open_engine, parsed_url, refusal, this_process
 from cbsr_qa.store.sync import (
     QUARANTINED,
-    Entry,
+    Backlog,
     Sent,
-    age_h,
+    backlog,
     check_centre,
     held,
     let_go,
@@ -32,6 +32,10 @@ from cbsr_qa.store.sync import (
 
 VARIABLE: Final = "CBSR_QA_CENTRE"
 _NOT_ALL: Final = 1
+_SETTLE: Final = (
+    "One is settled, and no longer listed, when its station sent it (cbsr-qa db sync --retry ITEM there) or let it go"
+    " (--let-go ITEM) and has sent once more."
+)
 _LISTED: Final = 20
 
 Progress = Callable[[int, int, Sent], None]
@@ -39,7 +43,7 @@ Progress = Callable[[int, int, Sent], None]
 
 @dataclass(frozen=True, slots=True)
 class WaitingItem:
-    """Something that the centre does not have, or not all of; see :class:`~cbsr_qa.store.sync.Entry`."""
+    """Something that the centre does not have, or not all of; see the table ``outbox``."""
 
     kind: str
     item: str
@@ -77,7 +81,8 @@ class Synchronised:
     late : whether the backlog is older than that.
     blocked : items that wait until the centre has what they refer to.
     held : items that are quarantined or were let go.
-    refused : what the centre refused of all stations; only of ``--status`` with a centre that answers.
+    refused : what the centre refused of all stations and is not settled; only of ``--status`` with a centre that
+        answers.
     """
 
     database: str
@@ -137,24 +142,32 @@ def keep_synchronised(
     limit_h: float | None = None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> CommandOutcome[Synchronised]:
-    """Send again and again until Ctrl-C, through failures of the centre; errors as :func:`synchronise` at the start.
+    """Send again and again until Ctrl-C, through failures of both databases.
 
     Parameters
     ----------
     every_s : pause between two passes [s].
-    tell : called with a line for each pass that sent something, or failed.
+    tell : called with a line for each pass that sent something, or failed in another way than the one before.
+
+    Raises
+    ------
+    ConfigError
+        If no central database is named.
+    StoreError
+        If there is still no database of the station when Ctrl-C ends this.
     """
     total, begun_s, trouble = Sent(), time.monotonic(), ""
-    with _station(option) as station, _centre(to) as centre:
+    with _centre(to) as centre:
         tell(f"sending to {address(centre.url)} every {every_s:g} s; Ctrl-C ends")
         try:
             while True:
                 try:
-                    sent = _sent(station, centre, None)
+                    with _station(option) as station:
+                        sent = _sent(station, centre, None)
                 except StoreError as error:
                     centre.dispose()  # a connection that was cut is not used again
                     if error.reason != trouble:
-                        tell(str(error))
+                        tell(f"{error.reason}; trying again every {every_s:g} s")
                     trouble = error.reason
                 else:
                     trouble = ""
@@ -163,7 +176,8 @@ def keep_synchronised(
                         tell(_said(sent, len(sent.quarantined)))
                 sleep(every_s)
         except KeyboardInterrupt:
-            return _outcome(station, address(centre.url), total, time.monotonic() - begun_s, limit_h)
+            with _station(option) as station:
+                return _outcome(station, address(centre.url), total, time.monotonic() - begun_s, limit_h)
 
 
 def sync_status(option: str | None, to: str | None, *, limit_h: float | None = None) -> CommandOutcome[Synchronised]:
@@ -225,20 +239,12 @@ def _sent(station: Engine, centre: Engine, progress: Progress | None) -> Sent:
     try:
         return send_waiting(station, centre, this_process(""), progress)
     except StoreError as error:
-        with_backlog = f"{error.reason}; {_backlog(waiting(station))}"
+        with_backlog = f"{error.reason}; {_safe(backlog(station))}"
         raise StoreError(with_backlog, remedy=error.remedy) from error
 
 
-def _backlog(entries: Sequence[Entry]) -> str:
-    hours = age_h(entries)
-    if hours is None:
-        return "nothing waits"
-    waits = "1 item waits" if len(entries) == 1 else f"{len(entries)} items wait"
-    return f"{waits} in this database, the oldest for {_ago(hours)}; nothing is lost"
-
-
-def _ago(hours: float) -> str:
-    return f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h" if hours < 48 else f"{hours / 24:.1f} days"
+def _safe(backlog: Backlog) -> str:
+    return backlog.words if backlog.age_h is None else f"{backlog.words}; nothing is lost"
 
 
 def _said(sent: Sent, quarantined: int) -> str:
@@ -261,8 +267,7 @@ def _why(kind: str, item: str, why: str) -> str:
 def _outcome(
     station: Engine, centre: str, sent: Sent, seconds: float, limit_h: float | None
 ) -> CommandOutcome[Synchronised]:
-    entries, kept = waiting(station), held(station)
-    hours = age_h(entries)
+    entries, kept, waits = waiting(station), held(station), backlog(station)
     result = Synchronised(
         database=address(station.url),
         centre=centre,
@@ -272,15 +277,15 @@ def _outcome(
         bytes=sent.size,
         seconds=round(seconds, 3),
         waiting=dict(Counter(entry.kind for entry in entries)),
-        backlog_h=hours,
+        backlog_h=waits.age_h,
         limit_h=limit_h,
-        late=hours is not None and limit_h is not None and hours > limit_h,
+        late=waits.late(limit_h),
         blocked=tuple(filled(WaitingItem, entry) for entry in entries if entry.why),
         held=tuple(filled(WaitingItem, entry) for entry in kept),
     )
     quarantined = [entry for entry in kept if entry.state == QUARANTINED]
     facts = [("Database", address(station.url))]
-    facts += [("Waits", _backlog(entries))] if entries and centre else []
+    facts += [("Waits", _safe(waits))] if entries and centre else []
     facts += [
         (f"quarantined {entry.kind}", f"{entry.item}: {_why(entry.kind, entry.item, entry.why)}")
         for entry in quarantined[:_LISTED]
@@ -288,7 +293,7 @@ def _outcome(
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
     count = len(quarantined)
-    headline = _said(sent, count) if centre else _backlog(entries) + _held_back(count)
+    headline = _said(sent, count) if centre else _safe(waits) + _held_back(count)
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
     if not quarantined and not result.late:
@@ -310,4 +315,5 @@ def _with_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> Comman
         )
         for one in refused[-_LISTED:]
     )
-    return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", lines)))
+    settle = Paragraph(_SETTLE)
+    return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", (*lines, settle))))

@@ -105,7 +105,11 @@ def archive(
     ],
     to: Annotated[
         Path | None,
-        typer.Option("--to", metavar="FOLDER", help="Folder of the files; by default beside the SQLite file."),
+        typer.Option(
+            "--to",
+            metavar="FOLDER",
+            help="Folder of the files; by default beside a SQLite file, else CBSR_QA_ARCHIVE.",
+        ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show which runs; nothing is moved.")] = False,
     database: Database = None,
@@ -154,6 +158,10 @@ def sync(
     to: Annotated[
         str | None, typer.Option(metavar="URL|FILE", help="Central database; by default CBSR_QA_CENTRE.")
     ] = None,
+    station: Annotated[
+        str | None,
+        typer.Option(help="Station whose file names the central database and the limit, in its table sync."),
+    ] = None,
     database: Database = None,
     watch: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Send again and again.")] = None,
     status: Annotated[bool, typer.Option("--status", help="Show what waits; send nothing.")] = False,
@@ -175,7 +183,11 @@ def sync(
     used. --status needs no central database.
     """
     from cbsr_qa.app import decide_item, keep_synchronised, sync_status, synchronise
+    from cbsr_qa.config import load_station
 
+    if station is not None:
+        stated = load_station(station).value.sync
+        to, limit_h = to or stated.centre, stated.backlog_hours if limit_h is None else limit_h
     given = [option for option, value in {"--watch": watch, "--status": status, "--let-go": let_go}.items() if value]
     given += ["--retry"] if retry and (let_go or status) else []
     if len(given) > 1:

@@ -51,6 +51,7 @@ class GateTable(Table):
     operator: Policy | None = None
     operators: list[OperatorTable] = Field(default_factory=list)
     released: Policy | None = None
+    backlog: Policy | None = None
     before_run: Policy | None = None
     before_run_s: Annotated[float, Field(gt=0, le=600)] = 10.0
 

@@ -22,6 +22,7 @@ from cbsr_qa.domain.plan import (
     ReferenceRing,
     SafetyLimits,
     Station,
+    SyncSettings,
 )
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.plugin import Kind, Problem, Table
@@ -187,6 +188,20 @@ class EventsTable(OpenTable):
         return EventSinkSpec(name, PluginChoice(self.sink, self.options))
 
 
+class SyncTable(Table):
+    """``[sync]``: the central database, and how long something may wait for it."""
+
+    centre: Annotated[str, Field(max_length=500)] = ""
+    backlog_hours: Annotated[float, Field(gt=0, le=87600)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        at = ("sync", "centre")
+        if self.centre and "://" not in self.centre:
+            yield Problem(at, f"{self.centre!r} is no URL", "e.g. postgresql://station@10.0.0.5/quality")
+        if "password=" in self.centre or ":" in self.centre.partition("://")[2].rpartition("@")[0]:
+            yield Problem(at, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
+
+
 class StationFile(FileModel[Station]):
     """A station file."""
 
@@ -200,6 +215,7 @@ class StationFile(FileModel[Station]):
     calibrations: CalibrationsTable | None = None
     gate: GateTable = Field(default_factory=GateTable)
     events: Annotated[dict[Word, EventsTable], Field(default_factory=dict)]
+    sync: SyncTable = Field(default_factory=SyncTable)
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -223,6 +239,9 @@ class StationFile(FileModel[Station]):
         if self.calibrations is not None:
             yield from self.calibrations.problems()
         yield from self.gate.problems()
+        yield from self.sync.problems()
+        if self.gate.backlog not in (None, "off") and self.sync.backlog_hours is None:
+            yield Problem(("gate", "backlog"), "needs backlog_hours in [sync]")
         if self.station.overdue is not None and self.gate.calibration_due is not None:
             what = "is given beside station.overdue, its earlier spelling; give one of them"
             yield Problem(("gate", "calibration_due"), what)
@@ -266,6 +285,7 @@ class StationFile(FileModel[Station]):
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
             signing_key=None if self.calibrations is None else Path(self.calibrations.signing_key),
             gate=self.gate.to_domain(self.station.overdue),
+            sync=as_domain(SyncSettings, self.sync),
             events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )
 

@@ -8,7 +8,7 @@ from .engine import (
     writing as writing,
 )
 from .locks import this_process as this_process
-from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
+from .opening import check_usable as check_usable, open_existing as open_existing, open_store as open_store
 from .repository import Repository as Repository
 from .roles import (
     READER as READER,

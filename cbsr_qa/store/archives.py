@@ -6,7 +6,8 @@ The rows of its blocks stay, with shape, times and digest, which the chain cover
 import hashlib
 import io
 import os
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -22,21 +23,54 @@ from cbsr_qa.system import writing, written_whole
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
+#: Names the folder of a server's archives, as this computer reaches it.
+ROOT_VARIABLE: Final = "CBSR_QA_ARCHIVE"
+_NAME_ROOT: Final = f"set {ROOT_VARIABLE} to the folder of the archives, as this computer reaches it"
 _UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
 _FORMAT: Final = "cbsr-qa archive"
 _KINDS: Final = {"flags": np.uint8}
 
 
-def place_of(engine: Engine, file: Path) -> str:
-    """Return how a database names a file: from the folder of a SQLite file, else in full."""
+def archive_root(engine: Engine) -> Path | None:
+    """Return the folder that places of archives start at: of a SQLite file, else as CBSR_QA_ARCHIVE says, or None."""
     database = sqlite_file(engine.url)
-    return str(file.resolve()) if database is None else os.path.relpath(file.resolve(), database.resolve().parent)
+    if database is not None:
+        return database.resolve().parent
+    named = os.environ.get(ROOT_VARIABLE)
+    return Path(named).resolve() if named else None
+
+
+def place_of(engine: Engine, file: Path) -> str:
+    """Return how a database names a file: its path from the root of its archives.
+
+    Raises
+    ------
+    StoreError
+        If a server's archives have no root, or the file is not below it: other computers would not find it.
+    """
+    root, full = archive_root(engine), file.resolve()
+    if root is None:
+        raise StoreError("a PostgreSQL database has no folder", remedy=_NAME_ROOT)
+    if sqlite_file(engine.url) is None and not full.is_relative_to(root):
+        raise StoreError(
+            f"{file} is not below {root}, the folder of archives: other computers would not find it",
+            remedy=f"choose a folder below it, or name another one with {ROOT_VARIABLE}",
+        )
+    return os.path.relpath(full, root)
 
 
 def file_at(engine: Engine, place: str) -> Path:
-    """Return the file that a database names."""
-    database = sqlite_file(engine.url)
-    return Path(place) if database is None else database.resolve().parent / place
+    """Return the file that a database names. StoreError if this computer does not name or reach the root."""
+    root = archive_root(engine)
+    if Path(place).is_absolute():  # of an earlier version
+        return Path(place)
+    if root is None:
+        raise StoreError(f"{place} is in the folder of archives, which nothing names here", remedy=_NAME_ROOT)
+    if not root.is_dir():
+        raise StoreError(
+            f"{place} is in the folder of archives, and {root} is not reached from this computer", remedy=_NAME_ROOT
+        )
+    return root / place
 
 
 def archive_row(connection: Connection, run: str) -> Row[Any] | None:
@@ -55,7 +89,10 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     row = archive_row(connection, run)
     if row is None:
         return None
-    file = file_at(connection.engine, row.file)
+    try:
+        file = file_at(connection.engine, row.file)
+    except StoreError as error:
+        raise StoreError(f"run {run}: its frames are archived; {error.reason}", remedy=error.remedy) from error
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -71,8 +108,27 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     return data
 
 
-def with_arrays(connection: Connection, rows: Sequence[Any]) -> Iterator[Any]:
+class Archives:
+    """Archives of runs, of which the latest stays open: what is read in parts is read from its file once."""
+
+    def __init__(self) -> None:
+        self._run = ""
+        self._archive: Archive | None = None
+
+    def of(self, connection: Connection, run: str) -> "Archive | None":
+        """Return the archive of a run; None if its frames are in the database. StoreError as checked_bytes."""
+        if run != self._run:
+            data = checked_bytes(connection, run)
+            self._run, self._archive = run, None if data is None else Archive(data)
+        return self._archive
+
+
+def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives | None = None) -> Iterator[Any]:
     """Yield rows of frame blocks of one run with their arrays, from the run's archive where it has one.
+
+    Parameters
+    ----------
+    archives : read before, if the run is read in parts.
 
     Raises
     ------
@@ -80,16 +136,9 @@ def with_arrays(connection: Connection, rows: Sequence[Any]) -> Iterator[Any]:
         As :func:`checked_bytes`, or if the archive does not hold a block.
     """
     archived = next((row.run for row in rows if not row.voltages), None)
-    data = None if archived is None else checked_bytes(connection, archived)
-    if data is None:  # a row that lacks its arrays without an archive is refused by its digest
-        yield from rows
-        return
-    cells = read_archive(data, {row.phase for row in rows})
-    for row in rows:
-        own = cells.get((row.phase, row.block))
-        if own is None:
-            raise StoreError(f"run {row.run}: its archive lacks block {row.block} of phase {row.phase}")
-        yield row if row.voltages else with_cells(row, own)
+    archive = None if archived is None else (archives or Archives()).of(connection, archived)
+    for row in rows:  # one that lacks its arrays without an archive is refused by its digest
+        yield row if row.voltages or archive is None else with_cells(row, archive.cells(row.phase, row.block))
 
 
 def with_cells(row: Any, cells: dict[str, bytes | None]) -> Any:
@@ -149,27 +198,47 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_archive(data: bytes, phases: Collection[int]) -> dict[tuple[int, int], dict[str, bytes | None]]:
-    """Return (phase, block) → arrays as bytes, of some phases. StoreError if the data are no archive."""
-    found: dict[tuple[int, int], dict[str, bytes | None]] = {}
+class Archive:
+    """Content of an archive; arrays are read when they are asked for.
+
+    Raises
+    ------
+    StoreError
+        If the data are no archive; also of :meth:`cells`, if the block is not there.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
+        with _readable():
+            self._content = h5py.File(io.BytesIO(data), "r")
+            for name, phase in self._content.items():
+                for group in phase.values():
+                    self._add(int(name.removeprefix("phase-")), group)
+
+    def _add(self, phase: int, group: h5py.Group) -> None:
+        start = 0
+        for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
+            self._places[phase, number] = group, slice(start, start + count)
+            start += count
+
+    def cells(self, phase: int, block: int) -> dict[str, bytes | None]:
+        """Return the arrays of a block as bytes, by column."""
+        if (phase, block) not in self._places:
+            run = self._content.attrs.get("run", "")
+            raise StoreError(f"run {run}: its archive lacks block {block} of phase {phase}")
+        group, part = self._places[phase, block]
+        with _readable():
+            return {
+                name: np.ascontiguousarray(group[name][part], dtype=_KINDS.get(name, "<f8")).tobytes()
+                if name in group
+                else None
+                for name in ARRAYS
+            }
+
+
+@contextmanager
+def _readable() -> Iterator[None]:
     try:
-        with h5py.File(io.BytesIO(data), "r") as content:
-            for phase in phases:
-                for group in content[f"phase-{phase}"].values():
-                    _read_group(group, phase, found)
+        yield
     except (OSError, KeyError, ValueError, RuntimeError, AttributeError) as error:
         raise StoreError(f"the archive cannot be read: {error}") from error
-    return found
-
-
-def _read_group(group: h5py.Group, phase: int, found: dict[tuple[int, int], dict[str, bytes | None]]) -> None:
-    arrays = {
-        name: np.ascontiguousarray(group[name][()], dtype=_KINDS.get(name, "<f8")) if name in group else None
-        for name in ARRAYS
-    }
-    start = 0
-    for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
-        part = slice(start, start + count)
-        cells = {name: None if values is None else values[part].tobytes() for name, values in arrays.items()}
-        found[phase, number] = cells
-        start += count

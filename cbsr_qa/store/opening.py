@@ -35,12 +35,35 @@ def open_store(
     ConfigError
         If the configured signing key cannot be used, see :mod:`cbsr_qa.store.chain.links`.
     """
+    opened = _opened(url, create=create, durable=durable, wall=wall, tell=tell)
+    if opened is None:
+        engine = open_engine(parsed_url(url))
+        raise schema.refusal(engine, schema.SchemaVersion(schema.Age.EMPTY, None))
+    return opened
+
+
+def open_existing(url: str) -> Repository | None:
+    """Open a database as :func:`open_store`, but create nothing; None if it does not exist."""
+    return _opened(url, create=False)
+
+
+def _opened(
+    url: str,
+    *,
+    create: bool,
+    durable: bool = True,
+    wall: Callable[[], datetime] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Repository | None:
     key = SigningKey.from_environment()
     engine = open_engine(parsed_url(url), durable=durable)
     engine.update_execution_options(**{KEY_OPTION: key})
     try:
         version = schema.found_version(engine)
-        if version.age is schema.Age.EMPTY and create:
+        if version.age is schema.Age.EMPTY:
+            if not create:
+                engine.dispose()
+                return None
             schema.upgrade(engine, tell=tell)
         elif version.age is not schema.Age.CURRENT:
             raise schema.refusal(engine, version)
@@ -64,14 +87,5 @@ def check_usable(url: str) -> None:
         if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
             raise schema.refusal(engine, version)
         schema.check_writable(engine, version)
-    finally:
-        engine.dispose()
-
-
-def database_exists(url: str) -> bool:
-    """Whether a database exists at a URL; does not create it. StoreError if it cannot be reached."""
-    engine = open_engine(parsed_url(url))
-    try:
-        return schema.found_version(engine).age is not schema.Age.EMPTY
     finally:
         engine.dispose()

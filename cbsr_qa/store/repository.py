@@ -24,6 +24,7 @@ from cbsr_qa.store.results import (
     reanalyses,
 )
 from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
+from cbsr_qa.store.sync import backlog
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -145,6 +146,7 @@ class Repository:
     data_sha256 = _of_engine(reanalyses.data_sha256)
     find_reanalysis = _of_engine(reanalyses.find_reanalysis)
     reanalysis = _of_engine(reanalyses.load_reanalysis)
+    reanalyses_of = _of_engine(reanalyses.reanalyses_of)
     adoptions = _of_engine(reanalyses.adoptions)
     run_lines = _of_engine(fleets.run_lines)
     fleet = _of_engine(fleets.fleet_table)
@@ -167,6 +169,8 @@ class Repository:
     latest_golden_check = _of_engine(stations.latest_golden_check)
     runs_since = _of_engine(stations.runs_since)
     station_check_ring = _of_engine(stations.ring_of)
+
+    backlog = _of_engine(backlog)
 
     file_problems = _of_engine(soundness.file_problems)
     check_stored_run = _of_engine(soundness.check_stored_run)

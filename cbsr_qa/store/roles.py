@@ -15,8 +15,9 @@ READER: Final = "cbsr_reader"
 FILLED_LATER: Final = {"phases": ("ended_s",), "calibrations": ("superseded_by",)}
 #: Tables that say what is still to be done, not what happened: their rows change and go.
 _QUEUES: Final = ("outbox",)
-#: Cells that a database which takes in others' rows changes: the earliest date of several stations holds.
-_MERGED: Final = {"sensors": ("first_seen",)}
+#: Cells that a database which takes in others' rows changes: the earliest date of several stations holds, and what
+#: was refused is settled.
+_MERGED: Final = {"sensors": ("first_seen",), "sync_refusals": ("settled_at",)}
 #: Tables to which only an upgrade adds rows.
 _OF_UPGRADES: Final = ("sync_accepts",)
 

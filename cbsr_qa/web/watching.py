@@ -180,6 +180,10 @@ class StationWatch:
             self._healthy = check.outcome is not CheckOutcome.FAILED
             key = "health.passed" if self._healthy else "health.failed"
             self._health = text(key, when=f"{check.checked_at:%Y-%m-%d %H:%M}")
+        limit_h = self.served.station.sync.backlog_hours
+        if limit_h is not None and (backlog := store.backlog()).late(limit_h):
+            self._healthy = False
+            self._health += f"; {text('health.backlog', backlog=backlog.words, hours=f'{limit_h:g}')}"
 
 
 def _silence(mode: Mode, live: LiveView | None) -> str:

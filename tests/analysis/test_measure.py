@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.analysis.evaluate import judge, measure_run
+from cbsr_qa.analysis.evaluate import judge, judge_again, measure_run
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, decide, explained
 
@@ -134,3 +134,20 @@ def test_a_failed_run_says_how_many_limits_fail():
     assert explained(decide(one), one) == "1 of 2 limits fails: force is 3.8 N (allowed: at most 3 N)"
     alone = (force.judged(limits[0]), Measurement("area", 5.0, "mm²"))
     assert explained(decide(alone), alone) == decide(alone).reason
+
+
+LIMITS = (
+    Limit("error", "mm", None, 1.0),
+    Limit("error", "µm", None, 1.0),  # judges nothing
+    Limit("nothing", "1", 0.0, None),  # nothing measures it
+    Limit("noise", "1", None, 0.1),
+)
+
+
+@given(
+    st.lists(st.builds(Measurement, st.sampled_from(["error", "noise"]), st.none() | st.floats(0, 2), st.just("mm"))),
+    st.lists(st.sampled_from(LIMITS), unique=True),
+    st.lists(st.sampled_from(LIMITS), unique=True),
+)
+def test_what_was_judged_before_does_not_matter(measured, before, now):
+    assert judge_again(judge(measured, before), now) == judge(measured, now)

@@ -1,13 +1,16 @@
 """``cbsr-qa db sync`` as it is typed: what it prints, its exit codes, and no password anywhere."""
 
 import json
+import signal
 import sqlite3
+import subprocess
 
 import pytest
 import synced
-from command import cbsr_qa
+from command import PROGRAM, cbsr_qa
 from pages import HOW_TO, blocks, commands, typed
 
+from cbsr_qa.config import DocumentKind, open_document
 from cbsr_qa.store import open_store
 
 
@@ -51,10 +54,64 @@ def test_a_quarantined_run_is_named_retried_and_let_go(station):
     listed = json.loads(sync(station, "--status", "--to", "centre.db", "--json").stdout)
     assert [one["item"] for one in (*listed["held"], *listed["refused"])] == [run, run]
     assert sync(station, "--let-go", run).returncode == 0
+    assert refused(station) == [run]  # nobody has told the centre yet
+    sync(station, "--to", "centre.db")
+    assert refused(station) == []
     with sqlite3.connect(station / "station.db") as database:
         database.execute("UPDATE loads SET x_mm = 15.0")
     assert "1 run" in sync(station, "--retry", run, "--to", "centre.db").stdout
     assert "nothing named" in sync(station, "--retry", run).stderr
+
+
+def refused(folder):
+    status = json.loads(sync(folder, "--status", "--to", "centre.db", "--json").stdout)
+    return [one["item"] for one in status["refused"]]
+
+
+def test_a_refusal_is_settled_by_sending_and_open_again_if_it_comes_back(station):
+    with sqlite3.connect(station / "station.db") as database:
+        (run,) = database.execute("SELECT run FROM runs").fetchone()
+        database.execute("UPDATE loads SET x_mm = 1.5")
+    sync(station, "--to", "centre.db")
+    sync(station, "--let-go", run)
+    sync(station, "--to", "centre.db")
+    sync(station, "--retry", run, "--to", "centre.db")
+    assert refused(station) == [run]
+    with sqlite3.connect(station / "station.db") as database:
+        database.execute("UPDATE loads SET x_mm = 15.0")
+    sync(station, "--retry", run, "--to", "centre.db", check=True)
+    assert refused(station) == []
+
+
+def test_a_watch_waits_for_a_database_and_for_the_centre_and_says_so(station):
+    (station / "station.db").rename(station / "later.db")
+    (station / "centre.db").rename(station / "offline.db")
+    command = [PROGRAM, "db", "sync", "--database", "station.db", "--to", "centre.db"]
+    pipes = {"stderr": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*command, "--watch", "1"], cwd=station, **pipes) as watch:
+        said = iter(watch.stderr.readline, "")
+        assert "station.db does not exist" in heard(said, "trying again")
+        (station / "later.db").rename(station / "station.db")
+        assert "centre.db does not exist or is empty; 1 item waits" in heard(said, "trying again")
+        (station / "offline.db").rename(station / "centre.db")
+        assert "1 run" in heard(said, "sent")
+        watch.send_signal(signal.SIGINT)
+        out, _ = watch.communicate(timeout=60)
+    assert (watch.returncode, "sent: 1 run" in " ".join(out.split())) == (0, True)
+
+
+def heard(lines, word):
+    return next(line for line in lines if word in line)
+
+
+def test_a_station_file_names_the_centre_and_the_limit(station):
+    text = open_document(DocumentKind.STATION, "simulated").text
+    (station / "bench.toml").write_text(f'{text}\n[sync]\ncentre = "sqlite:///centre.db"\nbacklog_hours = 24\n')
+    with sqlite3.connect(station / "station.db") as database:
+        database.execute("UPDATE outbox SET noted_at = '2026-01-01 00:00:00'")
+    late = json.loads(sync(station, "--status", "--station", "bench.toml", "--json").stdout)
+    assert (late["limit_h"], late["late"]) == (24, True)
+    assert json.loads(sync(station, "--station", "bench.toml", "--json").stdout)["runs"] == 1
 
 
 @pytest.mark.parametrize(

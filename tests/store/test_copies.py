@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from datetime import date
 
 import pytest
 from stored_runs import journalled, short_run
@@ -256,5 +257,8 @@ def test_a_check_names_what_is_not_as_it_was_stored(database, statement, said, i
 def test_a_sound_database_is_said_to_be(database):
     done = check_database(str(database), None, quiet, quick=False)
     assert (done.exit_code, done.result.runs, done.result.unchained, done.result.problems) == (0, 2, 0, ())
+    assert done.page.banner.reason == "every row, frame and sample of 2 runs was checked"
+    none = check_database(str(database), date(2100, 1, 1), quiet, quick=True)
+    assert (none.exit_code, none.page.banner.headline) == (0, "no run was checked")
     edit(database, "delete from run_links; update runs set chain = null")
     assert check_database(str(database), None, quiet, quick=False).result.unchained == 2

@@ -42,7 +42,8 @@ def archived(store, run, folder):
 
 
 @pytest.fixture
-def store(database_url):
+def store(database_url, tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path))  # of a server
     with open_store(database_url) as opened:
         yield opened
 
@@ -67,6 +68,30 @@ def test_archived_frames_are_read_as_before_and_come_back(store, tmp_path):
     assert bits(store, run) == before
     with pytest.raises(StoreError, match="are not archived"):
         store.unarchive_run(run)
+
+
+@pytest.mark.postgres
+def test_archives_of_a_server_are_found_from_the_folder_that_each_computer_names(
+    postgres_database, tmp_path, monkeypatch
+):
+    with open_store(postgres_database) as store:
+        run = decided(store)
+        before = bits(store, run)
+        with pytest.raises(StoreError, match="a PostgreSQL database has no folder"):
+            store.archive_folder(tmp_path / "here")
+        monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path / "here"))
+        with pytest.raises(StoreError, match=r"is not below .*: other computers would not find it"):
+            store.archive_folder(tmp_path / "elsewhere")
+        assert Path(archived(store, run, store.archive_folder(tmp_path / "here" / "2026")).file).exists()
+        (tmp_path / "here").rename(tmp_path / "there")
+        with pytest.raises(StoreError, match=rf"run {run}: .*here is not reached from this computer") as refused:
+            store.load_run(run)
+        assert "set CBSR_QA_ARCHIVE" in refused.value.remedy
+        monkeypatch.delenv("CBSR_QA_ARCHIVE")
+        with pytest.raises(StoreError, match="which nothing names here"):
+            store.unarchive_run(run)
+        monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path / "there"))
+        assert bits(store, run) == before
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,21 @@
 """The watching thread goes on whatever it meets, and says what that was."""
 
 import sqlite3
+from dataclasses import replace
 
 import pytest
 from served_line import until
 from stored_lots import store_run
 
+from cbsr_qa.config import load_station
+from cbsr_qa.domain.plan import SyncSettings
 from cbsr_qa.store import open_store
 from cbsr_qa.web import watching
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
+
+STATION = replace(load_station("simulated").value, sync=SyncSettings("sqlite:///centre.db", 24.0))
 
 
 @pytest.fixture
@@ -26,7 +31,7 @@ def watched(url):
 
     def start(*names):
         stations = tuple(
-            StationWatch(ServedStation(name, name, None, ()), ChannelClient(name, lambda: None)) for name in names
+            StationWatch(ServedStation(name, name, STATION, ()), ChannelClient(name, lambda: None)) for name in names
         )
         watchers.append(watcher := Watcher(stations, url, lambda names: None))
         watcher.start()
@@ -86,3 +91,14 @@ def test_a_start_that_was_refused_is_shown_after_the_page_was_restarted_until_a_
         store_run(store, "S-2", (), station="only")
     until(lambda: only.snapshot.serial == "S-2", "the run")
     assert not only.snapshot.refused
+
+
+def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):
+    with open_store(url) as store:
+        store_run(store, "S-1", (), station="only")
+    with sqlite3.connect(tmp_path / "runs.db") as database:
+        database.execute("update outbox set noted_at = '2026-01-01 00:00:00'")
+    _, (only,) = watched("only")
+    until(lambda: only.snapshot and only.snapshot.health, "the station")
+    assert not only.snapshot.healthy
+    assert "never checked; not sent to the central database: 1 item waits" in only.snapshot.health

@@ -1,8 +1,10 @@
 """The gate: asks every check of a station before a run, and refuses the run where one refuses."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import nullcontext
 from typing import Final
 
+from cbsr_qa.app.gate.backlog import backlog_sent
 from cbsr_qa.app.gate.disk import enough_disk
 from cbsr_qa.app.gate.files import files_released
 from cbsr_qa.app.gate.instrument_dates import instruments_in_date
@@ -16,7 +18,7 @@ from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, RefusedError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
 from cbsr_qa.plugin import Plugins
-from cbsr_qa.store import Repository, database_exists, open_store
+from cbsr_qa.store import Repository, open_existing
 from cbsr_qa.system import RealClock
 
 CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
@@ -28,6 +30,7 @@ CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.DISK: enough_disk,
     GateCheck.OPERATOR: operator_known,
     GateCheck.RELEASED: files_released,
+    GateCheck.BACKLOG: backlog_sent,
     GateCheck.BEFORE_RUN: no_veto,
 }
 #: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others
@@ -65,9 +68,7 @@ def ask_before(
     checks: Collection[GateCheck] = tuple(GateCheck),
 ) -> tuple[GateAnswer, ...]:
     """Return the answers as :func:`ask_gate`, by the database of the request as far as it exists."""
-    if not database_exists(request.database):
-        return ask_gate(request, configuration, plugins, None, checks)
-    with open_store(request.database, create=False) as store:
+    with open_existing(request.database) or nullcontext() as store:
         return ask_gate(request, configuration, plugins, store, checks)
 
 

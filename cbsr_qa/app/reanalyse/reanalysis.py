@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.app.reanalyse.changes import Changes, Flip, NamedRun
+from cbsr_qa.app.reanalyse.judging import judged_again
 from cbsr_qa.app.reanalyse.report import Reanalysed
 from cbsr_qa.app.reanalyse.work import Job, Worked, analyse_again
 from cbsr_qa.app.reanalyse.workers import Workers, cluster_workers, local_workers
@@ -105,7 +106,7 @@ class _Session:
         self.other_plan: list[NamedRun] = []
         self.not_analysed: list[NamedRun] = []
         self.stored: dict[str, str] = {}  #: run → re-analysis
-        self.reused = 0
+        self.reused = self.judged = 0
         self.peak_mb: float | None = None
         self.elapsed_s = 0.0
 
@@ -142,19 +143,33 @@ class _Session:
                 self.other_plan.append(NamedRun.of(line, differing))
                 return None
             recipe = self._canonical
-        key = key_of(self._store.data_sha256(line.run), recipe, self._software)
+        data = self._store.data_sha256(line.run)
+        key = key_of(data, recipe, self._software)
         known = None if self._request.fresh else self._store.find_reanalysis(line.run, key)
         if known is not None:
             self.stored[line.run] = known
             self.reused += 1
             return None
-        return Job(line.run, shared_url(self._request.database), recipe, self._software, key)
+        return Job(line.run, shared_url(self._request.database), recipe, self._software, data, key)
 
     def check(self, jobs: Iterable[Job]) -> None:
         """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
         first = next(iter(jobs), None)
         if first is not None and self.recipe is not None:
             check_recipe(self.recipe, restore(self._store.configuration(first.run)).sensor_type, self._plugins)
+
+    def judge(self, jobs: list[Job]) -> list[Job]:
+        """Do the jobs for which stored measurements need only to be judged; return those that are left."""
+        left, progress = [], _Progress("judging", len(jobs), self._tell)
+        for job in jobs:
+            judged = None if self._request.fresh else judged_again(self._store, job)
+            if judged is None:
+                left.append(job)
+            else:
+                self.stored[job.run] = self._store.save_reanalysis(judged)
+                self.judged += 1
+            progress.step()
+        return left
 
     def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
         """Analyse runs, and store each result as soon as it is there."""
@@ -219,6 +234,7 @@ class _Session:
             software=self._software,
             selected=len(self.lines),
             computed=computed,
+            judged=self.judged,
             reused=self.reused,
             adopted=adopted,
             unchanged=unchanged,
@@ -259,13 +275,14 @@ def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begi
         session = _Session(request, store, discover(), tell)
         jobs = session.select()
         session.check(jobs)
+        jobs = session.judge(jobs)
         count = min(request.workers or os.cpu_count() or 1, max(len(jobs), 1))
         where = f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
         if jobs:
-            tell(f"{plural(len(jobs), 'run')} to analyse, {session.reused} stored already")
+            tell(f"{plural(len(jobs), 'run')} to analyse, {len(session.stored)} stored already")
             with (begin or _beginning(request, count))() as workers:
                 session.compute(jobs, workers)
-        computed = len(session.stored) - session.reused
+        computed = len(session.stored) - session.reused - session.judged
         return session.conclude(computed, where if jobs else "")
 
 

@@ -12,7 +12,10 @@ from cbsr_qa.report import duration, number, plural, text_table, unit_shown
 MOST_SHOWN: Final = 200
 
 # Sentences, in reading order.
-_COUNTS: Final = "{computed} computed, {reused} stored already; {unchanged} equal the valid analysis in every value"
+_COUNTS: Final = (
+    "{computed} computed, {judged}{reused} stored already; {unchanged} equal the valid analysis in every value"
+)
+_JUDGED: Final = "{judged} judged by other limits without being imaged, "
 _FREE: Final = "nothing was computed: {reused} of {reused} results were stored already"
 _TRIAL: Final = "nothing changes yet: --adopt --by NAME --why TEXT makes these results the valid analyses"
 _ADOPTED: Final = (
@@ -38,8 +41,8 @@ class Reanalysed:
     Parameters
     ----------
     recipe, recipe_sha256 : of all runs; None where each run's own was used.
-    selected, computed, reused, adopted : runs that were selected, analysed now, had a stored result, and whose result
-        was made the valid analysis now.
+    selected, computed, judged, reused, adopted : runs that were selected, analysed now, only judged by other limits
+        now, had a stored result, and whose result was made the valid analysis now.
     unchanged : runs with the verdict and all values of their valid analysis.
     values : every measurement with its changes.
     flips : verdicts that differ, those that got worse first.
@@ -57,6 +60,7 @@ class Reanalysed:
     software: tuple[tuple[str, str], ...]
     selected: int
     computed: int
+    judged: int
     reused: int
     adopted: int
     unchanged: int
@@ -74,13 +78,14 @@ class Reanalysed:
 
 def reanalysed_outcome(done: Reanalysed) -> CommandOutcome[Reanalysed]:
     """Lay out a re-analysis; exit code 3 if no run has a result."""
-    results = done.computed + done.reused
+    results = done.computed + done.judged + done.reused
     worse = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
     headline = f"{plural(results, 'run')} analysed again, {plural(len(done.flips), 'verdict')} differ"
     if len(done.flips) == 1:
         headline += "s"
-    words = _COUNTS if done.computed else _FREE
-    reason = words.format(computed=done.computed, reused=done.reused, unchanged=done.unchanged)
+    words = _COUNTS if done.computed or done.judged else _FREE
+    judged = _JUDGED.format(judged=done.judged) if done.judged else ""
+    reason = words.format(computed=done.computed, judged=judged, reused=done.reused, unchanged=done.unchanged)
     banner = Banner("marginal" if done.flips else "pass", "≠" if done.flips else "✓", headline, reason)
     if not results:
         banner = Banner("not-measured", "?", "no run could be analysed again", "the reasons are below")
@@ -102,7 +107,7 @@ def _facts(done: Reanalysed) -> Iterator[tuple[str, str]]:
         yield "Computed", f"in {duration(done.elapsed_s)} by {done.workers}: {number(done.runs_per_s)} runs/s"
     if done.peak_worker_mb is not None:
         yield "Memory", f"{done.peak_worker_mb:.0f} MB at most in a worker"
-    if done.computed or done.reused:
+    if done.computed or done.judged or done.reused:
         yield "Verdicts", _ADOPTED.format(adopted=plural(done.adopted, "result")) if done.adopted else _TRIAL
 
 

@@ -24,6 +24,7 @@ class Job:
     database : URL, by which every worker reaches it.
     recipe : canonical JSON of the recipe's file.
     software : versions that the result must be of.
+    data_sha256 : of what was measured in the run.
     key_sha256 : of the result, see :class:`~cbsr_qa.store.results.Reanalysis`.
     """
 
@@ -31,6 +32,7 @@ class Job:
     database: str
     recipe: str
     software: tuple[tuple[str, str], ...]
+    data_sha256: str
     key_sha256: str
 
 

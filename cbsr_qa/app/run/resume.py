@@ -28,7 +28,7 @@ from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import describe, plan_of, schedule
-from cbsr_qa.store import Repository, database_exists, open_store, parsed_url, shown
+from cbsr_qa.store import Repository, open_existing, open_store, parsed_url, shown
 from cbsr_qa.system import RealClock, Stages
 
 _ELSEWHERE: Final = (
@@ -72,9 +72,9 @@ def resume_run(
     validate_operator(operator)
     override = (override or Override()).checked()
     url = database_url(database)
-    if not database_exists(url):
+    if (existing := open_existing(url)) is None:
         raise StoreError(f"{shown(parsed_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
-    with open_store(url, create=False) as store:
+    with existing as store:
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Collection
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -44,7 +44,7 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import configure, on_stderr
 from cbsr_qa.station.control import refuse_busy
-from cbsr_qa.store import check_usable, database_exists, open_store, parsed_url, sqlite_file
+from cbsr_qa.store import check_usable, open_existing, open_store, parsed_url, sqlite_file
 from cbsr_qa.system import RealClock, Stages
 
 #: Seeds are limited to integers that every tool can represent.
@@ -305,22 +305,17 @@ def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
     """Return the given seed, or the first default one that no run of the sensor has; creates no database."""
     if request.seed is not None:
         return request.seed
-    url = database_url(request.database)
-    stored: tuple[int | None, ...] = ()
-    if database_exists(url):
-        with open_store(url, create=False) as store:
-            stored = store.seeds_of(request.serial)
+    with open_existing(database_url(request.database)) or nullcontext() as store:
+        stored = () if store is None else store.seeds_of(request.serial)
     seeds = (default_seed(request.serial, number) for number in count(len(stored)))
     return next(seed for seed in seeds if seed not in stored and seed not in taken)
 
 
 def _history(request: RunRequest, configuration: Configuration) -> SensorHistory:
     sensor = SensorIdentity(request.serial, request.batch, configuration.sensor_type.name)
-    url = database_url(request.database)
-    if not database_exists(url):
-        return SensorHistory(sensor, configuration.recipe.name)
-    with open_store(url, create=False) as store:
-        return store.sensor_history(sensor, configuration.recipe.name)
+    with open_existing(database_url(request.database)) or nullcontext() as store:
+        recipe = configuration.recipe.name
+        return SensorHistory(sensor, recipe) if store is None else store.sensor_history(sensor, recipe)
 
 
 def _identity(

@@ -20,7 +20,7 @@ from cbsr_qa.config import (
     writable_folder,
 )
 from cbsr_qa.domain import CbsrError, RefusedError
-from cbsr_qa.domain.plan import ReferenceRing
+from cbsr_qa.domain.plan import ReferenceRing, Station
 from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RunIdentity, StationCheck
 from cbsr_qa.plugin import Plugins, discover, software_versions
@@ -115,6 +115,7 @@ def check_station(
                 tell=tell,
             )
         _refuse_untried(findings, configuration)
+        findings.lines += _backlog(store, configuration.station)
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, placed):
             golden = _golden(request, request.golden, findings, store, ask, tell, pin)
@@ -188,6 +189,27 @@ def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing 
 def _confirmed(ask: Callable[[str], str], words: str) -> bool:
     """Ask the operator to connect something; only an empty answer confirms it."""
     return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
+
+
+def _backlog(store: Repository, station: Station) -> list[CheckResult]:
+    """Return a line on what waits for the central database, of a station that limits that."""
+    limit_h = station.sync.backlog_hours
+    if limit_h is None:
+        return []
+    backlog = store.backlog()
+    late = backlog.late(limit_h)
+    return [
+        CheckResult(
+            "backlog",
+            CheckOutcome.WARNING if late else CheckOutcome.OK,
+            backlog.age_h,
+            "" if backlog.age_h is None else "h",
+            f"≤ {limit_h:g} h",
+            "send it: cbsr-qa db sync" if late else "",
+            backlog.words,
+            "central database",
+        )
+    ]
 
 
 def _refuse_untried(findings: BenchFindings, configuration: Configuration) -> None:

@@ -19,6 +19,7 @@ from .plan import (
     SafetyLimits as SafetyLimits,
     Scene as Scene,
     Station as Station,
+    SyncSettings as SyncSettings,
 )
 from .scene_plan import (
     MOST_FRAMES as MOST_FRAMES,

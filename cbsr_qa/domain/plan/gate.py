@@ -17,6 +17,7 @@ class GateCheck(StrEnum):
     DISK = "disk"  #: there is room for what the run writes
     OPERATOR = "operator"  #: the operator is on the station's list, with the right PIN
     RELEASED = "released"  #: somebody released every file the run is configured by
+    BACKLOG = "backlog"  #: nothing has waited too long for the central database
     BEFORE_RUN = "before_run"  #: no plugin vetoes
 
 

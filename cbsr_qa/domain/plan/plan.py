@@ -153,6 +153,20 @@ class ReferenceRing:
 
 
 @dataclass(frozen=True, slots=True)
+class SyncSettings:
+    """Where a station sends what it stores, and how long that may wait.
+
+    Parameters
+    ----------
+    centre : URL of the central database, without a password; empty if none is named.
+    backlog_hours : longest time that something may wait [h]; None for any.
+    """
+
+    centre: str = ""
+    backlog_hours: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Station:
     """A bench with instruments.
 
@@ -166,6 +180,7 @@ class Station:
     gate : checks before every run.
     events : where events of its runs are delivered, by name.
     signing_key : file with the private key that signs its calibrations; None: they are not signed.
+    sync : where its database is sent.
     """
 
     name: str
@@ -182,6 +197,7 @@ class Station:
     clock_speed: float | None = None
     gate: GateSettings = field(default_factory=GateSettings)
     signing_key: Path | None = None
+    sync: SyncSettings = field(default_factory=SyncSettings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,6 +87,13 @@ def find_reanalysis(engine: Engine, run: str, key_sha256: str) -> str | None:
         return connection.scalar(query)
 
 
+def reanalyses_of(engine: Engine, run: str) -> tuple[str, ...]:
+    """Return the names of the re-analyses of a run, latest first."""
+    r = ReanalysisRow
+    with reading(engine) as connection:
+        return tuple(connection.scalars(select(r.reanalysis).where(r.run == run).order_by(r.reanalysis.desc())))
+
+
 def save_reanalysis(engine: Engine, made: Reanalysis, *, reanalysis: str, analysed_at: datetime) -> None:
     """Store a re-analysis in one transaction. StoreError if its run is altered; nothing is stored then."""
     values = {

@@ -14,11 +14,12 @@ from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.store.archives import (
     ARRAYS,
+    Archive,
+    archive_root,
     archive_row,
     checked_bytes,
     file_at,
     place_of,
-    read_archive,
     with_arrays,
     with_cells,
     write_archive,
@@ -89,13 +90,15 @@ def _passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
 
 
 def archive_folder(engine: Engine, to: Path | None) -> Path:
-    """Return the folder of archives: by default beside a SQLite database. StoreError if none can be named."""
-    database = sqlite_file(engine.url)
-    if to is not None:
-        return to
-    if database is None:
-        raise StoreError("a PostgreSQL database has no folder", remedy="name one with --to FOLDER")
-    return database.with_name(f"{database.stem}-archive")
+    """Return the folder of new archives: by default beside a SQLite file, or the root of a server's archives.
+
+    StoreError if the database could not name a file in it, see :func:`~cbsr_qa.store.archives.place_of`.
+    """
+    database, root = sqlite_file(engine.url), archive_root(engine)
+    beside = root if database is None else database.with_name(f"{database.stem}-archive")
+    folder = to or beside or Path()
+    place_of(engine, folder / "run.h5")
+    return folder
 
 
 def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
@@ -134,14 +137,12 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
 def _verified(file: Path, rows: list[Any]) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
     data = file.read_bytes()
-    cells = read_archive(data, {row.phase for row in rows})
-    for row in rows:
-        own = cells.get((row.phase, row.block))
-        if own is None:
-            raise StoreError(
-                f"{file} lacks block {row.block} of phase {row.phase}", remedy="move that file away, or use --to"
-            )
-        frame_block(with_cells(row, own))
+    try:
+        archive = Archive(data)
+        for row in rows:
+            frame_block(with_cells(row, archive.cells(row.phase, row.block)))
+    except StoreError as error:
+        raise StoreError(f"{file}: {error.reason}", remedy="move that file away, or use --to") from error
     return data
 
 

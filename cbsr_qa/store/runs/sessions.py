@@ -169,7 +169,7 @@ def latest_id(engine: Engine) -> str:
         ReleaseRow.release_id,
     )
     with reading(engine) as connection:
-        found = [connection.scalar(select(func.max(column))) for column in columns]
+        found = connection.execute(select(*(select(func.max(one)).scalar_subquery() for one in columns))).one()
     # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
     return max((one for one in found if one is not None and made_at(one) is not None), default="")
 

@@ -1,8 +1,8 @@
 from .centre import check_centre as check_centre, refusals as refusals
 from .queue import (
     QUARANTINED as QUARANTINED,
-    Entry as Entry,
-    age_h as age_h,
+    Backlog as Backlog,
+    backlog as backlog,
     held as held,
     let_go as let_go,
     send_again as send_again,

@@ -9,6 +9,7 @@ from sqlalchemy import (
     func,
     select,
     text,
+    update,
 )
 
 from cbsr_qa.domain import StoreError
@@ -103,11 +104,12 @@ def documents_of(engine: Engine, run: str) -> dict[tuple[str, str], str]:
 
 
 def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: str, error: StoreError) -> None:
-    """Note at the centre what was not stored, once."""
+    """Note at the centre what was not stored, once; what was settled and is refused again is open again."""
     digests = error.digests if isinstance(error, AlteredError) else ("", "")
     statement = text(
         "INSERT INTO sync_refusals (kind, item, station, station_sha256, centre_sha256, run, why, noted_at)"
-        " VALUES (:kind, :item, :station, :own, :centre, :run, :why, CURRENT_TIMESTAMP) ON CONFLICT DO NOTHING"
+        " VALUES (:kind, :item, :station, :own, :centre, :run, :why, CURRENT_TIMESTAMP)"
+        " ON CONFLICT (kind, item, station, station_sha256, centre_sha256) DO UPDATE SET settled_at = NULL"
     )
     values = {"kind": kind, "item": item, "run": run, "station": station, "why": error.reason}
     with writing(engine) as connection:
@@ -115,7 +117,16 @@ def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: st
 
 
 def refusals(engine: Engine) -> Sequence[Row[Any]]:
-    """Return everything that was refused, oldest first."""
+    """Return what was refused and is not settled, oldest first."""
+    row = SyncRefusalRow
     with reading(engine) as connection:
-        query = select(*SyncRefusalRow.__table__.columns).order_by(SyncRefusalRow.noted_at, SyncRefusalRow.item)
+        query = select(*row.__table__.columns).where(row.settled_at.is_(None)).order_by(row.noted_at, row.item)
         return connection.execute(query).all()
+
+
+def settle(engine: Engine, kind: str, item: str) -> None:
+    """Note that what was refused was accepted since, or is not to be sent."""
+    row = SyncRefusalRow
+    with writing(engine) as connection:
+        of_item = update(row).where(row.kind == kind, row.item == item, row.settled_at.is_(None))
+        connection.execute(of_item.values(settled_at=func.current_timestamp()))

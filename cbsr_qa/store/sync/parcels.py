@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, Table, func, literal, select
+from sqlalchemy import Connection, Row, Table, case, func, literal, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
-from cbsr_qa.store.archives import ARRAYS, with_arrays
+from cbsr_qa.store.archives import ARRAYS, Archives, with_arrays
 from cbsr_qa.store.chain import (
     FIGURES,
     KEYS,
@@ -118,12 +118,13 @@ class Parcel:
         return total
 
 
-def next_parcel(connection: Connection, run: str, tail: Tail) -> Parcel:
+def next_parcel(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
     """Read what follows a link in a run's chain.
 
     Parameters
     ----------
     tail : where the run stands at the centre.
+    archives : the same for all parcels of a run.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def next_parcel(connection: Connection, run: str, tail: Tail) -> Parcel:
         If the station's link of that number is another one, or what follows was altered.
     """
     try:
-        return _next(connection, run, tail)
+        return _next(connection, run, tail, archives)
     except AlteredError:
         raise
     except StoreError as error:
@@ -140,7 +141,7 @@ def next_parcel(connection: Connection, run: str, tail: Tail) -> Parcel:
         raise AlteredError(unreadable(connection, run, error).reason) from error
 
 
-def _next(connection: Connection, run: str, tail: Tail) -> Parcel:
+def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
     number, sha256 = tail
     head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
     own = connection.scalar(select(LinkRow.sha256).where(LinkRow.run == run, LinkRow.number == number)) or ""
@@ -152,7 +153,7 @@ def _next(connection: Connection, run: str, tail: Tail) -> Parcel:
     wanted: dict[str, dict[str, str]] = {}
     for link in links:
         wanted.setdefault(link.kind, {})[link.document] = link.content_sha256
-    rows = dict(_linked_rows(connection, run, wanted))
+    rows = dict(_linked_rows(connection, run, wanted, archives))
     ended = _phase_ends(connection, run, wanted)
     rows, ended = _with_ends(rows, ended)
     rows[LinkRow.__tablename__] = links
@@ -200,7 +201,7 @@ def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str
     for (kind, key), content in own.items():
         if (kind, key) not in centre:
             wanted.setdefault(kind, {})[key] = content
-    rows = dict(_linked_rows(connection, run, wanted))
+    rows = dict(_linked_rows(connection, run, wanted, Archives()))
     rows, ended = _with_ends(rows, _phase_ends(connection, run, wanted))
     return Parcel(
         run,
@@ -235,7 +236,11 @@ def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[
     for table in (Base.metadata.tables[name] for name in _CHECKED):
         keys = [link.document for link in links if link.kind == table.name]
         if keys:
-            size = sum((func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)), literal(0))
+            parts: list[Any] = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
+            if table.name == FrameBlockRow.__tablename__:  # an archived one has no bytes here
+                row = FrameBlockRow
+                parts += [case((func.length(row.voltages) == 0, 8 * row.frames * row.drives * row.measures), else_=0)]
+            size = sum(parts, literal(0))
             of_keys = within(table, run, keys)
             if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_CHECKED):
                 query = select(table.c.phase, table.c.block, size).where(of_keys)
@@ -258,18 +263,20 @@ def _check_chain(run: str, links: Sequence[Row[Any]], number: int, before: str) 
 
 
 def _linked_rows(
-    connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]]
+    connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]], archives: Archives
 ) -> Iterator[tuple[str, Sequence[Sequence[Any]]]]:
     """Yield table and rows of documents, whose digests match."""
     for table in tables():
         contents = wanted.get(table.name)
         if contents:
-            yield table.name, _rows(connection, run, table, contents)
+            yield table.name, _rows(connection, run, table, contents, archives)
     for analysis, content in wanted.get(FIGURES, {}).items():
         _match(run, FIGURES, analysis, stored_figures(connection, analysis), content)
 
 
-def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str, str]) -> Sequence[Sequence[Any]]:
+def _rows(
+    connection: Connection, run: str, table: Table, contents: Mapping[str, str], archives: Archives
+) -> Sequence[Sequence[Any]]:
     names = table.columns.keys()
     rows: Sequence[Any] = connection.execute(raw_select(table).where(within(table, run, contents))).all()
     mappings = [dict(zip(names, row, strict=True)) for row in rows]
@@ -280,7 +287,7 @@ def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str,
         rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
     check = _CHECKED.get(table.name)
     if check is not None:
-        whole = list(with_arrays(connection, rows) if table.name == FrameBlockRow.__tablename__ else rows)
+        whole = list(with_arrays(connection, rows, archives) if table.name == FrameBlockRow.__tablename__ else rows)
         for row in whole:
             check(row)  # raises where bytes do not match the digest in their row
         rows = [row if isinstance(row, Row) else _unarchived(row, names) for row in whole]

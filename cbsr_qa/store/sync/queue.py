@@ -46,6 +46,35 @@ def waiting(engine: Engine) -> tuple[Entry, ...]:
     return tuple(sorted(_entries(engine, row.state == str(EntryState.WAITING), _unsent()), key=_place))
 
 
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """How much waits, and how long the oldest of it has waited [h]; None if nothing waits."""
+
+    items: int
+    age_h: float | None
+
+    @property
+    def words(self) -> str:
+        if self.age_h is None:
+            return "nothing waits"
+        waits = "1 item waits" if self.items == 1 else f"{self.items} items wait"
+        hours = self.age_h
+        ago = f"{60 * hours:.0f} min" if hours < 2 else f"{hours:.1f} h" if hours < 48 else f"{hours / 24:.1f} days"
+        return f"{waits} in this database, the oldest for {ago}"
+
+    def late(self, limit_h: float | None) -> bool:
+        return self.age_h is not None and limit_h is not None and self.age_h > limit_h
+
+
+def backlog(engine: Engine) -> Backlog:
+    """Return how much waits for the central database, and how long."""
+    row = OutboxRow
+    query = select(func.count(), func.min(row.noted_at)).where(row.state == str(EntryState.WAITING), _unsent())
+    with reading(engine) as connection:
+        items, oldest = connection.execute(query).one()
+    return Backlog(items, None if oldest is None else _hours_since(oldest))
+
+
 def held(engine: Engine) -> tuple[Entry, ...]:
     """Return entries that are quarantined or were let go."""
     return tuple(_entries(engine, OutboxRow.state != str(EntryState.WAITING)))
@@ -122,9 +151,5 @@ def _larger(column: Any, value: int) -> ColumnElement[int]:
     return case((column < value, value), else_=column)
 
 
-def age_h(entries: Sequence[Entry], now: datetime | None = None) -> float | None:
-    """Return how long the oldest entry has waited [h]; None without one."""
-    if not entries:
-        return None
-    oldest = min(entry.noted_at for entry in entries)
-    return max(((now or datetime.now(UTC)) - oldest).total_seconds() / 3600, 0.0)
+def _hours_since(moment: datetime) -> float:
+    return max((datetime.now(UTC) - moment).total_seconds() / 3600, 0.0)

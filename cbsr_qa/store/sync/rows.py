@@ -34,10 +34,10 @@ def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]
     if not isinstance(table.c[names[0]].type, Whole):
         return and_(table.c[names[0]].in_(list(keys)))
     parts = [tuple(map(int, key.split("/"))) for key in keys]
-    first = min(part[0] for part in parts)
-    wanted = [of_run(table, run), table.c[names[0]] >= first]
-    if len(names) > 1 and all(part[0] == first for part in parts):
-        wanted.append(table.c[names[1]] >= min(part[1] for part in parts))
+    first, last = min(parts), max(parts)
+    wanted = [of_run(table, run), table.c[names[0]].between(first[0], last[0])]
+    if len(names) > 1 and first[0] == last[0]:
+        wanted.append(table.c[names[1]].between(first[1], last[1]))
     return and_(*wanted)
 
 

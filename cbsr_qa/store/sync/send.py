@@ -6,13 +6,14 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
+from cbsr_qa.store.archives import Archives
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.outbox import EntryState, Kind
-from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refuse, tails
+from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refusals, refuse, settle, tails
 from cbsr_qa.store.sync.items import read_item
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, next_parcel, unchained_parcel
-from cbsr_qa.store.sync.queue import Entry, confirm, mark, waiting
+from cbsr_qa.store.sync.queue import Entry, confirm, held, mark, waiting
 from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
 from cbsr_qa.store.tables import RunRow
 
@@ -64,11 +65,16 @@ def send_waiting(
     with sending_alone(station, who):
         check_centre(centre, station)
         entries = waiting(station)
+        refused = {(one.kind, one.item) for one in refusals(centre)}
+        for entry in held(station):
+            if entry.state == EntryState.LET_GO and (entry.kind, entry.item) in refused:
+                settle(centre, entry.kind, entry.item)
         done = 0
         for some in _batches(entries):
             stands = tails(centre, [one.item for one in some if one.kind == Kind.RUN])
             for entry in some:
-                _send(station, centre, entry, stands, sent)
+                if _send(station, centre, entry, stands, sent) and (entry.kind, entry.item) in refused:
+                    settle(centre, entry.kind, entry.item)
                 done += 1
                 if progress is not None:
                     progress(done, len(entries), sent)
@@ -80,7 +86,8 @@ def _batches(entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
         yield entries[first : first + _AT_ONCE]
 
 
-def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail | None], sent: Sent) -> None:
+def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail | None], sent: Sent) -> bool:
+    """Send one entry; return whether the centre has it now."""
     try:
         if entry.kind == Kind.RUN:
             _send_run(station, centre, entry, stands.get(entry.item, NOTHING), sent)
@@ -94,6 +101,9 @@ def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail 
         refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
         sent.quarantined.append(entry)
+    else:
+        return True
+    return False
 
 
 def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
@@ -127,9 +137,10 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
             raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
         confirm(station, entry, newest[0] + 1, more=False)
         return
+    archives = Archives()
     while True:
         with reading(station) as connection:
-            parcel = next_parcel(connection, run, tail)
+            parcel = next_parcel(connection, run, tail, archives)
         if parcel.rows:
             _store(centre, parcel, sent)
             tail = parcel.tail

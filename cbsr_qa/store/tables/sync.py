@@ -38,6 +38,7 @@ class SyncRefusalRow(Base):
     run: Mapped[str | None] = mapped_column(Identifier)  #: which may not be stored here
     why: Mapped[str]
     noted_at: Mapped[datetime]
+    settled_at: Mapped[datetime | None]  #: when it was accepted after all, or let go; None: it is open
 
 
 class SyncAcceptsRow(Base):

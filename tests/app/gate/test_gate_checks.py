@@ -20,11 +20,11 @@ from cbsr_qa.app.gate import (
 )
 from cbsr_qa.config import load_material, load_recipe, load_sensor_type, load_station, merge
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator, SyncSettings
 from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome
 from cbsr_qa.domain.run import ChartReference, CheckOutcome, CheckResult, GateOutcome, StationCheck
 from cbsr_qa.plugin import Veto, discover, hookimpl
-from cbsr_qa.store import open_store
+from cbsr_qa.store import open_store, writing
 from cbsr_qa.system import hashed_pin, pin_matches
 
 STATION = "bench-α"
@@ -328,3 +328,17 @@ def test_a_check_that_cannot_be_answered_has_not_passed(ask, store, tmp_path):
     answer = ask("golden", golden_hours=1.0)
     assert answer.outcome is GateOutcome.REFUSED
     assert "could not be checked" in answer.words
+
+
+def test_what_waits_too_long_for_the_central_database_refuses(ask, merged, store):
+    limited = replace(merged, station=replace(merged.station, sync=SyncSettings("postgresql://centre/q", 24.0)))
+    assert ask("backlog").outcome is GateOutcome.OFF
+    assert ask("backlog", configuration=limited).words == "nothing waits; the station allows 24 h"
+    store_run(store, "S-1", GOOD)
+    assert ask("backlog", configuration=limited).outcome is GateOutcome.PASSED
+    with writing(store._engine) as connection:
+        connection.exec_driver_sql("UPDATE outbox SET noted_at = '2026-01-01 00:00:00'")
+    refused = ask("backlog", configuration=limited)
+    assert refused.outcome is GateOutcome.REFUSED
+    assert "1 item waits in this database, the oldest for" in refused.words
+    assert refused.command == "cbsr-qa db sync"

@@ -78,3 +78,20 @@ def test_a_pattern_that_cannot_be_used_is_refused_with_the_file(tmp_path, patter
     file.write_text(text.replace("[sensor_type]", f"[sensor_type]\nserial_pattern = '{pattern}'", 1))
     with pytest.raises(ConfigError, match=r"line \d+: sensor_type.serial_pattern"):
         load_sensor_type(file)
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ('[gate]\nbacklog = "warn"', "needs backlog_hours in [sync]"),
+        ('[sync]\ncentre = "quality.db"', "'quality.db' is no URL"),
+        ('[sync]\ncentre = "postgresql://ada:hidden-word@10.0.0.5/quality"', "has a password in it"),
+        ('[sync]\ncentre = "postgresql://10.0.0.5/quality?password=hidden-word"', "has a password in it"),
+        ("[sync]\nbacklog_hours = 0", "sync.backlog_hours is 0"),
+    ],
+)
+def test_a_table_of_the_synchronisation_that_cannot_be_used_is_named_without_its_password(tmp_path, tables, said):
+    with pytest.raises(ConfigError) as caught:
+        load_station(station(tmp_path, tables))
+    assert said in str(caught.value)
+    assert "hidden-word" not in str(caught.value)

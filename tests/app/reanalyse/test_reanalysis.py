@@ -14,7 +14,7 @@ from cbsr_qa.app.reanalyse import ReanalyseRequest, reanalyse, reanalysed_outcom
 from cbsr_qa.app.reanalyse.reanalysis import phase_difference
 from cbsr_qa.app.reanalyse.work import Worked
 from cbsr_qa.app.reanalyse.workers import Workers
-from cbsr_qa.config import DocumentKind, load_recipe, open_document
+from cbsr_qa.config import DocumentKind, load_recipe, open_document, toml_document
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunSelection, decide
 from cbsr_qa.report import json_document, terminal_lines
@@ -131,6 +131,45 @@ def test_a_repeat_computes_nothing_and_says_so(database):
     assert (len(made.jobs), third.values[0].largest) == (3, 7.0)
 
 
+def limited(tmp_path, upper, name="limited.toml", **tables):
+    """Return the file of the recipe with one limit, of the drift in mm."""
+    limits = [{"measurement": "drift", "unit": "mm", "upper": upper, "phase": "nine locations"}]
+    text = toml_document({**RECIPE, "limits": limits, **tables})
+    return str((tmp_path / name).write_text(text) and tmp_path / name)
+
+
+def test_where_only_limits_differ_nothing_is_imaged_again(database, tmp_path, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis._Session.check", lambda *_: None)  # of a station
+    by_limit = again(database, made := Made(0.75), recipe=limited(tmp_path, 4.2))
+    assert (len(made.jobs), by_limit.computed, by_limit.judged) == (3, 3, 0)  # the analyses are of other software
+    stricter = again(database, made := Made(7.0), recipe=limited(tmp_path, 4.8))
+    assert (made.jobs, stricter.computed, stricter.judged, stricter.reused) == ([], 0, 3, 0)
+    assert stricter.values == by_limit.values
+    assert [(flip.serial, flip.now) for flip in stricter.flips] == [("S-1", Outcome.FAIL)]
+    assert "3 judged by other limits" in reanalysed_outcome(stricter).page.banner.reason
+    assert again(database, made, recipe=limited(tmp_path, 4.8)).reused == 3
+    again(database, made := Made(7.0), recipe=limited(tmp_path, 4.9), fresh=True)
+    assert len(made.jobs) == 3
+    other = {"analysis": {**RECIPE["analysis"], "noise_floor_frames": 9}}
+    again(database, made := Made(7.0), recipe=limited(tmp_path, 4.8, **other))
+    assert len(made.jobs) == 3
+
+
+def test_analyses_of_the_same_software_are_judged_too_and_a_repeat_by_the_own_recipe_is_not(
+    database, tmp_path, monkeypatch
+):
+    with open_store(database_url(database), create=False) as store:
+        software = store.analyses(store.run_lines()[0].run)[0].software
+    monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis.software_versions", lambda plugins: software)
+    monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis._Session.check", lambda *_: None)
+    done = again(database, made := Made(7.0), recipe=limited(tmp_path, 4.2))
+    assert (made.jobs, done.judged) == ([], 3)
+    assert [(flip.serial, flip.was, flip.now) for flip in done.flips] == [("S-1", Outcome.PASS, Outcome.FAIL)]
+    assert all(value.changed == 0 for value in done.values)
+    again(database, made := Made())
+    assert len(made.jobs) == 3
+
+
 def test_other_software_is_computed_again(database, monkeypatch):
     again(database, Made(0.75))
     monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis.software_versions", lambda plugins: (("cbsr-qa", "9"),))
@@ -150,7 +189,9 @@ def test_adopted_results_are_the_valid_analyses_and_the_earlier_ones_stay(databa
                 assert (now.adoption.operator, now.adoption.why, before.adoption) == ("Ada", "corrected gain", None)
                 assert "that issues no calibration" in now.calibration_why
                 store.load_run(run.run)  # the chain covers it
-    (adopted,) = list_changes(database).result.adoptions
+    listed = list_changes(database)
+    assert listed.page.banner.headline == "changes of 3 analyses"
+    (adopted,) = listed.result.adoptions
     assert (adopted.operator, adopted.why, adopted.runs) == ("Ada", "corrected gain", 3)
     repeated = again(database, Made(), adopt=True, by="Ada", why="corrected gain")
     assert (repeated.adopted, repeated.flips, repeated.unchanged) == (0, (), 3)

@@ -15,7 +15,7 @@ from synced import assert_all_there, content, everything, judged, opened, run_of
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken, RunEnded
-from cbsr_qa.store import HEAD, Repository, reading, writing
+from cbsr_qa.store import HEAD, Repository, archives, reading, writing
 from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, send_waiting, waiting
@@ -253,6 +253,29 @@ def test_frames_archived_before_they_were_sent_are_read_from_their_file(station,
         spoil(file)
         assert [entry.item for entry in sent(station, centre).quarantined] == [one.run]
         assert f"archived in {file}" in held(station.engine)[0].why
+
+
+def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, centre, tmp_path, monkeypatch):
+    judged(station.store, run_of(station.store))
+    before = content(station.engine)
+    (one,) = station.store.archivable(LATER)
+    station.store.archive_run(one, tmp_path / "kept", LATER)
+    read, parcelled = [], []
+    monkeypatch.setattr(archives, "checked_bytes", counted(archives.checked_bytes, read))
+    monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(synced.storing.store_parcel, parcelled))
+    monkeypatch.setattr(parcels, "MOST_BYTES", 2000)
+    sent(station, centre)
+    assert content(centre.engine) == before
+    assert len([parcel for _, parcel in parcelled if "frame_blocks" in parcel.rows]) > 1
+    assert len(read) == 1
+
+
+def counted(function, calls):
+    def called(*arguments):
+        calls.append(arguments)
+        return function(*arguments)
+
+    return called
 
 
 def test_another_run_of_the_same_name_is_quarantined(full, centre, place):

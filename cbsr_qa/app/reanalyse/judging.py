@@ -1,0 +1,52 @@
+"""Stored measurements judged by other limits: where only those changed, nothing is imaged again."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+from cbsr_qa.analysis import judge_again
+from cbsr_qa.app.reanalyse.work import Job
+from cbsr_qa.config import canonical_json, load_recipe
+from cbsr_qa.domain import filled
+from cbsr_qa.domain.results import decide
+from cbsr_qa.store import Repository
+from cbsr_qa.store.results import Reanalysis, key_of
+
+#: Tables of a recipe that say nothing of how a run is imaged and measured.
+_AFTERWARDS: Final = ("limits", "limits_version", "report")
+
+
+def judged_again(store: Repository, job: Job) -> Reanalysis | None:
+    """Return the result of a job from stored measurements; None if none were made as its recipe says.
+
+    None by the run's own recipe too: then somebody wants to know whether its analysis can be repeated.
+    """
+    own, wanted = canonical_json(json.loads(store.configuration(job.run))["recipe"]), _measuring(job.recipe)
+    for stored in _stored(store, job, own) if own != job.recipe else ():
+        if stored.measurements and stored.software == job.software and _measuring(stored.recipe) == wanted:
+            measurements = judge_again(stored.measurements, load_recipe(json.loads(job.recipe)).value.limits)
+            return replace(
+                stored,
+                key_sha256=job.key_sha256,
+                recipe=job.recipe,
+                verdict=decide(measurements),
+                measurements=measurements,
+                compute_s=(),
+            )
+    return None
+
+
+def _stored(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
+    """Yield the re-analyses of a run that are of the same data, then its analyses by its own recipe."""
+    for name in store.reanalyses_of(job.run):
+        made = store.reanalysis(name)
+        if made.key_sha256 == key_of(job.data_sha256, made.recipe, job.software):
+            yield made
+    for analysis in store.analyses(job.run):
+        if analysis.adoption is None:
+            yield filled(Reanalysis, analysis, key_sha256="", recipe=own)
+
+
+def _measuring(recipe: str) -> dict[str, object]:
+    return {name: table for name, table in json.loads(recipe).items() if name not in _AFTERWARDS}
