@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,7 +68,9 @@ def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequen
     RefusedError
         If a section holds what cannot be shown safely.
     """
-    return _page(page, [_prepared(section, f"s{number}") for number, section in enumerate(sections, 1)], warnings)
+    blocks = iter(side_by_side([partial(_block, block) for section in sections for block in section.blocks]))
+    shown = [_Shown(f"s{n}", one.title, tuple(islice(blocks, len(one.blocks)))) for n, one in enumerate(sections, 1)]
+    return _page(page, shown, warnings)
 
 
 def render_fragment(page: Page, sections: Sequence[Section]) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
@@ -32,6 +33,7 @@ from cbsr_qa.studies.compare.groups import Design, Grouping, design_of, grouped,
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import BoolArray, MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, not_measured
+from cbsr_qa.system import side_by_side
 
 #: The common error of all places of a grid comes from seating the disc and from the axes: the station, not the
 #: sensor.
@@ -181,7 +183,8 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     design = design_of(table.runs, grouping, terms)
     grouping, referred = referred_to(grouping, design, _measured(every, len(table.runs)), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    metrics = _adjusted([_compared(values, table, grouping, deciding, design) for values in chosen], terms)
+    tasks = [partial(_compared, values, table, grouping, deciding, design) for values in chosen]
+    metrics = _adjusted(side_by_side(tasks), terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
     differences = tuple(chain.from_iterable(metric.differences or (_not_compared(metric),) for metric in metrics))
     return Comparison(
