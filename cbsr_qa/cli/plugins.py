@@ -93,7 +93,7 @@ def new_plugin(
         *(("file", str(made.folder / file)) for file in made.files),
         ("change", str(made.folder / made.module / f"{made.kind}.py")),
         ("check", f"cbsr-qa plugins check {made.folder}/"),
-        ("install", f"python -m pip install --no-deps --no-build-isolation {_path(made.folder)}"),
+        ("install", f"python -m pip install --no-deps {_path(made.folder)}"),
     )
     show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
 

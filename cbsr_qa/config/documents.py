@@ -18,6 +18,8 @@ from cbsr_qa.plugin import echo, printable
 LARGEST_FILE_BYTES = 1_000_000
 #: Most parts of a dotted key; parsing time grows with their square, and no key here has more than four.
 MOST_KEY_PARTS = 50
+#: Where every key is described, in words: an installed package has no pages.
+REFERENCE = 'the page "Configuration" of the documentation'
 
 _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
 
@@ -181,7 +183,7 @@ def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Doc
         line = text.count("\n", 0, deep.start()) + 1
         raise ConfigError(
             f"{label} line {line}: a key of more than {MOST_KEY_PARTS} parts",
-            remedy="docs/reference/configuration.md lists every key",
+            remedy=f"{REFERENCE} lists every key",
         )
     try:
         data = tomllib.loads(text)

@@ -27,9 +27,8 @@ DOORS = (
 _SCHEMAS = """\
 # Documents of `--json`
 
-This page lists the keys of what each command prints with `--json`, and of the events of a run. It is written from the
-code. `cbsr-qa schema COMMAND` prints the same as JSON Schema (draft 2020-12). The parts that documents share come
-after them.
+This page lists the keys of what each command prints with `--json`, and of the events of a run. `cbsr-qa schema
+COMMAND` prints the same as JSON Schema (draft 2020-12). The parts that documents share come after them.
 """
 
 
@@ -73,7 +72,7 @@ def _keys(schema: Mapping[str, Any]) -> Iterator[str]:
     yield description.partition("\n\n**")[0]
     yield ""
     if properties := schema.get("properties", {}):
-        yield "| key | type | |"
+        yield "| key | type | meaning |"
         yield "| --- | --- | --- |"
         for key, value in properties.items():
             absent = "" if key in schema.get("required", ()) or "default" in value else " or absent"
@@ -106,7 +105,7 @@ def hooks() -> str:
         "# Hooks",
         "",
         "This page lists the functions that a plugin's module may have, each under `@hookimpl` of `cbsr_qa.plugin`.",
-        "It is written from the code. [Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
+        "[Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
         "[the interface for plugins](plugin-interface.md) lists the classes that they take.",
     ]
     named = vars(hook_module).items()
@@ -124,7 +123,7 @@ def interface() -> str:
     lines = [
         "# Python interface for plugins",
         "",
-        "This page lists the names that a plugin can import, by package. It is written from the code; `help(NAME)`",
+        "This page lists the names that a plugin can import, by package. `help(NAME)`",
         "prints the rest. [Write a plugin](../how-to/write-a-plugin.md) shows the most important ones at work.",
     ]
     for door in DOORS:

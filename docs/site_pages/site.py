@@ -24,6 +24,13 @@ BESIDE = {
     "SECURITY.md": "security.md",
 }
 
+#: Modules → pages that are written from them, to which links to these modules lead.
+FROM_CODE = {
+    "cbsr_qa/plugin/hooks.py": "reference/hooks.md",
+    "cbsr_qa/plugin/interfaces.py": "reference/plugin-interface.md",
+    "cbsr_qa/cli": "reference/commands.md",
+}
+
 #: Titles of sections of the navigation → their folders; each gets an index page.
 SECTIONS = {"Tutorials": "tutorials", "How-to": "how-to", "Explanation": "explanation", "Reference": "reference"}
 
@@ -59,7 +66,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Lead links to pages beside docs/ to their place on the site; of links to code, only the text is left."""
+    """Lead links out of docs/ to their place on the site; of links to code without a page, only the text is left."""
     name = page.file.src_uri
     beside = {site: beside for beside, site in BESIDE.items()}.get(name)
     if name in _made and not beside:
@@ -72,7 +79,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         place = (folder / path).resolve()
         if not path or "://" in path or not place.exists():
             return found[0]
-        site = BESIDE.get(os.path.relpath(place, TOP)) or os.path.relpath(place, DOCS)
+        below = os.path.relpath(place, TOP)
+        site = BESIDE.get(below) or FROM_CODE.get(below) or os.path.relpath(place, DOCS)
         if site.startswith(".."):
             return text
         return f"{image}[{text}]({os.path.relpath(site, Path(name).parent)}{mark}{anchor})"

@@ -42,7 +42,8 @@ def test_importing_it_loads_nothing_else():
 
 def test_a_calibration_is_loaded_without_what_a_robot_lacks():
     code = (
-        "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.CbsrError;"
+        "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.Flag, qa.PressureMap, qa.CbsrError;"
+        "qa.load_press_calibration;"
         "print([m for m in ('pydantic', 'sqlalchemy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
