@@ -100,7 +100,12 @@ def new_plugin(
 
 @command("plugins check", prints="cbsr_qa.testing.kit:CheckedPlugins")
 def check_plugin(
-    name: Annotated[str, typer.Argument(help="Name of a plugin, or folder of a package, installed or not.")],
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="Name of a plugin, or folder of a package, installed or not; default: all of other packages."
+        ),
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     as_json: AsJson = False,
 ) -> int:

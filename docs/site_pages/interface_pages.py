@@ -111,11 +111,11 @@ def hooks() -> str:
     named = vars(hook_module).items()
     for name, hook in named:
         if inspect.isfunction(hook) and name.startswith("cbsr_"):
-            lines += ["", f"## `{name}`", "", *_code(f"{name}{inspect.signature(hook)}"), "", _markdown(hook)]
+            lines += ["", f"## `{name}`", "", *code(f"{name}{inspect.signature(hook)}"), "", markdown(hook)]
     lines += ["", "## What `register` takes", "", "| kind | its factory is |", "| --- | --- |"]
     source = inspect.getsource(hook_module.Kind)
     lines += [f"| `{kind}` | {words} |" for kind, words in re.findall(r'= "(\w+)"  #: (.*)', source)]
-    return "\n".join([*lines, "", "## `Veto`", "", _markdown(hook_module.Veto)]) + "\n"
+    return "\n".join([*lines, "", "## `Veto`", "", markdown(hook_module.Veto)]) + "\n"
 
 
 def interface() -> str:
@@ -128,7 +128,7 @@ def interface() -> str:
     ]
     for door in DOORS:
         package = import_module(door)
-        lines += ["", f"## `{door}`", "", _markdown(package).partition("\n\n")[0], ""]
+        lines += ["", f"## `{door}`", "", markdown(package).partition("\n\n")[0], ""]
         for name in sorted(dir(package), key=str.lower):
             if not name.startswith("_") and not inspect.ismodule(value := getattr(package, name)):
                 lines += _named(name, value)
@@ -145,8 +145,8 @@ def _named(name: str, value: Any) -> Iterator[str]:
         yield from ["Type of an annotation.", ""]
         return
     if text := _signature(value):
-        yield from [*_code(f"{name}{text}"), ""]
-    yield from [_markdown(value).partition("\n\n")[0], ""]
+        yield from [*code(f"{name}{text}"), ""]
+    yield from [markdown(value).partition("\n\n")[0], ""]
 
 
 def _signature(value: Any) -> str:
@@ -158,7 +158,7 @@ def _signature(value: Any) -> str:
         return ""
 
 
-def _code(line: str) -> list[str]:
+def code(line: str) -> list[str]:
     """Return a signature as a block of code, one parameter on each line if it is long."""
     line = re.sub(r"<factory>|<(\w+\.\w+): [^>]*>", lambda found: found[1] or "…", line)
     line = re.sub(r"\b(?:cbsr_qa|collections|numpy|pathlib|typing|datetime)(?:\.\w+)*\.(?=[A-Za-z])", "", line)
@@ -167,7 +167,7 @@ def _code(line: str) -> list[str]:
     return ["```python", line, "```"]
 
 
-def _markdown(value: Any) -> str:
+def markdown(value: Any) -> str:
     """Return a docstring as Markdown."""
     return _plain(inspect.getdoc(value) or "")
 

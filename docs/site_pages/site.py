@@ -11,6 +11,7 @@ from command_page import command_page
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from python_page import python_page
 
 DOCS = Path(__file__).resolve().parents[1]
 TOP = DOCS.parent
@@ -50,9 +51,10 @@ def on_config(config: MkDocsConfig) -> None:
     _made["reference/plugin-interface.md"] = interface_pages.interface()
     for entry in config.nav or []:
         ((title, below),) = entry.items()
-        if below == "decisions":
-            entry[title] = ["decisions/README.md", *_names("decisions", "[0-9]*.md")]
-        elif title in SECTIONS:
+        for inner in below if title == "Project" else ():
+            if isinstance(inner, dict):
+                inner["Decisions"] = ["decisions/README.md", *_names("decisions", "[0-9]*.md")]
+        if title in SECTIONS:
             index = f"{SECTIONS[title]}/index.md"
             _made[index] = _index(title, below, SECTIONS[title])
             entry[title] = [index, *below]
@@ -68,6 +70,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Lead links out of docs/ to their place on the site; of links to code without a page, only the text is left."""
     name = page.file.src_uri
+    if name == "reference/python.md":
+        markdown = python_page(markdown)
     beside = {site: beside for beside, site in BESIDE.items()}.get(name)
     if name in _made and not beside:
         return markdown
@@ -115,5 +119,6 @@ def _beginning(name: str) -> tuple[str, str]:
     text = _made.get(name) or path.read_text(encoding="utf-8")
     title, _, rest = text.removeprefix("# ").partition("\n")
     paragraph = " ".join(re.split(r"\n\n|\n```|\n\|", rest.strip(), maxsplit=1)[0].split())
+    paragraph = re.sub(rf" \({_LINK.pattern}\)", "", paragraph)  # a link that is an aside says nothing without it
     plain = _LINK.sub(lambda found: found[2], paragraph)
     return title, re.split(r"(?<=[^.]{2}[.])(?<!et al\.) (?=[A-Z*`])", plain, maxsplit=1)[0].rstrip(":")
