@@ -22,6 +22,8 @@ MOST_KEY_PARTS = 50
 REFERENCE = 'the page "Configuration" of the documentation'
 
 _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
+#: A key whose value is a number with a decimal comma.
+_DECIMAL_COMMA = re.compile(r"(?m)^[ \t]*[\w-]{1,64}[ \t]*=[ \t]*([+-]?\d{1,20}),(\d{1,20})(?=[ \t]*(?:#|$))")
 
 
 class DocumentKind(Enum):
@@ -189,9 +191,10 @@ def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Doc
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # no TOML, or a whole number of thousands of digits
         said = str(error).partition("; use sys.")[0]
-        raise ConfigError(
-            f"{label} is not valid TOML: {said}", remedy="see https://toml.io for the syntax"
-        ) from error
+        remedy = "see https://toml.io for the syntax"
+        if comma := _DECIMAL_COMMA.search(text):
+            remedy = f"write {comma[1]}.{comma[2]} with a decimal point in {comma[0]!r}"
+        raise ConfigError(f"{label} is not valid TOML: {said}", remedy=remedy) from error
     found = next((other for other in DocumentKind if other.table in data), kind)
     within_others = kind in (DocumentKind.LIMITS, DocumentKind.REFERENCES)
     if found is not kind and (kind.table not in data or within_others):

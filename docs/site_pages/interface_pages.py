@@ -176,4 +176,5 @@ def _plain(docstring: str) -> str:
     text = re.sub(r":\w+:`~?([^`<]*?)(?: <[^>]*>)?`", lambda role: f"`{role[1].rpartition('.')[2]}`", docstring)
     text = re.sub(r"docs/reference/([\w-]+\.md)", r"[\1](\1)", text.replace("``", "`"))
     text = re.sub(r"^(\w[\w ]*)\n-+\n", r"**\1**\n\n", text, flags=re.M)
+    text = re.sub(r"^(\w+(?:, \w+)*)\n(?= {4}\w)", r"- `\1`:\n", text, flags=re.M)  # of errors
     return re.sub(r"^(\w+(?:, \w+)*) : ", r"- `\1`: ", text, flags=re.M)

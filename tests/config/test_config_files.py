@@ -294,6 +294,11 @@ def test_safety_limits_that_cannot_be(spoilt, given, said):
     assert said in spoilt(DocumentKind.STATION, "simulated", ("[safety]", f"[safety]\n{given}"))
 
 
+def test_a_decimal_comma_is_named(spoilt):
+    said = spoilt(DocumentKind.RECIPE, "nine-locations", ("upper = 6.5", "upper = 6,5  # mm"))
+    assert "write 6.5 with a decimal point in 'upper = 6,5'" in said
+
+
 def test_malformed_toml_is_refused_with_its_line(spoilt):
     said = spoilt(DocumentKind.STATION, "simulated", ("[indenter]", "[indenter"))
     at = line_in(DocumentKind.STATION, "simulated", "[indenter]")

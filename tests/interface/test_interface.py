@@ -163,6 +163,14 @@ def test_refusals_are_errors_of_the_package(call, reason, tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_notebook_shows_a_refusal_without_a_traceback():
+    with pytest.raises(qa.CbsrError) as refused:
+        qa.open_database("absent.db")
+    shown = refused.value._render_traceback_()  # called by IPython
+    assert "absent.db" in shown[0]
+    assert "\n".join(shown).endswith(refused.value.remedy)
+
+
 def test_a_missing_library_is_named_with_its_remedy():
     with pytest.raises(qa.CbsrError, match=r"pip install 'cbsr-qa\[notebook\]'"):
         extras.notebook_library("no_such_library", "a table")
