@@ -160,6 +160,24 @@ PICTURES: Final = {
 }
 
 
+def _labelled_places(sequence: object) -> dict[str, tuple[float, float]]:
+    """Places of a sequence's presses by label, where its options give both a prefix and places."""
+    options = getattr(sequence, "options", None)
+    prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
+    return {} if prefix is None else {f"{prefix}{number}": place for number, place in enumerate(places_mm)}
+
+
+def _label_problems(
+    choice: Choice, places_mm: dict[str, tuple[float, float]], labelled: dict[str, tuple[float, float]]
+) -> Iterator[Problem]:
+    """Yield a label that stands for another place in an earlier phase; add the others to ``labelled``."""
+    for label, place_mm in places_mm.items():
+        if labelled.setdefault(label, place_mm) != place_mm:
+            what = f"makes {label} the place {place_mm} mm, and an earlier phase {labelled[label]} mm"
+            yield Problem((*choice.path, "label"), what, "give another prefix")
+            return
+
+
 def with_picture(phase: PhaseSpec, near: Path | None) -> PhaseSpec:
     """Return a phase with the full path of its picture. ConfigError if there is no such image next to the recipe."""
     name = phase.options.get(_PICTURE)
@@ -206,11 +224,13 @@ class RecipeFile(FileModel[Recipe]):
         """Yield problems of plugins, and limits of quantities they do not measure."""
         measured: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
         all_known, looped = True, set[int]()
+        labelled: dict[str, tuple[float, float]] = {}
         for choice in cls.choices(data):
             plugin, problems = check_choice(choice, plugins)
             yield from problems
             if getattr(plugin, "role", None) is Role.LOOP:
                 looped.add(int(choice.path[1]))
+            yield from _label_problems(choice, _labelled_places(plugin), labelled)
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:

@@ -45,7 +45,7 @@ class LocationGridSequence(WithOptions):
     hold_s : time pressed.
     rest_s : rest after each press.
     locations_mm : [x, y] each, labelled L0, L1, … in order.
-    label : prefix of the labels. Give two grids of one recipe different prefixes.
+    label : prefix of the labels. A label stands for one place in all grids and loops of a recipe.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
     unloaded_frames : number of unloaded frames before the first press.
