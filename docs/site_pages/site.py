@@ -28,6 +28,7 @@ BESIDE = {
 #: Modules → pages that are written from them, to which links to these modules lead.
 FROM_CODE = {
     "cbsr_qa/plugin/hooks.py": "reference/hooks.md",
+    "cbsr_qa/plugin/instruments.py": "reference/plugin-interface.md",
     "cbsr_qa/plugin/interfaces.py": "reference/plugin-interface.md",
     "cbsr_qa/cli": "reference/commands.md",
 }
