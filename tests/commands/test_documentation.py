@@ -72,7 +72,7 @@ def test_the_page_on_signing_runs_as_printed(tmp_path):
     name, value = export.removeprefix("export ").split("=")
     tested, reported = (typed(tmp_path, line, check=False, **{name: value}) for line in commands(page))
     chain = json.loads(reported.stdout)["chain"]
-    assert f"chained and signed (key {chain['key_id']})" in tested.stdout
+    assert f"chained by digests and signed (key {chain['key_id']})" in tested.stdout
     assert chain | {"key_id": ""} == {"state": "chained", "signature": "checked", "key_id": ""}
     secret = (tmp_path / "cbsr-qa.key").read_text().strip()
     written = [path for path in (tmp_path / "var").rglob("*") if path.is_file()]

@@ -47,7 +47,7 @@ class ChainState:
             return "chained by digests, not signed"
         if self.signature == "checked":
             return f"chained by digests and signed (key {self.key_id})"
-        return f"chained; signatures not checked: key {self.key_id} is not set here"
+        return f"chained by digests; signatures not checked: key {self.key_id} is not set here"
 
     @property
     def warnings(self) -> tuple[str, ...]:
