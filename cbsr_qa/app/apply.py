@@ -150,7 +150,7 @@ def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
         return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
     if validate_serial(stated) != own:
         raise CalibrationError(
-            f"the calibration is of sensor {own}, the recordings are said to be of {stated}",
+            f"the calibration is of sensor {own}, the recordings are of {stated}",
             remedy="apply the calibration that was issued for this sensor",
         )
     return ()

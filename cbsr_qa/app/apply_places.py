@@ -219,8 +219,8 @@ def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Qua
         modelled = ByTheModel(*_place(by_model, row), share, bool(by_model.in_model[row]))
     flags = int(places.flags[row])
     told: dict[str, Any] = {}
-    if not flags & (Flag.NOT_DETECTED | Flag.UNREADABLE):
-        for name, each in quantities.items():
+    for name, each in quantities.items():
+        if np.isfinite(each.values[row]):
             told[name.format("")] = float(each.values[row])
             for level, within in (("68_", each.within_68), ("95_", each.within_95)):
                 told[name.format(level)] = tuple(within[row].tolist())

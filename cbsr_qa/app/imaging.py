@@ -105,7 +105,7 @@ def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorT
         if block.voltages.shape[1:] != shape:
             raise NumericsError(
                 f"sensor type {sensor_type.name!r} has frames of {shape}, the {what} have {block.voltages.shape[1:]}",
-                remedy="name the sensor type of the frames",
+                remedy="give frames of that shape, or the sensor type that was recorded",
             )
         if not len(block):
             raise NumericsError(f"there are no {what}")

@@ -28,7 +28,7 @@ _SELECTING = frozenset(signature(list_request).parameters)
 @command("export", prints="cbsr_qa.app:Exported")
 def export(
     context: typer.Context,
-    to: Annotated[Path, typer.Option("--to", help="File to write; its suffix says the format.")],
+    to: Annotated[Path, typer.Option("--to", help="File to write; its ending determines the format.")],
     run: Annotated[
         str | None,
         typer.Argument(help="Run, or a serial number for the latest run of that sensor; without it, selected runs."),

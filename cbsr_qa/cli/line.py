@@ -48,7 +48,7 @@ def line(
 ) -> int:
     """Test one sensor after the other: scan or type a serial number, wait for its verdict, scan the next.
 
-    Ctrl-C during a run stops that run in order; at the prompt it ends, as quit and the end of input do. SIGTERM stops
+    Ctrl-C during a run stops that run cleanly; at the prompt it ends, as quit and the end of input do. SIGTERM stops
     a run in order, then ends. A question of the recipe is shown, and the next line typed answers it; any other scan
     during a run is ignored, with a message. A PIN that the station's gate knows is asked for once, before all.
 

@@ -93,14 +93,19 @@ def new_plugin(
         *(("file", str(made.folder / file)) for file in made.files),
         ("change", str(made.folder / made.module / f"{made.kind}.py")),
         ("check", f"cbsr-qa plugins check {made.folder}/"),
-        ("install", f"python -m pip install --no-deps --no-build-isolation {_path(made.folder)}"),
+        ("install", f"python -m pip install --no-deps {_path(made.folder)}"),
     )
     show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
 
 
 @command("plugins check", prints="cbsr_qa.testing.kit:CheckedPlugins")
 def check_plugin(
-    name: Annotated[str, typer.Argument(help="Name of a plugin, or folder of a package, installed or not.")],
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            help="Name of a plugin, or folder of a package, installed or not; default: all of other packages."
+        ),
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     as_json: AsJson = False,
 ) -> int:

@@ -93,12 +93,12 @@ def stop(
     station: Named,
     by: By = "",
     at_once: Annotated[
-        bool, typer.Option("--at-once", help="Do not lift the head in order: make the bench safe at once.")
+        bool, typer.Option("--at-once", help="Do not lift the head first: make the bench safe at once.")
     ] = False,
 ) -> None:
     """Stop the run at a station: the current step is completed, the head is lifted, the bench is made safe."""
     _request(station, "emergency" if at_once else "stop", by)
-    announce("the bench is made safe at once" if at_once else "the run stops in order")
+    announce("the bench is made safe at once" if at_once else "the run stops, and the head is lifted")
 
 
 def _request(station: str, do: str, by: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Final
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
 
-#: Signals passed on to the child; a run then stops in order.
+#: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")

@@ -18,8 +18,12 @@ from cbsr_qa.plugin import echo, printable
 LARGEST_FILE_BYTES = 1_000_000
 #: Most parts of a dotted key; parsing time grows with their square, and no key here has more than four.
 MOST_KEY_PARTS = 50
+#: Where every key is described, in words: an installed package has no pages.
+REFERENCE = 'the page "Configuration" of the documentation'
 
 _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
+#: A key whose value is a number with a decimal comma.
+_DECIMAL_COMMA = re.compile(r"(?m)^[ \t]*[\w-]{1,64}[ \t]*=[ \t]*([+-]?\d{1,20}),(\d{1,20})(?=[ \t]*(?:#|$))")
 
 
 class DocumentKind(Enum):
@@ -181,15 +185,16 @@ def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Doc
         line = text.count("\n", 0, deep.start()) + 1
         raise ConfigError(
             f"{label} line {line}: a key of more than {MOST_KEY_PARTS} parts",
-            remedy="docs/reference/configuration.md lists every key",
+            remedy=f"{REFERENCE} lists every key",
         )
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # no TOML, or a whole number of thousands of digits
         said = str(error).partition("; use sys.")[0]
-        raise ConfigError(
-            f"{label} is not valid TOML: {said}", remedy="see https://toml.io for the syntax"
-        ) from error
+        remedy = "see https://toml.io for the syntax"
+        if comma := _DECIMAL_COMMA.search(text):
+            remedy = f"write {comma[1]}.{comma[2]} with a decimal point in {comma[0]!r}"
+        raise ConfigError(f"{label} is not valid TOML: {said}", remedy=remedy) from error
     found = next((other for other in DocumentKind if other.table in data), kind)
     within_others = kind in (DocumentKind.LIMITS, DocumentKind.REFERENCES)
     if found is not kind and (kind.table not in data or within_others):

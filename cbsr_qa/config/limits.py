@@ -6,10 +6,11 @@ Limits in recipes and in separate files, and their version.
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
 from cbsr_qa.config.tables import FileModel, Word, as_domain, refusal, validated
@@ -60,6 +61,31 @@ class LimitTable(Table):
 
     def to_domain(self) -> Limit:
         return as_domain(Limit, self, version=self.version or "")
+
+
+def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Sequence[str]) -> Iterator[Problem]:
+    """Yield limits on the overlap of blobs of any size: one over the whole sheet and one speck both overlap by half.
+
+    Parameters
+    ----------
+    phases : those in which single presses are held; the loads of loops have no overlap.
+    """
+    valid = {}
+    for index, table in limits:
+        with suppress(ValidationError):  # reported by the check of the whole file
+            valid[index] = LimitTable.model_validate(table)
+    for index, limit in valid.items():
+        if limit.measurement != "area_overlap":
+            continue
+        for phase in phases:
+            if limit.phase not in ("", phase) or any(other.bounds_size_of(limit, phase) for other in valid.values()):
+                continue
+            yield Problem(
+                ("limits", index),
+                f"(area_overlap) judges phase {phase!r}, where no limit bounds area_ratio from both sides: a blob"
+                " over the whole sheet, or one speck, overlaps by about 51 % and could pass; limit area_ratio"
+                " there too (1/3 to 3 is usual), or remove this limit",
+            )
 
 
 class LimitsVersionTable(Table):

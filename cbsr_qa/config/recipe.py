@@ -9,10 +9,10 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from cbsr_qa.config.choices import Choice, check_choice, check_measured, chosen, tables
-from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
+from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, size_problems, version_problems
 from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
+from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe, Role
 from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings, OverlapBand
 from cbsr_qa.plugin import Kind, Plugins, Problem, Table
 
@@ -160,6 +160,24 @@ PICTURES: Final = {
 }
 
 
+def _labelled_places(sequence: object) -> dict[str, tuple[float, float]]:
+    """Places of a sequence's presses by label, where its options give both a prefix and places."""
+    options = getattr(sequence, "options", None)
+    prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
+    return {} if prefix is None else {f"{prefix}{number}": place for number, place in enumerate(places_mm)}
+
+
+def _label_problems(
+    choice: Choice, places_mm: dict[str, tuple[float, float]], labelled: dict[str, tuple[float, float]]
+) -> Iterator[Problem]:
+    """Yield a label that stands for another place in an earlier phase; add the others to ``labelled``."""
+    for label, place_mm in places_mm.items():
+        if labelled.setdefault(label, place_mm) != place_mm:
+            what = f"makes {label} the place {place_mm} mm, and an earlier phase {labelled[label]} mm"
+            yield Problem((*choice.path, "label"), what, "give another prefix")
+            return
+
+
 def with_picture(phase: PhaseSpec, near: Path | None) -> PhaseSpec:
     """Return a phase with the full path of its picture. ConfigError if there is no such image next to the recipe."""
     name = phase.options.get(_PICTURE)
@@ -205,10 +223,14 @@ class RecipeFile(FileModel[Recipe]):
     def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
         """Yield problems of plugins, and limits of quantities they do not measure."""
         measured: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
-        all_known = True
+        all_known, looped = True, set[int]()
+        labelled: dict[str, tuple[float, float]] = {}
         for choice in cls.choices(data):
             plugin, problems = check_choice(choice, plugins)
             yield from problems
+            if getattr(plugin, "role", None) is Role.LOOP:
+                looped.add(int(choice.path[1]))
+            yield from _label_problems(choice, _labelled_places(plugin), labelled)
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:
@@ -217,6 +239,8 @@ class RecipeFile(FileModel[Recipe]):
                 all_known &= measures is not None
                 measured |= measures or {}
         yield from check_measured(tables(data, "limits"), measured, all_known=all_known)
+        pressed = [phase.get("name") for index, phase in tables(data, "phases") if index not in looped]
+        yield from size_problems(tables(data, "limits"), [name for name in pressed if isinstance(name, str)])
 
     def problems(self) -> Iterator[Problem]:
         """Referenced names must exist, and be unique."""
@@ -237,7 +261,6 @@ class RecipeFile(FileModel[Recipe]):
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
         yield from version_problems(self.limits_version, self.limits)
-        yield from self._size_problems(names)
 
     def _way_problems(self) -> Iterator[Problem]:
         """A recipe images sensors, or characterises a material on a strip."""
@@ -252,21 +275,6 @@ class RecipeFile(FileModel[Recipe]):
         if self.recipe.calibrate_phases:
             what = "does not apply where [characterisation] is given: a strip gets no calibration; give []"
             yield Problem(("recipe", "calibrate_phases"), what)
-
-    def _size_problems(self, phases: list[str]) -> Iterator[Problem]:
-        """A blob over the whole sheet and one speck both overlap by half: size must be limited with the overlap."""
-        for index, limit in enumerate(self.limits):
-            if limit.measurement != "area_overlap":
-                continue
-            for phase in [limit.phase] if limit.phase else phases:
-                if any(other.bounds_size_of(limit, phase) for other in self.limits):
-                    continue
-                yield Problem(
-                    ("limits", index),
-                    f"(area_overlap) judges phase {phase!r}, where no limit bounds area_ratio from both sides: a blob"
-                    " over the whole sheet, or one speck, overlaps by about 51 % and could pass; limit area_ratio"
-                    " there too (1/3 to 3 is usual), or remove this limit",
-                )
 
     def to_domain(self) -> Recipe:
         return Recipe(

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
 from cbsr_qa.config.choices import Choice, check_choice
-from cbsr_qa.config.documents import Document, not_finite
+from cbsr_qa.config.documents import REFERENCE, Document, not_finite
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain import ConfigError, RefusedError, fitted
 from cbsr_qa.plugin import CheckedTable, Plugins, Problem, check
@@ -107,6 +107,4 @@ def refusal(document: Document, problems: list[Problem]) -> ConfigError:
         where = f"{file} line {line}: " if line else ""
         lines.append(f"  {where}{problem}")
     what = "it" if len(problems) == 1 else "them"
-    return ConfigError(
-        "\n".join(lines), remedy=f"correct {what} and try again; docs/reference/configuration.md lists every key"
-    )
+    return ConfigError("\n".join(lines), remedy=f"correct {what} and try again; {REFERENCE} lists every key")

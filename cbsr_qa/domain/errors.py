@@ -56,6 +56,10 @@ class CbsrError(Exception):
         self.reason = reason
         self.remedy = remedy
 
+    def _render_traceback_(self) -> list[str]:
+        """Return what IPython shows in place of a traceback: the reason would stand below fifty lines of code."""
+        return f"{type(self).__name__}: {self}".splitlines()
+
     def document(self) -> dict[str, Any]:
         """Return the document that ``--json`` prints."""
         stated = {name: getattr(self, name) for name in self.stated}

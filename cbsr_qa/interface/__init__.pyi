@@ -1,5 +1,11 @@
 from .analysing import Analysis as Analysis, analyse as analyse
-from .calibrations import Calibration as Calibration, ForceStream as ForceStream, load_calibration as load_calibration
+from .calibrations import (
+    Calibration as Calibration,
+    Flag as Flag,
+    ForceStream as ForceStream,
+    PressureMap as PressureMap,
+    load_calibration as load_calibration,
+)
 from .comparing import compare as compare
 from .database import Database as Database, open_database as open_database
 from .images import Images as Images, image as image

@@ -102,6 +102,6 @@ def _recording(source: "Scene | Frames", time_s: ArrayLike | None, current_A: fl
         dataset="",
         scan=ScanKind.FULL,
         frames=frames,
-        clock="station" if about else "none" if time_s is None else "computer",
+        clock="station" if about else "none" if time_s is None else "given",
         sensor_type=about.get("sensor_type"),
     )

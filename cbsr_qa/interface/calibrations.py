@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from cbsr_qa.calibration import Calibration, ForceStream
+from cbsr_qa.calibration import Calibration, Flag, ForceStream
+from cbsr_qa.calibration.force import PressureMap
 
-__all__ = ["Calibration", "ForceStream", "load_calibration"]
+__all__ = ["Calibration", "Flag", "ForceStream", "PressureMap", "load_calibration"]
 
 
 def load_calibration(path: str | Path, *, public_key: str | Path | None = None) -> Calibration:

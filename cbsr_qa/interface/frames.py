@@ -98,10 +98,17 @@ def _block(
 ) -> FrameBlock:
     if voltages.ndim == 2:
         voltages, flags = voltages[None], flags[None]
+    if voltages.ndim != 3 or not voltages.size:
+        raise RefusedError(
+            f"frames of the shape {voltages.shape}", remedy="give an array (frames, drive pairs, measure pairs)"
+        )
     missing = np.isnan(voltages)
     flags = np.where(missing, flags | ReadingFlag.MISSING.value, flags).astype(np.uint8)
     times = np.arange(len(voltages), dtype=np.float64) if time_s is None else real_numbers(time_s, "times")
-    return FrameBlock(np.atleast_1d(times), np.where(missing, 0.0, voltages), flags, VoltageUnit.VOLT, current_A)
+    times = np.atleast_1d(times)
+    if times.shape != voltages.shape[:1]:
+        raise RefusedError(f"{times.size} times for {len(voltages)} frames", remedy="give one time for each frame")
+    return FrameBlock(times, np.where(missing, 0.0, voltages), flags, VoltageUnit.VOLT, current_A)
 
 
 def sensor_type_of(frames: Frames, sensor_type: str | Path | SensorType | None) -> SensorType:

@@ -30,7 +30,7 @@ def run(
 ) -> Run:
     """Test one sensor, as ``cbsr-qa run`` does with the same options: it is stored, judged, reported and calibrated.
 
-    Interrupting the kernel (Ctrl-C) stops the run in order and lifts the head, as in a terminal.
+    If the kernel is interrupted (Ctrl-C), the run stops and the head is lifted, as in a terminal.
 
     Parameters
     ----------

@@ -124,7 +124,7 @@ def cbsr_run_started(identity: RunIdentity) -> None:
     """A run begins: its instruments are open and have said who they are, nothing has moved yet.
 
     All implementations are called; None is expected. An exception is reported as a warning of the run; it stops
-    nothing and no other implementation; only ``AbortedError(by)`` stops the run in order and says by whom. The same
+    nothing and no other implementation; only ``AbortedError(by)`` stops the run cleanly and says by whom. The same
     holds for the hook below.
 
     Parameters

@@ -134,8 +134,9 @@ def reference_page(plugins: Plugins, distribution: str) -> str:
     lines = [
         "# Plugins and their options",
         "",
-        "Written from the code by `python docs/figures/write_plugin_reference.py`; a test compares the two.",
-        "`cbsr-qa plugins show NAME` prints the same for any plugin that is installed.",
+        "This page lists the options of every built-in plugin. `cbsr-qa plugins show NAME` prints the same for any",
+        "plugin that is installed. `choose` and `noise_figure` of reconstructions [are",
+        "explained](../explanation/reconstruction.md#choosing-the-parameter-without-truth).",
     ]
     for kind in Kind:
         names = [r.name for r in plugins.registrations(kind) if r.distribution == distribution]
@@ -154,7 +155,7 @@ def _entry(plugin: PluginReference) -> Iterator[str]:
         yield f"Measures {', '.join(f'`{name}` [{unit}]' for name, unit in plugin.measures.items())}."
     if plugin.options:
         yield ""
-        yield "| option | unit | default | allowed | |"
+        yield "| option | unit | default | allowed | meaning |"
         yield "| --- | --- | --- | --- | --- |"
         for option in plugin.options:
             default = "required" if option.required else f"`{option.default}`" if option.default else ""

@@ -28,7 +28,7 @@ R = TypeVar("R")
 Facts = Sequence[tuple[str, str]]
 
 #: Clock of a recording's times, if not the computer's.
-_CLOCKS = {"none": "no time recorded", "documented": "as the format documents it"}
+_CLOCKS = {"given": "that of the given times", "none": "no time recorded", "documented": "as the format documents it"}
 
 
 def answer(
@@ -97,9 +97,9 @@ def recording_page(result: RecordingResult) -> Page:
     rate = result.frame_rate_hz
     facts = (
         ("File", recording.path.name),
-        ("Data set", recording.dataset or "the only one"),
+        *((("Data set", recording.dataset),) if recording.dataset else ()),
         ("Format", recording.format),
-        ("Sensor type", recording.sensor_type or "not stated: lengths are in units of the radius"),
+        ("Sensor type", _sensor_type(result)),
         ("Frames", str(len(recording.frames))),
         ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),
         ("Clock", _CLOCKS.get(recording.clock, f"the {recording.clock}'s")),
@@ -110,6 +110,12 @@ def recording_page(result: RecordingResult) -> Page:
     headline = f"{plural(count, 'event')} found" if count else "no event"
     banner = Banner("plain", "●" if count else "○", headline, _found(result))
     return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
+
+
+def _sensor_type(result: RecordingResult) -> str:
+    if result.sensor_type is not None:
+        return result.sensor_type.name
+    return result.recording.sensor_type or "not stated: lengths are in units of the radius"
 
 
 def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:

@@ -1,4 +1,4 @@
-"""Signals and requests to stop a run: the first one stops it in order, the second at once."""
+"""Signals and requests to stop a run: the first one stops it cleanly, the second at once."""
 
 import multiprocessing
 import os
@@ -18,7 +18,7 @@ _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
 
 #: Messages on the first and on the second signal.
 FIRST: Final = (
-    "{}: the run stops in order: the current step is completed and stored, the head is lifted at its press speed,"
+    "{}: the run stops: the current step is completed and stored, the head is lifted at its press speed,"
     " the bench is made safe. A second signal makes the bench safe at once."
 )
 SECOND: Final = "{}: making the bench safe at once. Further signals are ignored until it is safe."

@@ -97,7 +97,7 @@ def describe(step: Step) -> str:
         case Press(load=load):
             said = f"pressing {describe_load(load)}"
         case StrainStep(strain=strain):
-            said = f"easing to {100 * strain:g} %"
+            said = f"going to {100 * strain:g} %"
         case Hold(hold_s=hold_s, acquire=acquire):
             said = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
         case Release():

@@ -14,7 +14,7 @@ from cbsr_qa.cli import app, commands, documents
 _BEGIN = """\
 # Commands
 
-This page lists every command of `cbsr-qa`, its arguments and options. It is written from the code.
+This page lists every command of `cbsr-qa`, its arguments and options.
 `cbsr-qa COMMAND --help` prints the same, and `cbsr-qa --version` the version. After `cbsr-qa --install-completion`, a
 new terminal (bash, zsh, fish) completes commands and options when you press Tab.
 

@@ -28,8 +28,8 @@ _SCHEMAS = """\
 # Documents of `--json`
 
 This page lists the keys of what each command prints with `--json`, of the events of a run, and of the messages of
-a stream. It is written from the code. `cbsr-qa schema COMMAND` prints the same as JSON Schema (draft 2020-12). The
-parts that documents share come after them.
+a stream. `cbsr-qa schema COMMAND` prints the same as JSON Schema (draft 2020-12). The parts that documents share come
+after them.
 """
 
 
@@ -73,7 +73,7 @@ def _keys(schema: Mapping[str, Any]) -> Iterator[str]:
     yield description.partition("\n\n**")[0]
     yield ""
     if properties := schema.get("properties", {}):
-        yield "| key | type | |"
+        yield "| key | type | meaning |"
         yield "| --- | --- | --- |"
         for key, value in properties.items():
             absent = "" if key in schema.get("required", ()) or "default" in value else " or absent"
@@ -106,17 +106,17 @@ def hooks() -> str:
         "# Hooks",
         "",
         "This page lists the functions that a plugin's module may have, each under `@hookimpl` of `cbsr_qa.plugin`.",
-        "It is written from the code. [Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
+        "[Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
         "[the interface for plugins](plugin-interface.md) lists the classes that they take.",
     ]
     named = vars(hook_module).items()
     for name, hook in named:
         if inspect.isfunction(hook) and name.startswith("cbsr_"):
-            lines += ["", f"## `{name}`", "", *_code(f"{name}{inspect.signature(hook)}"), "", _markdown(hook)]
+            lines += ["", f"## `{name}`", "", *code(f"{name}{inspect.signature(hook)}"), "", markdown(hook)]
     lines += ["", "## What `register` takes", "", "| kind | its factory is |", "| --- | --- |"]
     source = inspect.getsource(hook_module.Kind)
     lines += [f"| `{kind}` | {words} |" for kind, words in re.findall(r'= "(\w+)"  #: (.*)', source)]
-    return "\n".join([*lines, "", "## `Veto`", "", _markdown(hook_module.Veto)]) + "\n"
+    return "\n".join([*lines, "", "## `Veto`", "", markdown(hook_module.Veto)]) + "\n"
 
 
 def interface() -> str:
@@ -124,12 +124,12 @@ def interface() -> str:
     lines = [
         "# Python interface for plugins",
         "",
-        "This page lists the names that a plugin can import, by package. It is written from the code; `help(NAME)`",
+        "This page lists the names that a plugin can import, by package. `help(NAME)`",
         "prints the rest. [Write a plugin](../how-to/write-a-plugin.md) shows the most important ones at work.",
     ]
     for door in DOORS:
         package = import_module(door)
-        lines += ["", f"## `{door}`", "", _markdown(package).partition("\n\n")[0], ""]
+        lines += ["", f"## `{door}`", "", markdown(package).partition("\n\n")[0], ""]
         for name in sorted(dir(package), key=str.lower):
             if not name.startswith("_") and not inspect.ismodule(value := getattr(package, name)):
                 lines += _named(name, value)
@@ -146,8 +146,8 @@ def _named(name: str, value: Any) -> Iterator[str]:
         yield from ["Type of an annotation.", ""]
         return
     if text := _signature(value):
-        yield from [*_code(f"{name}{text}"), ""]
-    yield from [_markdown(value).partition("\n\n")[0], ""]
+        yield from [*code(f"{name}{text}"), ""]
+    yield from [markdown(value).partition("\n\n")[0], ""]
 
 
 def _signature(value: Any) -> str:
@@ -159,7 +159,7 @@ def _signature(value: Any) -> str:
         return ""
 
 
-def _code(line: str) -> list[str]:
+def code(line: str) -> list[str]:
     """Return a signature as a block of code, one parameter on each line if it is long."""
     line = re.sub(r"<factory>|<(\w+\.\w+): [^>]*>", lambda found: found[1] or "…", line)
     line = re.sub(r"\b(?:cbsr_qa|collections|numpy|pathlib|typing|datetime)(?:\.\w+)*\.(?=[A-Za-z])", "", line)
@@ -168,7 +168,7 @@ def _code(line: str) -> list[str]:
     return ["```python", line, "```"]
 
 
-def _markdown(value: Any) -> str:
+def markdown(value: Any) -> str:
     """Return a docstring as Markdown."""
     return _plain(inspect.getdoc(value) or "")
 
@@ -177,4 +177,5 @@ def _plain(docstring: str) -> str:
     text = re.sub(r":\w+:`~?([^`<]*?)(?: <[^>]*>)?`", lambda role: f"`{role[1].rpartition('.')[2]}`", docstring)
     text = re.sub(r"docs/reference/([\w-]+\.md)", r"[\1](\1)", text.replace("``", "`"))
     text = re.sub(r"^(\w[\w ]*)\n-+\n", r"**\1**\n\n", text, flags=re.M)
+    text = re.sub(r"^(\w+(?:, \w+)*)\n(?= {4}\w)", r"- `\1`:\n", text, flags=re.M)  # of errors
     return re.sub(r"^(\w+(?:, \w+)*) : ", r"- `\1`: ", text, flags=re.M)

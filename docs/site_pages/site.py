@@ -11,6 +11,7 @@ from command_page import command_page
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from python_page import python_page
 
 DOCS = Path(__file__).resolve().parents[1]
 TOP = DOCS.parent
@@ -22,6 +23,14 @@ BESIDE = {
     "ARCHITECTURE.md": "architecture.md",
     "CHANGELOG.md": "changelog.md",
     "SECURITY.md": "security.md",
+}
+
+#: Modules → pages that are written from them, to which links to these modules lead.
+FROM_CODE = {
+    "cbsr_qa/plugin/hooks.py": "reference/hooks.md",
+    "cbsr_qa/plugin/instruments.py": "reference/plugin-interface.md",
+    "cbsr_qa/plugin/interfaces.py": "reference/plugin-interface.md",
+    "cbsr_qa/cli": "reference/commands.md",
 }
 
 #: Titles of sections of the navigation → their folders; each gets an index page.
@@ -43,9 +52,10 @@ def on_config(config: MkDocsConfig) -> None:
     _made["reference/plugin-interface.md"] = interface_pages.interface()
     for entry in config.nav or []:
         ((title, below),) = entry.items()
-        if below == "decisions":
-            entry[title] = ["decisions/README.md", *_names("decisions", "[0-9]*.md")]
-        elif title in SECTIONS:
+        for inner in below if title == "Project" else ():
+            if isinstance(inner, dict):
+                inner["Decisions"] = ["decisions/README.md", *_names("decisions", "[0-9]*.md")]
+        if title in SECTIONS:
             index = f"{SECTIONS[title]}/index.md"
             _made[index] = _index(title, below, SECTIONS[title])
             entry[title] = [index, *below]
@@ -59,8 +69,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Lead links to pages beside docs/ to their place on the site; of links to code, only the text is left."""
+    """Lead links out of docs/ to their place on the site; of links to code without a page, only the text is left."""
     name = page.file.src_uri
+    if name == "reference/python.md":
+        markdown = python_page(markdown)
     beside = {site: beside for beside, site in BESIDE.items()}.get(name)
     if name in _made and not beside:
         return markdown
@@ -72,7 +84,8 @@ def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
         place = (folder / path).resolve()
         if not path or "://" in path or not place.exists():
             return found[0]
-        site = BESIDE.get(os.path.relpath(place, TOP)) or os.path.relpath(place, DOCS)
+        below = os.path.relpath(place, TOP)
+        site = BESIDE.get(below) or FROM_CODE.get(below) or os.path.relpath(place, DOCS)
         if site.startswith(".."):
             return text
         return f"{image}[{text}]({os.path.relpath(site, Path(name).parent)}{mark}{anchor})"
@@ -107,5 +120,6 @@ def _beginning(name: str) -> tuple[str, str]:
     text = _made.get(name) or path.read_text(encoding="utf-8")
     title, _, rest = text.removeprefix("# ").partition("\n")
     paragraph = " ".join(re.split(r"\n\n|\n```|\n\|", rest.strip(), maxsplit=1)[0].split())
+    paragraph = re.sub(rf" \({_LINK.pattern}\)", "", paragraph)  # a link that is an aside says nothing without it
     plain = _LINK.sub(lambda found: found[2], paragraph)
     return title, re.split(r"(?<=[^.]{2}[.])(?<!et al\.) (?=[A-Z*`])", plain, maxsplit=1)[0].rstrip(":")

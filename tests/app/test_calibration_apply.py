@@ -202,8 +202,8 @@ def test_a_serial_number_that_nobody_states_is_said_not_to_be_checked(folder):
 @pytest.mark.parametrize(
     ("serial", "said"),
     [
-        ("S-2", "the calibration is of sensor S-1, the recordings are said to be of S-2"),
-        ("s-1", "said to be of s-1"),
+        ("S-2", "the calibration is of sensor S-1, the recordings are of S-2"),
+        ("s-1", "the recordings are of s-1"),
         ("S 1", "serial number 'S 1' cannot be used"),
         ("", "it is empty"),
     ],

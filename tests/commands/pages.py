@@ -21,6 +21,7 @@ TYPED = {
     "docs/how-to/characterise-a-material.md": "commands/test_characterisation.py",
     "docs/how-to/choose-a-recipe.md": "commands/test_documentation.py",
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
+    "docs/how-to/install.md": "commands/test_documentation.py",
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
     "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
     "docs/how-to/sign-calibrations.md": "commands/test_signed_calibrations.py",

@@ -23,13 +23,19 @@ _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
 @pytest.mark.rest
 def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
-    export, first, *others = commands(TOP / "README.md")
+    first, *others = commands(TOP / "README.md")
     assert len(others) >= 8
-    assert export.startswith("export PATH")
     assert typed(tmp_path, first, fresh=True).stdout.strip()
     for command in others:
         assert typed(tmp_path, command).stdout.strip(), command
     assert [path.name for path in tmp_path.iterdir()] == ["var"]
+
+
+@pytest.mark.rest
+def test_the_page_on_installing_runs_as_printed(tmp_path):
+    (run,) = commands(HOW_TO / "install.md")
+    assert f"    {run}\n" in (TOP / "README.md").read_text()
+    assert "PASS" in typed(tmp_path, run).stdout
 
 
 @pytest.mark.rest
@@ -66,7 +72,7 @@ def test_the_page_on_signing_runs_as_printed(tmp_path):
     name, value = export.removeprefix("export ").split("=")
     tested, reported = (typed(tmp_path, line, check=False, **{name: value}) for line in commands(page))
     chain = json.loads(reported.stdout)["chain"]
-    assert f"chained and signed (key {chain['key_id']})" in tested.stdout
+    assert f"chained by digests and signed (key {chain['key_id']})" in tested.stdout
     assert chain | {"key_id": ""} == {"state": "chained", "signature": "checked", "key_id": ""}
     secret = (tmp_path / "cbsr-qa.key").read_text().strip()
     written = [path for path in (tmp_path / "var").rglob("*") if path.is_file()]
@@ -278,6 +284,10 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     in_python = {}
     exec(used, in_python)
     assert in_python["radius_mm"].max() < 1
+    assert in_python["flags"][0] == qa.Flag(0)
+    untouched = in_python["calibration"].places(np.zeros((1, in_python["frames"].shape[1])))
+    assert np.isnan(in_python["calibration"].force(untouched).values).all()
+    assert qa.Flag.NOT_DETECTED in qa.Flag(int(untouched.flags[0]))
     with pytest.raises(qa.CbsrError, match="load_press_calibration"):
         qa.load_calibration("skin.h5")
     with pytest.raises(qa.CbsrError, match="no depth"):

@@ -82,6 +82,17 @@ def test_runtime_dependencies_are_the_imported_ones():
     assert foreign <= set(modules) | parts, "imported but not declared"
 
 
+def test_the_page_on_installing_lists_every_extra_with_its_packages():
+    page = (_TOP / "docs" / "how-to" / "install.md").read_text()
+    listed = {
+        extra: set(packages.split(", ")) for extra, packages in re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", page, re.M)
+    }
+    extras = _PROJECT["project"]["optional-dependencies"]
+    assert listed == {
+        extra: set(map(_name, lines)) for extra, lines in extras.items() if extra not in ("docs", "test", "dev")
+    }
+
+
 def test_the_licence_is_stated_and_goes_into_the_wheel():
     project = _PROJECT["project"]
     assert project["license"] == "BSD-3-Clause"

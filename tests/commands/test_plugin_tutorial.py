@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 
 import pytest
 from pages import HOW_TO, TOP, assert_printed, blocks, commands, typed, write_files
@@ -25,6 +26,7 @@ def test_the_tutorial_on_a_plugin_runs_as_printed(tmp_path):
             printed = " ".join(text for _, text in done) + f" {codes[-1] if codes else ''}"
         elif language == "python" and block.startswith('"""'):
             (module / "metric.py").write_text(block)
+            exec(block, written := {})
         elif language == "python":
             hooks = module / "__init__.py"
             hooks.write_text("".join(hooks.read_text().splitlines(keepends=True)[:-1]) + block)
@@ -34,6 +36,8 @@ def test_the_tutorial_on_a_plugin_runs_as_printed(tmp_path):
     (report,) = (tmp_path / "var" / "reports").iterdir()
     assert "force spread" in report.read_text()
     assert len(blocks(_PAGE, "python")) == 2
+    (recipe,) = blocks(module.parent / "README.md", "toml")
+    assert written["ForceSpread"](**tomllib.loads(recipe)["metrics"]["force-spread"])
 
 
 @pytest.mark.parametrize("page", ["write-a-driver.md", "write-a-plugin.md"])
@@ -51,7 +55,9 @@ def _typed(folder, line):
         done = typed(folder, line, check=False, **installed)
         return done.returncode, f"{done.stderr} {done.stdout}"
     if words[:4] == ["python", "-m", "pip", "install"]:
-        command = [sys.executable, *words[1:], "--no-index", "--quiet", "--target", "site"]
+        assert "--no-build-isolation" not in words, "a fresh environment has neither setuptools nor wheel"
+        offline = ["--no-index", "--no-build-isolation", "--quiet", "--target", "site"]
+        command = [sys.executable, *words[1:], *offline]
         subprocess.run(command, cwd=folder, check=True)
     else:
         assert words[0] in ("export", "mkdir", "cd", "echo"), line

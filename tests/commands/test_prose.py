@@ -40,6 +40,11 @@ _BANNED = {
     r"\bdrawn towards a common\b": "shrunk towards",
     r"\bone (row|line|value|frame|number|map) a \w+\b": "one … per …",
     r"\b(is|are) alike but for\b": "are proportional, differ only in",
+    r"\bwould be (an)?others?\b": "would change, would differ",
+    r"\basks? (the|its) checks\b": "runs the checks",
+    r"\bThis page (writes|builds|finds|makes)\b": "This page shows how to …",
+    r"\b(suffix|ending) (of the file )?says the format\b|\bis said by the\b": "determines",
+    r"\ba test compares\b": "leave it out",
     r"\bmakes? no lot\b|\bis no (list|name|outline|dataset|zero)\b": "is not a …",
 }
 

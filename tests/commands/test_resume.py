@@ -136,7 +136,7 @@ def test_a_report_over_measurements_that_were_changed_is_refused(whole, tmp_path
         if not chained:
             unchained(database)
     said = cbsr_qa(tmp_path, "report", "whole").stdout
-    assert ("chained, not signed" if chained else "or the chain was removed") in said
+    assert ("chained by digests, not signed" if chained else "or the chain was removed") in said
     with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
         database.execute("update measurements set outcome = 'fail' where limited")
     before = {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}

@@ -43,7 +43,7 @@ def test_one_signal_ends_a_run_in_order_with_its_record_and_exit_code_3(tmp_path
     assert (code, run["end"], run["outcome"]) == (3, "aborted", "not measured")
     assert run["end_detail"].startswith(by)
     assert "(phase 'nine locations', step" in run["end_detail"]
-    assert f"{number.name}: the run stops in order:" in said
+    assert f"{number.name}: the run stops:" in said
     assert "A second signal makes the bench safe at once." in said
     assert "Traceback" not in said
     assert run["reason"] == f"the run was aborted: {run['end_detail']}"

@@ -1,5 +1,6 @@
 """The documentation as a site: built once, strictly, and then read."""
 
+import inspect
 import json
 import os
 import re
@@ -11,6 +12,7 @@ from urllib.parse import unquote
 import pytest
 from pages import TOP
 
+import cbsr_qa
 from cbsr_qa.cli import commands, documents
 from cbsr_qa.plugin import hooks
 
@@ -104,3 +106,22 @@ def test_what_is_written_from_the_code_is_complete(site):
     assert {words.replace(" ", "-") for words in documents()} < _places(reference / "schemas.html")
     assert {name for name in vars(hooks) if name.startswith("cbsr_")} < _places(reference / "hooks.html")
     assert {"sequencecontext", "measurement", "check_metric"} < _places(reference / "plugin-interface.html")
+
+
+def test_the_page_on_python_has_signatures_members_flags_and_results_of_every_name(site):
+    page = _read(site / "reference" / "python.html")
+    names = [name for name in dir(cbsr_qa) if not name.startswith("_") and name != "door"]
+    assert {name.lower() for name in names} < {place.lower() for place in _places(site / "reference" / "python.html")}
+    words = re.sub(r"<[^>]+>", "", page)
+    functions = [name for name in names if inspect.isfunction(getattr(cbsr_qa, name))]
+    assert len(functions) > 6
+    for name in functions:
+        for parameter in inspect.signature(getattr(cbsr_qa, name)).parameters:
+            assert re.search(rf"\b{parameter}\b", words[words.index(f"{name}(") :]), (name, parameter)
+    assert all(flag.name in words for flag in cbsr_qa.Flag)
+    assert {"forces", "severalforces", "trackedload", "places", "quantities"} < _places(
+        site / "reference" / "python.html"
+    )
+    assert "place_stderr_mm" in words
+    assert "Forces.interval_N(" in words
+    assert 'href="schemas.html#run"' in page

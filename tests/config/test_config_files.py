@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.config.documents import DocumentKind, shipped_names
+from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin import discover
 
 LOADERS = {
     DocumentKind.STATION: load_station,
@@ -292,6 +293,27 @@ def test_safety_limits_are_converted_at_the_edge_and_have_the_documented_default
 )
 def test_safety_limits_that_cannot_be(spoilt, given, said):
     assert said in spoilt(DocumentKind.STATION, "simulated", ("[safety]", f"[safety]\n{given}"))
+
+
+@pytest.mark.parametrize("label", ["L", "H"])
+def test_a_label_stands_for_one_place(tmp_path, label):
+    def loaded(locations_mm):
+        loop = f'[[phases]]\nname = "loops"\nsequence = "hysteresis-loop"\nlabel = "{label}"\n{locations_mm}\n'
+        path = tmp_path / "labels.toml"
+        path.write_text(open_document(DocumentKind.RECIPE, "golden-check").text + loop)
+        return load_recipe(path, discover()).value
+
+    assert len(loaded("").phases) == 2
+    if label == "H":
+        assert len(loaded("locations_mm = [[5, 5]]").phases) == 2
+    else:
+        with pytest.raises(ConfigError, match=r"label makes L0 the place \(5.0, 5.0\) mm, and an earlier phase"):
+            loaded("locations_mm = [[5, 5]]")
+
+
+def test_a_decimal_comma_is_named(spoilt):
+    said = spoilt(DocumentKind.RECIPE, "nine-locations", ("upper = 6.5", "upper = 6,5  # mm"))
+    assert "write 6.5 with a decimal point in 'upper = 6,5'" in said
 
 
 def test_malformed_toml_is_refused_with_its_line(spoilt):

@@ -42,7 +42,8 @@ def test_importing_it_loads_nothing_else():
 
 def test_a_calibration_is_loaded_without_what_a_robot_lacks():
     code = (
-        "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.CbsrError;"
+        "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.Flag, qa.PressureMap, qa.CbsrError;"
+        "qa.load_press_calibration;"
         "print([m for m in ('pydantic', 'sqlalchemy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -95,6 +96,10 @@ def test_an_array_is_analysed_as_the_scene_it_is_of(scene):
     assert len(events) == len(again) == 4
     assert [event.x_mm for event in again] == [event.x_mm for event in events]
     assert len(plain.result.events) >= 3  # which readings were saturated is not known there
+    assert plain.to_dict()["recording"]["sensor_type"] == "disc-100mm"
+    assert "units of the radius" not in repr(plain)
+    assert "of the given times" in repr(plain)
+    assert "units of the radius" in repr(qa.analyse(frames["voltage"].values))
 
 
 def test_a_frame_is_imaged_where_it_was_pressed(scene):
@@ -130,8 +135,16 @@ def test_frames_of_a_file_in_counts_are_imaged_as_they_are(tmp_path):
     ("call", "reason"),
     [
         (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16))), "does not state its sensor type"),
-        (lambda: qa.image(np.ones((8, 8)), np.ones((8, 8)), sensor_type="disc-100mm"), "have (8, 8)"),
+        (lambda: qa.image(np.ones((8, 8)), np.ones((8, 8)), sensor_type="disc-100mm"), "have (8, 8)\ngive"),
         (lambda: qa.image(np.ones((16, 16)), np.ones((16, 16)), sensor_type="disc-100m"), "disc-100m"),
+        (lambda: qa.analyse(np.ones((9, 257)), sensor_type="disc-100mm"), "array has frames of (9, 257): drive"),
+        (
+            lambda: qa.analyse(np.ones((9, 16, 15)), sensor_type="disc-100mm"),
+            "of sensor type 'disc-100mm' are (16, 16)",
+        ),
+        (lambda: qa.analyse(np.ones(256), sensor_type="disc-100mm"), "frames of the shape (256,)"),
+        (lambda: qa.analyse(np.ones((9, 16, 16)), time_s=np.arange(8.0)), "8 times for 9 frames"),
+        (lambda: qa.analyse(np.ones((9, 257))), "frames of (9, 257): drive pairs, measure pairs; without"),
         (lambda: qa.image("absent.h5", "absent.h5"), "not real numbers"),
         (lambda: qa.analyse("absent.h5"), "absent.h5"),
         (lambda: qa.analyse(np.zeros((4, 16, 16))), "no signal"),
@@ -148,6 +161,14 @@ def test_refusals_are_errors_of_the_package(call, reason, tmp_path, monkeypatch)
         call()
     assert reason in str(refused.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebook_shows_a_refusal_without_a_traceback():
+    with pytest.raises(qa.CbsrError) as refused:
+        qa.open_database("absent.db")
+    shown = refused.value._render_traceback_()  # called by IPython
+    assert "absent.db" in shown[0]
+    assert "\n".join(shown).endswith(refused.value.remedy)
 
 
 def test_a_missing_library_is_named_with_its_remedy():

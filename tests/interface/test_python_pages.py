@@ -69,6 +69,7 @@ def test_the_tutorial_runs_as_printed(capfd):
     assert "press 1 of 3" in printed.out
     assert printed.err == ""
     assert namespace["overlap"].groupby("serial").size().to_dict() == {"N-1": 3, "N-2": 3}
+    assert len(namespace["mine"].result.events) == 3
     _check_run(namespace["run"])
 
 

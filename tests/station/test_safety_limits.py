@@ -142,7 +142,7 @@ def test_an_ease_that_fails_is_not_tried_again():
     ended, _, script, bench = run(EASED, script=script)
     assert_safe(script, bench)
     assert script.count("force_applicator.press") == 2
-    assert "easing to 30 %" in ended.detail
+    assert "going to 30 %" in ended.detail
     assert "bench easing" in ended.detail
 
 

@@ -70,7 +70,7 @@ def test_the_first_signal_completes_the_frame_and_lifts_the_head_as_after_any_pr
     assert after(script, "frame_source.acquire", 2) == ["force_applicator.release", *SAFE]
     assert not bench.force_applicator.down
     (line,) = said
-    assert line.startswith(f"{number.name}: the run stops in order:")
+    assert line.startswith(f"{number.name}: the run stops:")
     assert "A second signal makes the bench safe at once." in line
     assert not any(isinstance(d, LoadFinished | PhaseFinished) for d in told)
     assert told[-1] is ended

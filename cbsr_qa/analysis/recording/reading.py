@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from cbsr_qa.domain import CbsrError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
@@ -11,6 +11,8 @@ from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, create_plugin
 from cbsr_qa.system import read_untrusted
 
 _HEAD_BYTES = 4096
+#: What to do with a file of another layout.
+_OWN: Final = "or read the file in Python, and give its frames to cbsr_qa.analyse as an array"
 
 _Read = TypeVar("_Read")
 
@@ -62,7 +64,7 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
     known = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
         f"{path.name} has no known format",
-        remedy="; ".join([f"formats: {known}; name one with --format", *failed]),
+        remedy="; ".join([f"formats: {known}; name one with --format", _OWN, *failed]),
     )
 
 

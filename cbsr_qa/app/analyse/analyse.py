@@ -230,6 +230,7 @@ def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell 
         As the analysis of a file is refused.
     """
     reconstruction = _reconstruction(request, discover())
+    _check_shape(recording, _sensor_type(recording, request)[0])
     tell(f"analysing {len(recording.frames)} frames")
     result, unknown = _result(recording, reconstruction, request, tell)
     if (error := _no_signal(recording.path, result)) is not None:
@@ -244,6 +245,21 @@ def _result(
     sensor_type, unknown = _sensor_type(recording, request)
     choices = AnalysisChoices(request.correct_carry_over, sensor_type, request.chosen)
     return analyse_recording(recording, reconstruction, choices, tell=tell), unknown
+
+
+def _check_shape(recording: Recording, sensor_type: SensorType | None) -> None:
+    """Refuse frames in memory that are not those of the sensor type, or without one not of a ring of electrodes."""
+    shape = recording.frames.voltages.shape[1:]
+    if sensor_type is not None and shape != sensor_type.pattern.shape:
+        expected = f"those of sensor type {sensor_type.name!r} are {sensor_type.pattern.shape}"
+    elif sensor_type is None and shape[0] != shape[1]:
+        expected = "without a sensor type, as many measure pairs as drive pairs are expected"
+    else:
+        return
+    raise RecordingError(
+        f"{recording.path.name} has frames of {shape}: drive pairs, measure pairs; {expected}",
+        remedy="give whole frames, NaN for readings that were not measured, or the sensor type that was recorded",
+    )
 
 
 def _no_signal(path: Path, result: RecordingResult) -> RecordingError | None:

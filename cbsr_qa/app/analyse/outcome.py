@@ -21,6 +21,7 @@ from cbsr_qa.domain.readings import (
     ScanKind,
 )
 from cbsr_qa.domain.results import Block, CommandOutcome, Paragraph, ParameterChoice, Section
+from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report import IF_GIVEN, Refusal, fixed, plural, recording_page, text_table
 
 _USED_FOR: Final = "images of the events and their descriptions; events are found in the readings, without images"
@@ -47,6 +48,7 @@ class ReadRecording:
 
     Parameters
     ----------
+    sensor_type : that was given, else the one that the file states.
     problems : rows left out, or used with reservations.
     loads_documented : presses that the file states.
     """
@@ -69,7 +71,9 @@ class ReadRecording:
     simulated: tuple[str, ...] | None = None
 
     @classmethod
-    def of(cls, recording: Recording, frame_rate_hz: float | None = None) -> Self:
+    def of(
+        cls, recording: Recording, frame_rate_hz: float | None = None, sensor_type: SensorType | None = None
+    ) -> Self:
         return filled(
             cls,
             recording,
@@ -79,6 +83,7 @@ class ReadRecording:
             force_recorded=any(block.channel == "force" for block in recording.samples),
             unit=recording.frames.unit.value,
             current_A=recording.frames.current_A,
+            sensor_type=recording.sensor_type if sensor_type is None else sensor_type.name,
             loads_documented=len(recording.loads),
         )
 
@@ -249,7 +254,7 @@ class Analysed:
             cls,
             result,
             file=file,
-            recording=ReadRecording.of(result.recording, result.frame_rate_hz),
+            recording=ReadRecording.of(result.recording, result.frame_rate_hz, result.sensor_type),
             reconstruction=None if result.imaging is None else EventReconstruction.of(result.imaging),
             events=tuple(map(Event.of, result.events)),
             noise=Noise.of(result.noise, result.recording),

@@ -98,7 +98,7 @@ class _Session:
         self._request, self._store, self._tell = request, store, tell
         self._plugins = plugins
         self._software = software_versions(plugins)
-        loaded = None if request.recipe is None else load_recipe(request.recipe)
+        loaded = None if request.recipe is None else load_recipe(request.recipe, plugins)
         self.recipe = None if loaded is None else loaded.value
         self._canonical = None if loaded is None else canonical_json(loaded.document.data)
         self._clock = RealClock()

@@ -247,7 +247,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         *([("Sensor", tries)] if tries else []),
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
-        ("Rows", tested.chain.words),
+        ("Stored rows", tested.chain.words),
         *([("Gate", gate)] if (gate := gate_words(tested.gate)) else []),
     ]
     printed = [("Report", str(tested.report or "none"))]

@@ -108,7 +108,7 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     if planned.history.words:
         facts.append(("Sensor", planned.history.words))
     rows = [(p.name, p.sequence, duration(p.duration_s), str(p.loads), str(p.frames)) for p in planned.phases]
-    phases = text_table("Expected.", ("phase", "sequence", "time", "loads", "frames"), rows, (3, 4))
+    phases = text_table("Expected time and content.", ("phase", "sequence", "time", "loads", "frames"), rows, (3, 4))
     page = Page("Dry run", planned.history.sensor.serial, banner, tuple(facts), warnings=planned.warnings)
     asked = [one for one in planned.gate if one.outcome is not GateOutcome.OFF]
     gate = (

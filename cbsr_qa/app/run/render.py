@@ -112,7 +112,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
 def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     """Lay out a run's rendered report and its verdict."""
     page = run_page(rendered.result)
-    facts = (("Run", rendered.result.record.identity.words), ("Rows", rendered.chain.words))
+    facts = (("Run", rendered.result.record.identity.words), ("Stored rows", rendered.chain.words))
     printed = (("Report", str(rendered.report)),)
     page = replace(page, identity=facts, warnings=rendered.warnings, printed=printed)
     return CommandOutcome(rendered, page)

@@ -15,7 +15,7 @@ the last one as features are (:mod:`cbsr_qa.calibration.place.drift`).
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -27,6 +27,7 @@ from cbsr_qa.calibration.place.features import matern, squared_distances
 from cbsr_qa.calibration.place.held_out import evenly, mean_by_place
 from cbsr_qa.calibration.place.mixture import LEVELS
 from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import LearnedQuantity, QuantityScales
 
@@ -43,6 +44,8 @@ _DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
 _FURTHEST: Final = 4.0  # in those deviations
 #: Standard deviations that hold 68 and 95 % of a normal distribution: how far lost readings may move a value.
 _NORMAL: Final = np.array([0.9945, 1.9600])
+#: Frames with one of these flags have no press to measure.
+_NO_PRESS: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE)
 #: Added to a diagonal, in units of the spread, to keep covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
@@ -53,8 +56,8 @@ class Quantities:
 
     Parameters
     ----------
-    values : (n,) in the learned unit; NaN without a place.
-    within_68, within_95 : (n, 2) lowest and highest of the interval of that probability.
+    values : (n,) in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
+    within_68, within_95 : (n, 2) lowest and highest of the interval of that probability; NaN where the value is.
     below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
         far the other way, as the slope of the continuation is unknown.
     """
@@ -79,12 +82,22 @@ class QuantityEstimator:
 
     def __call__(self, places: Places) -> Quantities:
         """Return the quantity of presses at places."""
+        pressed = (places.flags & _NO_PRESS) == 0
+        unsure = np.broadcast_to(places.unsure, pressed.shape)[pressed]
+        found = self._of_presses(places.strength[pressed], places.place_mm[pressed], unsure)
+        values, within_68, within_95 = (
+            _at(pressed, each, np.nan) for each in (found.values, found.within_68, found.within_95)
+        )
+        below, above = (_at(pressed, each, False) for each in (found.below, found.above))
+        return Quantities(values, within_68, within_95, below, above)
+
+    def _of_presses(self, strength: Array, place_mm: Array, unsure: Array) -> Quantities:
         process = self._process
-        y, stderr = process.expected(places.strength, places.place_mm)
+        y, stderr = process.expected(strength, place_mm)
         least, most = process.y.min(), process.y.max()
         beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
-        for_lost = process.change(places.strength, places.place_mm, places.unsure)
-        later = process.later(places.strength, self._learned.drift, self._learned.weak_drift)
+        for_lost = process.change(strength, place_mm, unsure)
+        later = process.later(strength, self._learned.drift, self._learned.weak_drift)
         half = (
             np.hypot(self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(for_lost, later)) + beyond
         )
@@ -252,6 +265,13 @@ class _Process:
     def _scaled(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         least = np.finfo(float).tiny
         return np.log(np.maximum(strength, least)) - self._log_strength, places_mm - self._centre_mm
+
+
+def _at(rows: Mask, values: Any, other: float) -> Any:
+    """Values in chosen rows (n,), and another value in the rest."""
+    filled = np.full((len(rows), *values.shape[1:]), other, dtype=values.dtype)
+    filled[rows] = values
+    return filled
 
 
 def _covariance(scales: QuantityScales, u: Array, about: Array, v: Array, others: Array) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from cbsr_qa.calibration.place import log_likelihood, most_alike, unit_rows
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
@@ -86,33 +87,54 @@ class Likeness:
 
     def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
         lattice = sheet.lattice
-        alike = unit_rows(changes) @ unit_rows(lattice.readings(pairs)).T
-        self._node = lattice.node
-        self._centre = int(np.abs(self._node).max()) + 1
+        self._node, self._alike = lattice.node, unit_rows(changes) @ unit_rows(lattice.readings(pairs)).T
+        self._centre = int(np.abs(self._node).max()) + 2  # two more than are on the sheet, for cubic interpolation
         self._width = 2 * self._centre + 1
-        self.maps = np.full((len(changes), self._width, self._width), _OFF_SHEET)
         rows, columns = (self._node + self._centre).T
-        self.maps[:, rows, columns] = log_likelihood(alike)
-        self._alike = alike
+        self._on_sheet = np.zeros((self._width, self._width))
+        self._on_sheet[rows, columns] = 1.0
+        maps = np.zeros((len(changes), self._width, self._width))
+        maps[:, rows, columns] = self._alike
+        nearest = distance_transform_edt(self._on_sheet == 0, return_distances=False, return_indices=True)
+        self._maps = maps[:, *nearest]
 
     def of(self, presses: Indices) -> "Likeness":
         """The same for some of the presses."""
         some = copy(self)
-        some.maps, some._alike = self.maps[presses], self._alike[presses]
+        some._maps, some._alike = self._maps[presses], self._alike[presses]
         return some
 
     def at(self, places: Array) -> Array:
-        """Log likelihoods (…, n) of each press at its place (…, n, 2), in radii; linear between nodes."""
-        at = np.clip(places / STEP + self._centre, 0, self._width - 1.001)
+        """Log likelihoods (…, n) of each press at its place (…, n, 2), in radii.
+
+        Cosines are cubic between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on
+        a grid would be found on one of the lattice, however far apart they are. Beyond the sheet they fade linearly.
+        """
+        at = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
         node = at.astype(np.int64)
         (x, y), (i, j) = np.moveaxis(at - node, -1, 0), np.moveaxis(node, -1, 0)
-        press = np.arange(len(self.maps))
-        below = self.maps[press, i, j] * (1 - x) + self.maps[press, i + 1, j] * x
-        above = self.maps[press, i, j + 1] * (1 - x) + self.maps[press, i + 1, j + 1] * x
-        value: Array = below * (1 - y) + above * y
+        press = np.arange(len(self._maps))
+        along, across = _cubic(x), _cubic(y)
+        alike = sum(
+            a * sum(b * self._maps[press, i + m - 1, j + n - 1] for n, b in enumerate(across))
+            for m, a in enumerate(along)
+        )
+        on = (1 - x) * ((1 - y) * self._on_sheet[i, j] + y * self._on_sheet[i, j + 1])
+        on += x * ((1 - y) * self._on_sheet[i + 1, j] + y * self._on_sheet[i + 1, j + 1])
+        value: Array = on * log_likelihood(np.asarray(alike)) + (1 - on) * _OFF_SHEET
         return value
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""
         between: Array = STEP * most_alike(self._node, self._alike)
         return between
+
+
+def _cubic(t: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of four nodes for a point between the inner two, at t (Keys 1981, with a = -1/2)."""
+    return (
+        t * (-0.5 + t * (1 - 0.5 * t)),
+        1 + t**2 * (1.5 * t - 2.5),
+        t * (0.5 + t * (2 - 1.5 * t)),
+        t**2 * (t - 1) / 2,
+    )

@@ -27,7 +27,7 @@ _STRONGEST = 1.98
 
 
 class Flag(IntFlag):
-    """Remarks on one frame's force; 0 for none."""
+    """Remarks on one frame's force or place; 0 for none. ``Flag(33)`` names those of a number."""
 
     NOT_DETECTED = 1  #: no load exceeds the noise; the force is 0 if the place was not given
     OUTSIDE = 2  #: the place is outside the calibrated area

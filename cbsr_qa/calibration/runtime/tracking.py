@@ -44,7 +44,7 @@ class TrackedLoad:
         place.
     settled_in_s : until what is still to come of a press is less than the error of one frame, or until what is left
         of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
-    flags : as :class:`~cbsr_qa.calibration.runtime.Flag`; UNSETTLED until then.
+    flags : as :class:`~cbsr_qa.calibration.Flag`; UNSETTLED until then.
     """
 
     number: int

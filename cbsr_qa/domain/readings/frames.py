@@ -214,7 +214,8 @@ class Recording:
     samples : force and other channels; may be empty.
     loads : presses the recording documents (our own exports); may be empty.
     problems : rows left out or noteworthy, by line.
-    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
+    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"given"`` (with an array),
+        ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
     layout : documented electrode numbering, or their places; None if unknown.
     sensor_type : name of the sensor type if stated.

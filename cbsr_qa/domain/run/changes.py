@@ -100,7 +100,7 @@ class SensorHistory:
         others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
         parts = []
         if self.tries or others:
-            parts.append(f"{self.ordinal} try of this recipe")
+            parts.append(f"{self.ordinal} test with this recipe")
         if self.tries:
             before = len(self.tries) - _TOLD
             more = f", and {before} before" if before > 0 else ""

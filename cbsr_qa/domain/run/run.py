@@ -44,10 +44,10 @@ class ChainState:
         if not self.chained:
             return _NONE
         if self.signature == "none":
-            return "chained, not signed"
+            return "chained by digests, not signed"
         if self.signature == "checked":
-            return f"chained and signed (key {self.key_id})"
-        return f"chained; signatures not checked: key {self.key_id} is not set here"
+            return f"chained by digests and signed (key {self.key_id})"
+        return f"chained by digests; signatures not checked: key {self.key_id} is not set here"
 
     @property
     def warnings(self) -> tuple[str, ...]:

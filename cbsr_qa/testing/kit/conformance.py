@@ -186,7 +186,8 @@ def check_unknown_option(factory: Factory, kind: Kind) -> Checked:
 def check_hooks(plugins: Plugins, kind: Kind, name: str) -> Checked:
     """Each hook that the distribution implements exists, and its function has a docstring.
 
-    Remedy: correct the name of the hook (docs/reference/hooks.md lists them), and say in its docstring what it does.
+    Remedy: correct the name of the hook (the page "Hooks" of the documentation lists them), and say in its docstring
+    what it does.
     """
     (registration,) = (r for r in plugins.registrations(kind) if r.name == name)
     functions = [

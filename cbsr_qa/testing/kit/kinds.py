@@ -142,10 +142,10 @@ def _instrument(subject: Subject) -> Checks:
 def check_roles(instrument: Any) -> Checked:
     """An instrument has the methods of at least one role of cbsr_qa.plugin.
 
-    Remedy: add the missing methods of its role; docs/how-to/write-a-driver.md lists roles and methods.
+    Remedy: add the missing methods of its role; the page "Write a driver" of the documentation lists them.
     """
     if isinstance(instrument, Linked):
-        why = "it is linked to other instruments; check it beside them, as docs/how-to/write-a-driver.md does"
+        why = 'it is linked to other instruments; check it beside them, as the page "Write a driver" does'
         return Checked("roles", why, applies=False)
     roles = (FrameSource, Sampler, SourceMeter, Multiplexer, ForceApplicator)
     provided = [role.__name__ for role in roles if isinstance(instrument, role)]

@@ -22,19 +22,22 @@ class Targets:
     names: tuple[tuple[Kind, str], ...]
 
 
-def targets_of(asked: str, kind: Kind | None = None) -> Targets:
+def targets_of(asked: str | None, kind: Kind | None = None) -> Targets:
     """Find plugins by the name of one, or the folder of a package.
 
     Parameters
     ----------
-    asked : a name; what is a folder, or has a slash, is a folder.
+    asked : a name; what is a folder, or has a slash, is a folder. None for all plugins of other packages than ours.
     kind : only plugins of this kind; None for all.
 
     Raises
     ------
     PluginError
-        If nothing is registered under the name, or the package of the folder cannot be loaded, with the reason.
+        If nothing is registered under the name, or by another package, or the package of the folder cannot be
+        loaded, with the reason.
     """
+    if asked is None:
+        return _of_others(discover(), kind)
     folder = Path(asked)
     if folder.is_dir() or "/" in asked:
         return _in_folder(folder, kind)
@@ -43,6 +46,15 @@ def targets_of(asked: str, kind: Kind | None = None) -> Targets:
     if not names:
         raise plugins.unknown(kind, asked)
     return Targets(plugins, names)
+
+
+def _of_others(plugins: Plugins, kind: Kind | None) -> Targets:
+    others = [one for one in plugins.registrations(kind) if one.distribution != "cbsr-qa"]
+    if not others:
+        raise PluginError(
+            "no plugin of another package is installed", remedy="name a plugin, or the folder of a package"
+        )
+    return Targets(plugins, tuple((one.kind, one.name) for one in others))
 
 
 def _in_folder(folder: Path, kind: Kind | None) -> Targets:

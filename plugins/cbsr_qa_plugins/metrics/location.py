@@ -47,7 +47,7 @@ class CentreOfMassError:
 
 
 class AreaOverlap:
-    """``area_overlap`` [%] and ``area_ratio`` A_b/A_FA of every load, for every percentage mask.
+    """``area_overlap`` [%], limited only together with ``area_ratio`` A_b/A_FA, of every load under every mask.
 
     Both ``how`` begin with the band, e.g. ``"good; A_b/A_FA 1.02; exact clipping"``. Clipping, bands and the
     sizes for which they count are the recipe's analysis settings; there are no options.

@@ -69,8 +69,8 @@ class TruncatedSvd(WithOptions):
 
     Parameters
     ----------
-    choose, noise_figure : how k is chosen, see :class:`~cbsr_qa.eit.inverse.Regularisation`. A noise
-        figure is a bound: the most components that stay within it.
+    choose : criterion for k; by default noise-figure.
+    noise_figure : bound, for the criterion of that name: the most components that stay within it; by default 1.
     components : k itself; excludes the others. Pairs of equal singular values are kept or dropped together.
 
     A count does not carry over to other readings as λ does: with bad channels, or readings weighted by their noise,

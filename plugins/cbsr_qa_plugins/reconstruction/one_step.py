@@ -27,7 +27,14 @@ from cbsr_qa_plugins.reconstruction._shared import Positive, RidgeOptions
 
 
 class _OneStepMethod(WithOptions):
-    """A method that is one matrix: subclasses say what its prior is."""
+    """A method that is one matrix: subclasses say what its prior is.
+
+    Parameters
+    ----------
+    choose : criterion for λ; by default noise-figure.
+    noise_figure : to be reached by λ, for the criterion of that name; by default 1.
+    hyperparameter : λ itself, instead of a criterion.
+    """
 
     Options: ClassVar[type[PluginOptions]] = RidgeOptions
     name: ClassVar[str]
@@ -49,13 +56,7 @@ class _OneStepMethod(WithOptions):
 
 
 class GaussNewtonTikhonov(_OneStepMethod):
-    """x = (JᵀWJ + λ²I)⁻¹JᵀW y: the smallest image that explains the readings. It moves loads towards the rim.
-
-    Parameters
-    ----------
-    choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`.
-    """
+    """x = (JᵀWJ + λ²I)⁻¹JᵀW y: the smallest image that explains the readings. It moves loads towards the rim."""
 
     name = "gauss-newton-tikhonov"
 
@@ -67,11 +68,6 @@ class GaussNewtonLaplace(_OneStepMethod):
     """x = (JᵀWJ + λ²R)⁻¹JᵀW y with R the differences between neighbouring elements (Vauhkonen et al. 1998).
 
     A constant image costs nothing: how much the sheet changes as a whole is what the readings say, at any λ.
-
-    Parameters
-    ----------
-    choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     """
 
     name = "gauss-newton-laplace"
@@ -85,8 +81,7 @@ class GaussNewtonNoser(_OneStepMethod):
 
     Parameters
     ----------
-    choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`. λ is chosen with every reading of the sensor
+    hyperparameter : λ itself, instead of a criterion. λ is chosen with every reading of the sensor
         type's pattern: a sensor with a bad channel is imaged with the λ of all others, or noise figures of sensors
         could not be compared.
     exponent : p, 0 (Tikhonov, moves images towards the rim) to 1 (moves them inwards). 0.5 is EIDORS's; on the
@@ -108,8 +103,6 @@ class GaussNewtonHighPass(_OneStepMethod):
 
     Parameters
     ----------
-    choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     width : of the low-pass filter that F leaves out, at half height, in units of the sheet's diameter. Adler &
         Guardo's default is a tenth.
     """
@@ -133,8 +126,6 @@ class GaussNewtonIndenter(_OneStepMethod):
 
     Parameters
     ----------
-    choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter, the 13 mm of the 100 mm disc.
     """
 
@@ -164,8 +155,9 @@ class Temporal(WithOptions):
         image for the whole block.
     lag : later frames an image may look at. None for the whole block; 0 for none, as a live display needs: such
         images come late on every change by about the time they average over.
-    choose, noise_figure, hyperparameter : how λ is chosen, for a single frame, see
-        :class:`~cbsr_qa.eit.inverse.Regularisation`.
+    choose : criterion for λ, of a single frame; by default noise-figure.
+    noise_figure : to be reached by λ, for the criterion of that name; by default 1.
+    hyperparameter : λ itself, instead of a criterion.
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter.
     """
 

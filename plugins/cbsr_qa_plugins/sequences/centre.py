@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain.plan import Hold, Press, Release, Role, Step, StrainStep
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.plugin import PluginOptions, SequenceContext, WithOptions
+from cbsr_qa.plugin import Array, PluginOptions, SequenceContext, WithOptions
 from cbsr_qa_plugins.sequences._shared import (
     Coordinate,
     Frames,
@@ -24,7 +24,6 @@ from cbsr_qa_plugins.sequences._shared import (
     Rest,
     RestedOptions,
     Strain,
-    Strains,
     Times,
     find_surfaces,
     once,
@@ -81,8 +80,9 @@ class RelaxationSequence(WithOptions):
     ----------
     x_mm, y_mm : place; default the centre.
     strain_percent : strain of each press.
-    hold_s, rest_s : time pressed, and time of rest after it; 240 s are about five of the paper's longest settling
-    times.
+    hold_s : time pressed.
+    rest_s : rest after each press; 240 s of both are about five of the paper's longest
+        settling times.
     trials : how often the press is repeated.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found first.
@@ -125,7 +125,8 @@ class PreconditioningSequence(WithOptions):
     ----------
     cycles : number of presses of each location.
     strain_percent : strain of each press; 30 is the paper's highest.
-    hold_s, rest_s : time pressed, and time of rest after it.
+    hold_s : time pressed.
+    rest_s : rest after each press.
     locations_mm : [x, y] each, labelled L0, L1, … in order.
     find_surface : whether the surface is found at every location first.
 
@@ -153,10 +154,8 @@ class PreconditioningSequence(WithOptions):
 
 
 def _above_each_other(strains: tuple[float, ...]) -> tuple[float, ...]:
-    if len(strains) < 2 or list(strains) != sorted(set(strains)):
-        raise ValueError(
-            "it must be at least two strains, each above the one before; the way back is the same downwards"
-        )
+    if list(strains) != sorted(set(strains)):
+        raise ValueError("each strain must be above the one before; the way back is the same downwards")
     return strains
 
 
@@ -169,10 +168,11 @@ class HysteresisLoopSequence(WithOptions):
 
     Parameters
     ----------
-    strains_percent : rising, at least two. Include half of the highest strain, where most loops are
+    strains_percent : rising. Include half of the highest strain, where most loops are
         widest.
     cycles : number of loops at each location; two or more show their scatter.
-    hold_s, rest_s : hold at each strain, and rest after each loop.
+    hold_s : hold at each strain.
+    rest_s : rest after each loop.
     locations_mm : [x, y] each, labelled H0, H1, … in order.
     label : prefix of the labels.
     initial_rest_s : rest after surface finding.
@@ -182,7 +182,9 @@ class HysteresisLoopSequence(WithOptions):
     """
 
     class Options(RestedOptions):
-        strains_percent: Annotated[Strains, AfterValidator(_above_each_other)] = (7.5, 15.0, 22.5, 30.0)
+        strains_percent: Annotated[
+            tuple[Strain, ...], Array, Field(min_length=2), AfterValidator(_above_each_other)
+        ] = (7.5, 15.0, 22.5, 30.0)
         cycles: Times = 3
         hold_s: Held = 60.0
         rest_s: Rest = 120.0

@@ -34,7 +34,8 @@ class CharacterisationSequence(WithOptions):
     cycles : number of cycles at each strain.
     order : ``"as given"``, or ``"shuffled"`` by the run's seed, so that drift of the material does not look like a
         dependence on strain.
-    hold_s, rest_s : time pressed, and time of rest after it; the defaults make a period of 120 s, half of it pressed.
+    hold_s : time pressed.
+    rest_s : rest after each press; the defaults make a period of 120 s, half of it pressed.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found first.
     unloaded_frames : number of unloaded frames before the first press.

@@ -42,9 +42,10 @@ class LocationGridSequence(WithOptions):
     ----------
     strains_percent : strains of the presses; the paper's campaign is [5, 10, 15, 20, 25, 30].
     trials : number of presses of each location and strain (the paper's campaign: 3).
-    hold_s, rest_s : time pressed, and time of rest after it.
+    hold_s : time pressed.
+    rest_s : rest after each press.
     locations_mm : [x, y] each, labelled L0, L1, … in order.
-    label : prefix of the labels. Give two grids of one recipe different prefixes.
+    label : prefix of the labels. A label stands for one place in all grids and loops of a recipe.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
     unloaded_frames : number of unloaded frames before the first press.
@@ -100,7 +101,8 @@ class GivenLoadsSequence(WithOptions):
     loads : tables of ``strain_percent`` and a place, which is either ``x_mm`` and ``y_mm``, or ``radius_mm`` and
         ``angle_deg`` (counterclockwise from the x axis), as the paper's Table 5 gives it. There is no default.
     trials : number of times that the list is pressed.
-    hold_s, rest_s : time pressed, and time of rest after it.
+    hold_s : time pressed.
+    rest_s : rest after each press.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
     unloaded_frames : number of unloaded frames before the first press.
@@ -154,7 +156,8 @@ class RandomLoadsSequence(WithOptions):
     count : number of presses.
     radius_mm : [lowest, highest].
     strain_percent : [lowest, highest].
-    hold_s, rest_s : time pressed, and time of rest after it.
+    hold_s : time pressed.
+    rest_s : rest after each press.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
     unloaded_frames : number of unloaded frames before the first press.

@@ -33,25 +33,26 @@ CHECKS = tuple(earlier(day, recipe="golden-check", of_check=True) for day in (3,
     ("runs", "said"),
     [
         ((), ""),
-        ((FAIL,), "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm)"),
+        ((FAIL,), "second test with this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm)"),
         (
             (FAIL, STOPPED),
-            "third try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm), 2026-11-21 aborted",
+            "third test with this recipe; earlier:"
+            " 2026-11-20 fail (centre of mass error is 8.2 mm), 2026-11-21 aborted",
         ),
         (
             (replace(FAIL, overridden=(Outcome.PASS, "Zoë")),),
-            "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm),"
+            "second test with this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm),"
             " overridden to pass by Zoë",
         ),
         (
             (earlier(2, recipe="re-verification"), earlier(3, None, "", EndReason.RUNNING)),
-            "second try of this recipe; earlier: 2026-11-03 cut off or still under way;"
+            "second test with this recipe; earlier: 2026-11-03 cut off or still under way;"
             " 1 run of other recipes, the latest (re-verification) 2026-11-02 pass",
         ),
         (CHECKS, "2 runs in checks of stations, the latest 2026-11-04 pass"),
         (
             tuple(earlier(day) for day in range(1, 8)),
-            "eighth try of this recipe; earlier: 2026-11-03 pass, 2026-11-04 pass, 2026-11-05 pass,"
+            "eighth test with this recipe; earlier: 2026-11-03 pass, 2026-11-04 pass, 2026-11-05 pass,"
             " 2026-11-06 pass, 2026-11-07 pass, and 2 before",
         ),
     ],

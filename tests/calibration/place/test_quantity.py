@@ -6,6 +6,7 @@ from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration.place import PlaceEstimator, Places, QuantityEstimator, learn_place, learn_quantity
 from cbsr_qa.calibration.place.drift import Session
+from cbsr_qa.calibration.runtime import Flag
 
 CENTRE = np.zeros(2)
 
@@ -86,6 +87,26 @@ def test_strengths_of_a_learned_place_tell_the_force():
     assert error.mean() < 0.15
     assert error.mean() == pytest.approx(learned.error, rel=0.5)
     assert inside(sheet.force_N[rest], found.within_95) > 0.85
+
+
+@pytest.mark.parametrize("nothing", [0.0, 1e-300, np.nan])
+def test_frames_without_a_press_have_no_force_and_change_no_other(nothing):
+    sheet = pressed_sheet(100, seed=7, noise=0.05, uneven=0.2)
+    place = learn_place(sheet.changes[:60], sheet.labels_mm[:60], sheet.pairs, 16)
+    known = place.found
+    learned = learn_quantity(sheet.force_N[known.presses], known.strength, known.place_mm, place.model.centre_mm)
+    changes = sheet.changes[60:].copy()
+    untouched = np.arange(len(changes)) % 3 == 0
+    pressed = QuantityEstimator(learned)(PlaceEstimator(place.model)(changes))
+    changes[untouched] = nothing
+    places = PlaceEstimator(place.model)(changes)
+    found = QuantityEstimator(learned)(places)
+    assert ((places.flags[untouched] & (Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0).all()
+    assert np.isnan(found.values[untouched]).all()
+    assert np.isnan(found.within_95[untouched]).all()
+    assert not (found.below | found.above)[untouched].any()
+    np.testing.assert_allclose(found.values[~untouched], pressed.values[~untouched], rtol=1e-9)
+    np.testing.assert_allclose(found.within_68[~untouched], pressed.within_68[~untouched], rtol=1e-9)
 
 
 def test_a_gain_that_drifts_is_followed_and_intervals_hold_later_forces():

@@ -7,7 +7,11 @@ from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_
 from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
 from cbsr_qa.calibration.presses.registration import register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
+from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.eit.estimate import load_model
+from cbsr_qa.eit.loads import RoundLoads
 
 
 def registered(pressed, *, stated=True, radius_mm=None):
@@ -64,6 +68,24 @@ def test_a_rectifying_front_end_and_spikes_do_not_turn_the_sheet():
     assert found.registration.mirrored
     assert found.registration.rotation_deg == pytest.approx(70, abs=3)
     assert found.registration.trusted
+
+
+@pytest.mark.parametrize("head_mm", [4.0, 13.0, 18.0])
+def test_nine_presses_on_a_grid_are_not_drawn_to_the_lattice_and_the_scale_has_an_honest_error(head_mm):
+    sensor = load_sensor_type("disc-100mm").value
+    model, places = load_model(sensor), np.array(NINE_LOCATIONS_MM)
+    drive, measure = np.nonzero(model.pattern.usable())
+    pairs = np.array(
+        [(*model.pattern.drive[d], *model.pattern.measure[m]) for d, m in zip(drive, measure, strict=True)]
+    )
+    loads = RoundLoads.of_contrast(places, np.full(9, head_mm / 2), np.full(9, 0.3))
+    changes = model.readings(loads).change[:, drive, measure]
+    pose = register_presses(ModelledSheet(sensor), pairs, changes, places, radius_stated=True).registration
+    assert abs(pose.scale - 1) < 2 * pose.scale_stderr < 0.1
+    assert abs(pose.rotation_deg) < 0.1
+    assert np.hypot(*pose.shift_mm) < 0.05
+    assert min(pose.shift_stderr_mm) > 0
+    assert pose.rotation_stderr_deg > 0
 
 
 @pytest.mark.rest

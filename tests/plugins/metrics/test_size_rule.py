@@ -10,6 +10,7 @@ from cbsr_qa.analysis import judge
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import Outcome, decide
+from cbsr_qa.plugin import discover
 from cbsr_qa_plugins.metrics.location import AreaOverlap
 
 _SHIPPED = files("cbsr_qa._stations").joinpath("recipes", "nine-locations.toml").read_text()
@@ -48,7 +49,7 @@ def _loaded(tmp_path, limits):
     path = tmp_path / "recipe.toml"
     path.write_text(head + limits)
     assert rest
-    return load_recipe(path).value
+    return load_recipe(path, discover()).value
 
 
 @pytest.mark.parametrize(
@@ -77,3 +78,13 @@ def test_a_limit_of_the_size_there_or_everywhere_is_enough(tmp_path, phase):
     ratio = _RATIO + "lower = 0.3\nupper = 3.0\n" + phase
     recipe = _loaded(tmp_path, _OVERLAP + 'phase = "nine locations"\n' + ratio)
     assert [limit.measurement for limit in recipe.limits] == ["area_overlap", "area_ratio"]
+
+
+def test_a_phase_of_loops_has_no_overlap_to_limit(tmp_path):
+    phases = ("noise figure", "nine locations", "random loads", "relaxation")
+    limits = _OVERLAP + "".join(f'{_RATIO}lower = 0.3\nupper = 3.0\nphase = "{name}"\n' for name in phases)
+    loops = '\n[[phases]]\nname = "loops"\nsequence = "hysteresis-loop"\n'
+    assert len(_loaded(tmp_path, limits + loops).phases) == 5
+    more = '\n[[phases]]\nname = "more"\nsequence = "random-loads"\nstream = "more"\n'
+    with pytest.raises(ConfigError, match=r"judges phase 'more', where no limit bounds area_ratio"):
+        _loaded(tmp_path, limits + more)

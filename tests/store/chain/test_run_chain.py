@@ -376,9 +376,9 @@ def test_a_run_of_before_is_unchained_and_goes_on_so(tmp_path):
 @pytest.mark.parametrize(
     ("begun_with", "read_with", "words"),
     [
-        (None, None, "chained, not signed"),
-        (None, KEY, "chained, not signed"),
-        (KEY, KEY, "chained and signed"),
+        (None, None, "chained by digests, not signed"),
+        (None, KEY, "chained by digests, not signed"),
+        (KEY, KEY, "chained by digests and signed"),
         (KEY, OTHER, "signatures not checked"),
         (KEY, None, "signatures not checked"),
     ],

@@ -2,12 +2,13 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import pytest
 
 from cbsr_qa.cli import main
 from cbsr_qa.domain import PluginError
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin import Kind, Plugins, discover
 from cbsr_qa.testing import assert_conforms, sinks
 from cbsr_qa.testing.kit.conformance import CheckOutcome, check_plugins, documentation_checks, made
 from cbsr_qa.testing.kit.new import make_package
@@ -131,6 +132,16 @@ def test_the_command_prints_checks_and_ends_with_1_if_one_failed(tmp_path, capsy
     out = capsys.readouterr().out
     for words in ("1 of 8 checks failed", "What to change", "found: ", "allowed: ", "remedy: stay within"):
         assert words in out
+
+
+def test_without_a_name_the_plugins_of_other_packages_are_checked(monkeypatch):
+    ours = [one for one in PLUGINS.registrations() if one.distribution == "cbsr-qa"]
+    others = [replace(one, distribution="mine") for one in ours if one.name == "noise-figure"]
+    monkeypatch.setattr(Plugins, "registrations", lambda self, kind=None: ours)
+    with pytest.raises(PluginError, match="no plugin of another package is installed"):
+        targets_of(None)
+    monkeypatch.setattr(Plugins, "registrations", lambda self, kind=None: [*ours, *others])
+    assert [name for _, name in targets_of(None).names] == ["noise-figure", "noise-figure"]
 
 
 def test_what_cannot_be_checked_is_refused(tmp_path, capsys):
