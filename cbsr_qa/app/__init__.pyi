@@ -1,34 +1,4 @@
-from .apply import (
-    AppliedCalibration as AppliedCalibration,
-    ApplyRequest as ApplyRequest,
-    apply_calibration as apply_calibration,
-    apply_outcome as apply_outcome,
-    as_csv as as_csv,
-    write_table as write_table,
-)
-from .apply_places import (
-    AppliedPlaces as AppliedPlaces,
-    apply_to_presses as apply_to_presses,
-    of_presses as of_presses,
-    places_csv as places_csv,
-    places_outcome as places_outcome,
-)
 from .archive import Archived as Archived, archive_runs as archive_runs, unarchive_runs as unarchive_runs
-from .calibrate import PressesCalibrated as PressesCalibrated, calibrate_from_presses as calibrate_from_presses
-from .calibration_file import (
-    Converted as Converted,
-    export_calibration as export_calibration,
-    read_any as read_any,
-)
-from .calibration_shown import ShownCalibration as ShownCalibration, show_calibration as show_calibration
-from .calibration_signing import (
-    NewKey as NewKey,
-    SignedFile as SignedFile,
-    SoundFile as SoundFile,
-    make_key as make_key,
-    sign_file as sign_file,
-    verify_file as verify_file,
-)
 from .changes import (
     Changes as Changes,
     Overridden as Overridden,
@@ -54,7 +24,6 @@ from .keeping import (
     check_database as check_database,
     restore_backup as restore_backup,
 )
-from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration
 from .sync import (
     Synchronised as Synchronised,
     decide_item as decide_item,

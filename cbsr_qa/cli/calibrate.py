@@ -10,7 +10,7 @@ from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import announce, check_page, show
 
 
-@command("calibrate", prints="cbsr_qa.app:PressesCalibrated")
+@command("calibrate", prints="cbsr_qa.app.calibration:PressesCalibrated")
 def calibrate(
     readings: Annotated[
         Path,
@@ -50,7 +50,7 @@ def calibrate(
     presses that were left out are missed.
     """
     from cbsr_qa.analysis.recording import PressFiles
-    from cbsr_qa.app import calibrate_from_presses
+    from cbsr_qa.app.calibration import calibrate_from_presses
 
     check_page(output)
     files = PressFiles(readings, presses, sensor_type, pattern, differences, rest)

@@ -114,7 +114,7 @@ def _list(
     *,
     as_json: bool,
 ) -> None:
-    from cbsr_qa.app import write_table
+    from cbsr_qa.app.calibration import write_table
     from cbsr_qa.config import database_url
     from cbsr_qa.store import open_store
 

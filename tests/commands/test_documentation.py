@@ -215,6 +215,7 @@ _RUN_ABOVE |= {"your-first-plugin.md"}  # by test_plugin_tutorial.py
 _RUN_ABOVE |= {
     "use-a-calibration.md",
     "sign-calibrations.md",
+    "stream-forces.md",
     "calibration-file.md",
     "calibrate-from-presses.md",
     "take-your-data-elsewhere.md",

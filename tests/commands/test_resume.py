@@ -16,7 +16,7 @@ from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, writ
 from made_once import made_once
 from pages import HOW_TO, commands, typed
 
-from cbsr_qa.app.run import RunRequest, run_sensor, session
+from cbsr_qa.app.run import RunRequest, conclusion, run_sensor
 from cbsr_qa.domain import UnconcludedError
 
 
@@ -192,7 +192,7 @@ def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
         signal.raise_signal(stop)
 
     with monkeypatch.context() as patch:
-        patch.setattr(session, at, stopped)
+        patch.setattr(conclusion, at, stopped)
         with pytest.raises(UnconcludedError, match="all measured data is stored") as ended:
             run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5, database=database))
     assert ended.value.exit_code == 3
@@ -225,12 +225,12 @@ def test_an_unknown_run_is_refused_and_nothing_is_made(tmp_path):
     assert done.returncode == 2
     refused = document(done)["refused"]
     assert "does not exist or is empty" in refused["reason"]
-    assert "with the same --database" in refused["remedy"]
+    assert "--database" in refused["remedy"]
     cbsr_qa(tmp_path, "db", "upgrade")
     refused = document(cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False))["refused"]
     assert "no run 'no-such-run' in this database" in refused["reason"]
     assert "cbsr-qa db status" in refused["remedy"]
-    assert "with the same --database" in refused["remedy"]
+    assert "--database" in refused["remedy"]
     assert [path.name for path in (tmp_path / "var").iterdir()] == ["cbsr-qa.db"]
 
 

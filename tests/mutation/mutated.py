@@ -20,7 +20,7 @@ from test_tank_formats import ds_file, vectors
 
 from cbsr_qa.analysis import write_recording
 from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.app import read_any, verify_file
+from cbsr_qa.app.calibration import read_any, verify_file
 from cbsr_qa.calibration.file import json_document, write_calibration
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.plugin import discover

@@ -14,8 +14,8 @@ from test_recording_file import sample
 
 from cbsr_qa.analysis import recording_files, write_recording
 from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.app import read_any, show_calibration, verify_file
 from cbsr_qa.app.analyse import AnalyseRequest, analyse
+from cbsr_qa.app.calibration import read_any, show_calibration, verify_file
 from cbsr_qa.calibration.file import read_calibration, write_calibration
 from cbsr_qa.domain import CalibrationError, RecordingError
 from cbsr_qa.plugin import discover

@@ -8,8 +8,7 @@ from typing import Any, Final, Literal, Protocol
 import numpy as np
 
 from cbsr_qa.analysis.recording import distinct_pairs
-from cbsr_qa.app.apply_places import PressedPlaces, issued_file, pattern_of
-from cbsr_qa.app.frame_scale import FrameScale, whole_readings
+from cbsr_qa.app.calibration import FrameScale, PressedPlaces, issued_file, pattern_of, whole_readings
 from cbsr_qa.calibration.runtime import NO_FORCE, Calibration, Flag, SettlingForces
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import Array, CalibrationError, RecordingError

@@ -22,13 +22,13 @@ from cbsr_qa.store import open_store
 from cbsr_qa.store.results import Reanalysis
 
 RECIPE = dict(open_document(DocumentKind.RECIPE, "nine-locations").data)
-LIMIT = Limit("drift", "mm", None, 5.0)
+LIMIT = Limit("centre_of_mass_error", "mm", None, 5.0)
 EVERY = RunSelection()
 
 
-def values(drift, noise=0.5):
+def values(error, noise=0.5):
     return (
-        Measurement("drift", drift, "mm", phase="nine locations", location="L0").judged(LIMIT),
+        Measurement("centre_of_mass_error", error, "mm", phase="nine locations", location="L0").judged(LIMIT),
         Measurement("noise", noise, "1"),
     )
 
@@ -41,10 +41,10 @@ class Inline(Executor):
 
 
 class Made:
-    """Workers that find ``drift_mm`` more, and count what they are asked."""
+    """Workers that find ``error_mm`` more, and count what they are asked."""
 
-    def __init__(self, drift_mm=0.0, **refusals):
-        self.drift_mm, self.refusals, self.jobs = drift_mm, refusals, []
+    def __init__(self, error_mm=0.0, **refusals):
+        self.error_mm, self.refusals, self.jobs = error_mm, refusals, []
 
     def __call__(self):
         return nullcontext(Workers(lambda: nullcontext(Inline()), 1, self.work))
@@ -55,7 +55,7 @@ class Made:
             return why if isinstance(why, Worked) else Worked(None, why)
         with open_store(job.database, create=False) as store:
             before = store.analyses(job.run)[-1].measurements
-        new = values(before[0].value + self.drift_mm)
+        new = values(before[0].value + self.error_mm)
         facts = (job.recipe, job.software, decide(new), new, ("a new warning",), "equal", 1.0, (("imaging", 1.0),))
         return Worked(Reanalysis(job.run, job.key_sha256, *facts), peak_mb=123.0)
 
@@ -65,8 +65,8 @@ def filled(tmp_path_factory):
     """Three runs: 4.0 and 4.5 mm pass, 6.0 mm fails; and one that was aborted."""
     path = tmp_path_factory.mktemp("reanalysed") / "runs.db"
     with open_store(f"sqlite:///{path}") as store:
-        for number, drift in enumerate((4.0, 4.5, 6.0)):
-            store_run(store, f"S-{number}", values(drift), recipe="nine-locations", tables=RECIPE, day=number)
+        for number, error in enumerate((4.0, 4.5, 6.0)):
+            store_run(store, f"S-{number}", values(error), recipe="nine-locations", tables=RECIPE, day=number)
         store_run(store, "S-9", (), recipe="nine-locations", tables=RECIPE, end=EndReason.ABORTED)
     return path
 
@@ -97,15 +97,15 @@ BEFORE = [("S-0", Outcome.PASS), ("S-1", Outcome.PASS), ("S-2", Outcome.FAIL)]
 def test_changes_and_flips_are_shown_and_no_verdict_changes(database):
     done = again(database, Made(0.75))
     assert (done.selected, done.computed, done.reused, done.adopted, done.unchanged) == (4, 3, 0, 0, 0)
-    drift, noise = done.values
-    assert (drift.name, drift.phase, drift.unit, drift.values, drift.changed) == (
-        "drift",
+    error, noise = done.values
+    assert (error.name, error.phase, error.unit, error.values, error.changed) == (
+        "centre_of_mass_error",
         "nine locations",
         "mm",
         3,
         3,
     )
-    assert (drift.median, drift.largest) == (0.75, 0.75)
+    assert (error.median, error.largest) == (0.75, 0.75)
     assert (noise.values, noise.changed, noise.largest, noise.run) == (3, 0, 0.0, "")
     (flip,) = done.flips
     assert (flip.serial, flip.was, flip.now) == ("S-1", Outcome.PASS, Outcome.FAIL)
@@ -115,7 +115,7 @@ def test_changes_and_flips_are_shown_and_no_verdict_changes(database):
     assert verdicts(database) == BEFORE
     shown = "\n".join(terminal_lines(*((out := reanalysed_outcome(done)).page, out.sections)))
     assert out.exit_code == 0
-    for words in ("1 verdict differs", "S-1", "drift", "0.750", "--adopt --by NAME", "123 MB"):
+    for words in ("1 verdict differs", "S-1", "centre of mass error", "0.750", "--adopt --by NAME", "123 MB"):
         assert words in shown, words
     assert json_document(done)["flips"][0]["serial"] == "S-1"
 
@@ -132,8 +132,8 @@ def test_a_repeat_computes_nothing_and_says_so(database):
 
 
 def limited(tmp_path, upper, name="limited.toml", **tables):
-    """Return the file of the recipe with one limit, of the drift in mm."""
-    limits = [{"measurement": "drift", "unit": "mm", "upper": upper, "phase": "nine locations"}]
+    """Return the file of the recipe with one limit, of an error of place."""
+    limits = [{"measurement": "centre_of_mass_error", "unit": "mm", "upper": upper, "phase": "nine locations"}]
     text = toml_document({**RECIPE, "limits": limits, **tables})
     return str((tmp_path / name).write_text(text) and tmp_path / name)
 

@@ -99,7 +99,7 @@ def test_a_process_that_is_killed_changes_no_result(tmp_path):
 
 def test_a_cluster_does_the_work():
     distributed = pytest.importorskip("distributed")
-    options = {"processes": False, "dashboard_address": None, "threads_per_worker": 1}
+    options = {"processes": False, "dashboard_address": ":0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **options) as cluster:
         with cluster_workers(cluster.scheduler_address, abs) as workers:
             assert dict(workers.done([-1, -2, -3])) == {-1: 1, -2: 2, -3: 3}
@@ -111,7 +111,7 @@ def test_a_cluster_does_the_work():
 )
 def test_a_cluster_that_cannot_work_is_refused(workers, threads, said):
     distributed = pytest.importorskip("distributed")
-    options = {"processes": False, "dashboard_address": None, "threads_per_worker": threads}
+    options = {"processes": False, "dashboard_address": ":0", "threads_per_worker": threads}
     with (
         distributed.LocalCluster(n_workers=workers, **options) as cluster,
         pytest.raises(RefusedError, match=said) as refused,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.analysis.recording import PressFiles, read_labelled_presses
-from cbsr_qa.app.calibration_file import check_free
-from cbsr_qa.app.press_sections import press_sections
+from cbsr_qa.app.calibration.file import check_free
+from cbsr_qa.app.calibration.press_sections import press_sections
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
 from cbsr_qa.domain.results import (

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.calibration_file import is_json, read_any, write_json
+from cbsr_qa.app.calibration.file import is_json, read_any, write_json
 from cbsr_qa.calibration.file import (
     Issued,
     check_signed_file,

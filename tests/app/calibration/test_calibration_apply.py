@@ -13,8 +13,8 @@ from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
-from cbsr_qa.app.apply import _in_order, flag_words
-from cbsr_qa.app.frame_scale import recorded_frames
+from cbsr_qa.app.calibration.apply import _in_order, flag_words
+from cbsr_qa.app.calibration.frame_scale import recorded_frames
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.cli import app

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cbsr_qa.app.calibrate import HeldOut, press_facts
+from cbsr_qa.app.calibration.calibrate import HeldOut, press_facts
 from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import (
     Banner,

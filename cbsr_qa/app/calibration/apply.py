@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.app.calibration_file import check_free, write_text
-from cbsr_qa.app.frame_scale import recorded_frames
+from cbsr_qa.app.calibration.file import check_free, write_text
+from cbsr_qa.app.calibration.frame_scale import recorded_frames
 from cbsr_qa.calibration.file import check_signed_file, read_contained
 from cbsr_qa.calibration.runtime import Calibration, Flag, Forces, SettlingForces
 from cbsr_qa.config import validate_serial

@@ -1,0 +1,133 @@
+"""The page of ``cbsr-qa calibration show``."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, shown_presses
+from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
+from cbsr_qa.calibration.file import read_issued, verify_calibration_file
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import (
+    Banner,
+    BaselineConductance,
+    CommandOutcome,
+    Page,
+    Paragraph,
+    PressCalibration,
+    Section,
+    Table,
+)
+from cbsr_qa.domain.run import run_named
+from cbsr_qa.report import fixed, plural, text_table
+from cbsr_qa.store import made_at
+from cbsr_qa.system import read_untrusted
+
+#: Fields with a separate line or table on the page.
+_IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
+
+
+def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
+    """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
+    verified, held = read_untrusted(
+        path, lambda: (verify_calibration_file(path), read_issued(path)), refusal=CalibrationError
+    )
+    if isinstance(held, PressCalibration):
+        return shown_presses(path, held)
+    shown = ShownCalibration.of(path, verified, held)
+    return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
+
+
+def _page(shown: ShownCalibration) -> Page:
+    identity = shown.identity
+    facts = (
+        ("Batch", identity.batch or "not stated"),
+        ("Sensor type", identity.sensor_type),
+        ("Issued at", identity.issued_at),
+        ("Run", run_named(identity.serial, made_at(identity.run), identity.run)),
+        ("Calibration", identity.calibration),
+    )
+    banner = Banner("plain", "●", f"Calibration of sensor {identity.serial}", "")
+    return Page("Calibration", identity.serial, banner, facts, shown.simulated, printed=(("SHA-256", shown.digest),))
+
+
+def _sections(shown: ShownCalibration) -> Iterator[Section]:
+    yield _texts("Where it may be used", _validity(shown))
+    yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
+    yield _texts("Force", _force(shown))
+    yield Section("Settling", (_settling(shown.settling),))
+    others = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
+    rows = [(path, field.units, field.text) for path, field in others.items() if field.listed]
+    table = text_table("All other fields of the file, except long arrays.", ("path", "unit", "value"), rows)
+    arrays = plural(len(others) - len(rows), "long array")
+    yield Section("Other fields", (table, Paragraph(f"Not shown: {arrays}. --json gives their shapes.")))
+
+
+def _texts(title: str, lines: Iterator[str]) -> Section:
+    return Section(title, tuple(map(Paragraph, lines)))
+
+
+def _validity(shown: ShownCalibration) -> Iterator[str]:
+    validity = shown.validity
+    yield f"force: {_range(validity.force_N, 'N')}"
+    yield f"strain: {_range((100 * validity.strain[0], 100 * validity.strain[1]), '%')}"
+    yield f"temperature: {_range(validity.temperature_C, '°C')}"
+    yield f"place: within {validity.radius_mm:.3g} mm of the centre"
+    yield f"head: {validity.indenter}"
+    yield from (f"reduced: {reason}" for reason in validity.reduced)
+    yield f"assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}"
+
+
+def _range(ends: tuple[float, float] | None, unit: str) -> str:
+    return "not measured" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g} {unit}"
+
+
+def _baseline(places: tuple[BaselineConductance, ...]) -> Table:
+    rows = [
+        (
+            place.location,
+            fixed(place.x_mm, 1),
+            fixed(place.y_mm, 1),
+            "none" if place.value is None else f"{place.value:.4g}",
+            "" if place.stderr is None else f"{place.stderr:.2g}",
+            str(place.loads),
+            place.why,
+        )
+        for place in places
+    ]
+    columns = ("place", "x [mm]", "y [mm]", "value", "± 1 s.e.", "loads", "remark")
+    return text_table("In relative image units.", columns, rows, (1, 2, 3, 4, 5))
+
+
+def _force(shown: ShownCalibration) -> Iterator[str]:
+    force = shown.force_model
+    if force is None:
+        yield f"none: {shown.no_force_model}"
+        return
+    low, high = 100 * force.response_lowest, 100 * force.response_highest
+    best, worst = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
+    yield (
+        f"Response of the sheet: {low:.1f} to {high:.1f} % of that of its material, with a standard error of"
+        f" {best:.1f} to {worst:.1f} %; single loads scatter by {100 * force.scatter:.1f} %."
+    )
+    x, y = force.least_force_worst_at_mm
+    yield (
+        f"Least force that one frame detects: {force.least_force_centre_N:.2g} N at the centre,"
+        f" {force.least_force_worst_N:.2g} N at the worst place, ({x:.3g}, {y:.3g}) mm."
+    )
+    least, most = force.stress_kPa
+    yield f"Learned from loads of {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."
+
+
+def _settling(summaries: tuple[Settling, ...]) -> Table:
+    rows = [
+        (
+            f"{one.signal}, {one.direction}",
+            "none" if one.mean_s is None else f"{'at least ' if one.censored else ''}{one.mean_s:.3g}",
+            "" if one.deviation_s is None else f"{one.deviation_s:.2g}",
+            *map(str, (one.accepted, one.censored, one.rejected)),
+        )
+        for one in summaries
+    ]
+    columns = ("signal", "mean [s]", "deviation [s]", "settled", "later than window", "rejected")
+    return text_table("Settling times over all loads.", columns, rows, (1, 2, 3, 4, 5))
