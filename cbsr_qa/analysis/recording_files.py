@@ -105,7 +105,8 @@ def read_recording(path: Path) -> Recording:
         If the file is not a recording file, truncated, edited (its digest does not match), or of a later version.
     """
     try:
-        with h5py.File(path, "r") as file:
+        # By its bytes: HDF5 shares a file that the program has open, even where that descriptor is closed.
+        with path.open("rb") as data, h5py.File(data, "r") as file:
             _check(path, file)
             return _read(path, file)
     except RecordingError:

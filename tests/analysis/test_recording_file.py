@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from cbsr_qa.analysis import recording_files
+from cbsr_qa.analysis.recording import read_recording_file
 from cbsr_qa.analysis.recording_files import SCHEMA_VERSION, read_recording, write_recording
 from cbsr_qa.domain import RecordingError
 from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Load, LoadRecord
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.plugin import discover
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 
 
@@ -66,6 +68,14 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, reading_times, refere
         assert getattr(after, name) == getattr(before, name)
     np.testing.assert_array_equal(after.samples[0].values, before.samples[0].values)
     assert list(tmp_path.iterdir()) == [path]  # no temporary file is left
+
+
+def test_a_file_that_a_notebook_has_open_is_read(tmp_path):
+    path = tmp_path / "a.h5"
+    write_recording(path, sample())
+    with h5py.File(path):
+        read = read_recording_file(path, discover(), format_=None, dataset=None)
+    np.testing.assert_array_equal(read.frames.voltages, read_recording(path).frames.voltages)
 
 
 def test_when_the_head_left_the_sheet_is_kept_press_by_press(tmp_path):

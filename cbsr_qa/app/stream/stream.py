@@ -65,7 +65,7 @@ def stream_messages(
 
     Parameters
     ----------
-    tell : called with what could not be made safe or closed.
+    tell : called with what is waited for, and what could not be made safe or closed.
     waiting : entered while the stream waits for a frame.
 
     Raises
@@ -76,6 +76,7 @@ def stream_messages(
     forces = frame_forces(request.calibration, request.sensor_type, request.public_key)
     plugins = plugins or discover()
     with opened_source(request.frames, plugins, forces.sensor_type, forces.indenter, tell) as source:
+        tell(f"waiting for a frame of {source.spec.driver}, one every {source.instrument.frame_period_s:.3g} s")
         stream = _Stream(request, source, forces, waiting)
         yield stream.begin()
         yield from stream.messages()

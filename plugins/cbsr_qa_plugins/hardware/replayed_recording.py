@@ -35,7 +35,8 @@ def open_replay(context: StationContext, options: ReplayOptions) -> "ReplayedRec
     format : its format; by default recognised from the file.
     dataset : which data set, if the file holds several.
     channel : channel of its samples.
-    start_s : time in the recording at which it starts to play; by default its beginning.
+    start_s : time in the recording at which it starts to play; by default its beginning, or its first frame where
+        frames alone are wanted (``cbsr-qa stream``).
 
     Raises
     ------
@@ -64,7 +65,8 @@ class ReplayedRecording(DriverBase):
         self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
         self._period_s = float(np.median(np.diff(recording.frames.time_s)))
         begins_s = [float(recording.frames.time_s[0]) - self._period_s / 2]
-        begins_s += [float(block.time_s[0]) for block in recording.samples if len(block)]
+        if context.motion is not None:  # a station has the samples too
+            begins_s += [float(block.time_s[0]) for block in recording.samples if len(block)]
         start_s = min(begins_s) if options.start_s is None else options.start_s
         #: What is added to the recording's time to get the station's.
         self._shift_s = context.clock.now() - context.resumed_at_s - start_s

@@ -155,7 +155,7 @@ class PreconditioningSequence(WithOptions):
 
 def _above_each_other(strains: tuple[float, ...]) -> tuple[float, ...]:
     if list(strains) != sorted(set(strains)):
-        raise ValueError("each strain must be above the one before; the way back is the same downwards")
+        raise ValueError("it must have each strain above the one before; the way back is the same downwards")
     return strains
 
 

@@ -89,6 +89,12 @@ def test_frames_come_in_order_each_at_its_end():
     assert clock.now() == pytest.approx(2.0 + 3.5 * PERIOD_S)
 
 
+def test_without_a_station_it_begins_with_its_first_frame():
+    clock = VirtualClock()
+    one = open_replay(replace(told(recording(), clock), motion=None))
+    assert one.acquire(1).time_s[0] == pytest.approx(PERIOD_S / 2)
+
+
 def test_what_nobody_asked_for_is_passed_over():
     clock, one = replay(start_s=-PERIOD_S / 2)
     clock.sleep(3.1 * PERIOD_S)  # a tenth into the fourth frame: it counts
