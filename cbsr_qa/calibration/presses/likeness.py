@@ -97,12 +97,23 @@ class Likeness:
         maps[:, rows, columns] = self._alike
         nearest = distance_transform_edt(self._on_sheet == 0, return_distances=False, return_indices=True)
         self._maps = maps[:, *nearest]
+        self._rough = np.where(self._on_sheet > 0, log_likelihood(self._maps), _OFF_SHEET)
 
     def of(self, presses: Indices) -> "Likeness":
         """The same for some of the presses."""
         some = copy(self)
         some._maps, some._alike = self._maps[presses], self._alike[presses]
+        some._rough = self._rough[presses]
         return some
+
+    def roughly(self, places: Array) -> Array:
+        """As :meth:`at`, linear between nodes and a fifth of the time: to choose where to begin."""
+        (x, y), first = self._between(places)
+        flat, width = self._rough.ravel(), self._width
+        near = (1 - y) * flat.take(first) + y * flat.take(first + 1)
+        far = (1 - y) * flat.take(first + width) + y * flat.take(first + width + 1)
+        value: Array = (1 - x) * near + x * far
+        return value
 
     def at(self, places: Array) -> Array:
         """Log likelihoods (…, n) of each press at its place (…, n, 2), in radii.
@@ -110,19 +121,26 @@ class Likeness:
         Cosines are cubic between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on
         a grid would be found on one of the lattice, however far apart they are. Beyond the sheet they fade linearly.
         """
+        (x, y), node = self._between(places)
+        flat, width = self._maps.ravel(), self._width
+        first = node - width - 1
+        along, across = _cubic(x), _cubic(y)
+        alike = np.zeros_like(x)
+        for m, a in enumerate(along):
+            row = first + m * width
+            alike += a * sum(b * flat.take(row + n) for n, b in enumerate(across))
+        sheet, node = self._on_sheet.ravel(), node % width**2
+        on = (1 - x) * ((1 - y) * sheet.take(node) + y * sheet.take(node + 1))
+        on += x * ((1 - y) * sheet.take(node + width) + y * sheet.take(node + width + 1))
+        value: Array = on * log_likelihood(alike) + (1 - on) * _OFF_SHEET
+        return value
+
+    def _between(self, places: Array) -> tuple[Array, Indices]:
+        """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
         at = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
         node = at.astype(np.int64)
-        (x, y), (i, j) = np.moveaxis(at - node, -1, 0), np.moveaxis(node, -1, 0)
         press = np.arange(len(self._maps))
-        along, across = _cubic(x), _cubic(y)
-        alike = sum(
-            a * sum(b * self._maps[press, i + m - 1, j + n - 1] for n, b in enumerate(across))
-            for m, a in enumerate(along)
-        )
-        on = (1 - x) * ((1 - y) * self._on_sheet[i, j] + y * self._on_sheet[i, j + 1])
-        on += x * ((1 - y) * self._on_sheet[i + 1, j] + y * self._on_sheet[i + 1, j + 1])
-        value: Array = on * log_likelihood(np.asarray(alike)) + (1 - on) * _OFF_SHEET
-        return value
+        return np.moveaxis(at - node, -1, 0), (press * self._width + node[..., 0]) * self._width + node[..., 1]
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""

@@ -142,7 +142,7 @@ def turned_likelihood(
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
         for each in (turned, turned.conj()):
-            values.append(float(likeness.at(np.stack([each.real, each.imag], axis=-1)).sum(axis=1).max()))
+            values.append(float(likeness.roughly(np.stack([each.real, each.imag], axis=-1)).sum(axis=1).max()))
     return max(values)
 
 
@@ -221,7 +221,7 @@ class _Search:
             for j, shift in enumerate(shifts):
                 turned = (labelled - shift) * np.exp(-size - 1j * _ROTATIONS)[:, None]
                 places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = fewer.at(places).sum(axis=1) + self._prior(size)
+                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(size)
         best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
         chosen = zip(*np.unravel_index(best, values.shape), strict=True)
         return [
