@@ -120,6 +120,6 @@ def _beginning(name: str) -> tuple[str, str]:
     text = _made.get(name) or path.read_text(encoding="utf-8")
     title, _, rest = text.removeprefix("# ").partition("\n")
     paragraph = " ".join(re.split(r"\n\n|\n```|\n\|", rest.strip(), maxsplit=1)[0].split())
-    paragraph = re.sub(rf" \({_LINK.pattern}\)", "", paragraph)  # a link that is an aside says nothing without it
+    paragraph = re.sub(rf" \({_LINK.pattern}\)", "", paragraph)  # an aside that is only a link
     plain = _LINK.sub(lambda found: found[2], paragraph)
     return title, re.split(r"(?<=[^.]{2}[.])(?<!et al\.) (?=[A-Z*`])", plain, maxsplit=1)[0].rstrip(":")

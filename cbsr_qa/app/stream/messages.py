@@ -61,7 +61,7 @@ class FrameMessage:
     time : UTC, of the middle of the frame.
     monotonic_s : the same on the monotonic clock of the computer that sends (CLOCK_MONOTONIC).
     force_N, force_68_N, force_95_N : force, and intervals that hold it with that probability; null without one.
-    x_mm, y_mm : place of the press; null where there is none.
+    x_mm, y_mm : place of the press; null if nothing presses.
     radius_68_mm, radius_95_mm : of circles about the place that hold it at least with that probability.
     touch : whether something presses; null if the frame does not tell.
     flags : names of :class:`~cbsr_qa.calibration.Flag`, in lower case.
