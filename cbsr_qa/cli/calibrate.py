@@ -36,7 +36,9 @@ def calibrate(
             " Not for a recording, which has the pattern of the sensor type."
         ),
     ] = None,
-    differences: Annotated[bool, typer.Option("--differences", help="READINGS are changes by the presses.")] = False,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="READINGS are differences from the unloaded sheet.")
+    ] = False,
     rest: Annotated[
         Path | None,
         typer.Option(help="Frames of the unloaded sheet, in the form of READINGS, which are whole frames then."),
@@ -44,10 +46,10 @@ def calibrate(
     output: PageOutput = None,
     as_json: AsJson = False,
 ) -> int:
-    """Learn a sensor's places from presses at known places, made by a robot, another rig or by hand.
+    """Calibrate a sensor from presses at known places, made by a robot, another rig or by hand.
 
-    Finds how the sheet lies in the frame of the places, learns force and depth where they are known, and says how far
-    presses that were left out are missed.
+    Finds how the sheet lies in the frame of the places, learns force and depth where they are known, and states
+    the error at presses left out of the fit.
     """
     from cbsr_qa.analysis.recording import PressFiles
     from cbsr_qa.app.calibration import calibrate_from_presses

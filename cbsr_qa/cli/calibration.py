@@ -119,7 +119,9 @@ def apply(
     ] = None,
     differences: Annotated[
         bool,
-        typer.Option("--differences", help="Calibration from presses: the readings are changes by the presses."),
+        typer.Option(
+            "--differences", help="Calibration from presses: the readings are differences from the unloaded sheet."
+        ),
     ] = False,
     rest: Annotated[
         Path | None, typer.Option(help="Calibration from presses: frames of the unloaded sheet, as RECORDINGS.")

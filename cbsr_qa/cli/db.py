@@ -53,11 +53,11 @@ def backup(
 
 @command("db restore", prints="cbsr_qa.app:Restored")
 def restore(
-    backup: Annotated[Path, typer.Argument(help="Backup to put in the place of the database.")],
+    backup: Annotated[Path, typer.Argument(help="Backup to restore.")],
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Put a backup in the place of the database, which nobody may use meanwhile; what was there is kept beside it."""
+    """Restore the database from a backup; nobody may use it meanwhile, and the old one is kept beside it."""
     from cbsr_qa.app import restore_backup
 
     with _counted() as count:
@@ -68,7 +68,7 @@ def restore(
 @command("db check", prints="cbsr_qa.app:DatabaseCheck")
 def check(
     since: Since = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Every row, but no frames, samples and files.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Every row, without frames, samples and files.")] = False,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -163,7 +163,7 @@ def sync(
         typer.Option(help="Station whose file names the central database and the limit, in its table sync."),
     ] = None,
     database: Database = None,
-    watch: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Send again and again.")] = None,
+    watch: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Keep sending until stopped.")] = None,
     status: Annotated[bool, typer.Option("--status", help="Show what waits; send nothing.")] = False,
     retry: Annotated[str | None, typer.Option(metavar="ITEM", help="Send a quarantined item again.")] = None,
     let_go: Annotated[

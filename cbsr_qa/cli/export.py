@@ -57,7 +57,7 @@ def export(
     recipe: Recipe = None,
     failed: Failed = False,
     limit: Limit = "",
-    latest: Annotated[int | None, typer.Option(help="Only so many of the latest.")] = None,
+    latest: Annotated[int | None, typer.Option(help="Only the latest N.")] = None,
     checks: Checks = False,
     database: Database = None,
     as_json: AsJson = False,

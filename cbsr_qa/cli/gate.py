@@ -23,7 +23,7 @@ def gate(
     database: Database = None,
     as_json: AsJson = False,
 ) -> int:
-    """Show what the checks before a run say of it; nothing is run, and no PIN asked for.
+    """Show the results of the checks before a run, without starting it; asks for no PIN.
 
     Exit code 0 if the run could begin, 2 if a check refuses it.
     """
@@ -54,7 +54,7 @@ def release(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Release a file for runs of stations that check it: the digest of its content is stored, with who and why.
+    """Release a file for runs at stations that require it: stores the digest of its content, with who and why.
 
     Comments and the order of keys do not matter; any other change needs a release of its own.
     """
@@ -65,7 +65,7 @@ def release(
 
 @command("releases", prints="cbsr_qa.app.gate:ReleaseList")
 def releases(database: Database = None, as_json: AsJson = False) -> None:
-    """List who released or withdrew which file, when and why; of a content the latest line holds."""
+    """List which files were released or withdrawn, by whom, when and why; the latest line of a content is valid."""
     from cbsr_qa.app.gate import list_releases
 
     show(list_releases(database), as_json=as_json)

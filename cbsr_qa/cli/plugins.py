@@ -81,7 +81,7 @@ def new_plugin(
     ] = Path(),
     as_json: AsJson = False,
 ) -> None:
-    """Write a package with one plugin that works, to be changed: code, test, README and pyproject.toml."""
+    """Write a package with one working plugin to start from: code, test, README and pyproject.toml."""
     from cbsr_qa.plugin import discover, kind_named
     from cbsr_qa.report import answer
     from cbsr_qa.testing.kit import make_package

@@ -53,7 +53,7 @@ def run(
     ] = None,
     override: Annotated[
         list[str] | None,
-        typer.Option(metavar="CHECK", help="Check of the gate that may not refuse this run; may be repeated."),
+        typer.Option(metavar="CHECK", help="Gate check that may not refuse this run; may be repeated."),
     ] = None,
     override_by: Annotated[str, typer.Option(metavar="NAME", help="Who overrides.")] = "",
     override_why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for the override.")] = "",

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 Today = Annotated[
     bool, typer.Option("--today", help="Runs that began today, by this computer's local time; not with --since.")
 ]
-Station = Annotated[list[str] | None, typer.Option(metavar="STATION", help="Of this station; may be repeated.")]
-Batch = Annotated[str | None, typer.Option(help="Of sensors of this batch.")]
-Operator = Annotated[list[str] | None, typer.Option(metavar="NAME", help="By this operator; may be repeated.")]
-Recipe = Annotated[str | None, typer.Option(help="Of the recipe of this name.")]
+Station = Annotated[list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")]
+Batch = Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")]
+Operator = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")]
+Recipe = Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")]
 Failed = Annotated[bool, typer.Option("--failed", help="Only what failed.")]
 Limit = Annotated[str, typer.Option(metavar="NAME", help="Only failures of this limit, e.g. centre_of_mass_error.")]
 Checks = Annotated[

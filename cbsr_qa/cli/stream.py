@@ -66,7 +66,7 @@ def stream(
     ] = None,
     give_up: Annotated[
         float,
-        typer.Option(metavar="SECONDS", min=0, help="How long to ask an instrument again that has lost its link."),
+        typer.Option(metavar="SECONDS", min=0, help="How long to retry an instrument whose link is lost."),
     ] = 30.0,
     public_key: PublicKey = None,
 ) -> int:

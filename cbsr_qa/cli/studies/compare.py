@@ -32,7 +32,7 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="METRIC=VALUE",
-            help="Say how many sensors find a difference of this size (80 % power); repeatable.",
+            help="Say how many sensors it takes to find a difference of this size (80 % power); repeatable.",
         ),
     ] = None,
     policy: Annotated[

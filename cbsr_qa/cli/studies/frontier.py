@@ -48,7 +48,10 @@ def frontier(
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few settings and one simulated sensor; of a recording, few draws.")
+        bool,
+        typer.Option(
+            "--quick", help="A quick look: few settings and one simulated sensor; of a recording, few draws."
+        ),
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier sweep has finished.")] = False,
     recipe: Annotated[Path | None, typer.Option(help="Recipe file to write the recommended setting to.")] = None,
@@ -64,7 +67,8 @@ def frontier(
     sensor_type: Annotated[str | None, typer.Option(help="With --recording: sensor type.")] = None,
     pattern: Annotated[Path | None, typer.Option(help="With --recording: electrode pairs of a table.")] = None,
     differences: Annotated[
-        bool, typer.Option("--differences", help="With --recording: READINGS are changes by the presses.")
+        bool,
+        typer.Option("--differences", help="With --recording: READINGS are differences from the unloaded sheet."),
     ] = False,
     rest: Annotated[Path | None, typer.Option(help="With --recording: frames of the unloaded sheet.")] = None,
     place_error: Annotated[
@@ -75,7 +79,7 @@ def frontier(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
-    """Sweep settings of computer and station, and say which accuracy costs how much time.
+    """Sweep settings of computer and station, and show how much time each accuracy costs.
 
     Finished parts are kept: a sweep that was stopped goes on where it was.
 

@@ -19,11 +19,13 @@ def reanalyse(
     ] = None,
     since: Since = None,
     until: Until = None,
-    serial: Annotated[list[str] | None, typer.Option(metavar="SERIAL", help="Of this sensor; repeatable.")] = None,
-    station: Annotated[
-        list[str] | None, typer.Option(metavar="STATION", help="Of this station; may be repeated.")
+    serial: Annotated[
+        list[str] | None, typer.Option(metavar="SERIAL", help="Runs of this sensor; repeatable.")
     ] = None,
-    batch: Annotated[str | None, typer.Option(help="Of sensors of this batch.")] = None,
+    station: Annotated[
+        list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")
+    ] = None,
+    batch: Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")] = None,
     checks: Annotated[
         bool, typer.Option("--checks", help="Also runs of golden sensors that checked a station.")
     ] = False,
