@@ -161,10 +161,10 @@ class _Brakes:
     watchdog: Watchdog
 
     def stop(self, by: str) -> bool:
-        return self.interrupts.ask_to_stop(f"{by} over the control channel")
+        return self.interrupts.ask_to_stop(f"{by} (remote)")
 
     def emergency(self, by: str) -> bool:
-        heard = self.interrupts.ask_to_stop(f"{by} over the control channel", at_once=True)
+        heard = self.interrupts.ask_to_stop(f"{by} (remote)", at_once=True)
         if heard:
             self.watchdog.insist()
         return heard
@@ -228,7 +228,7 @@ class _Execution:
             return "before the first step"
         phase, step = self._at
         text = f"while {describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
-        return f"{text}, bench {self._interlock.state}"
+        return f"{text}, {self._interlock.state.in_words}"
 
     def _phase(self, phase: DryPhase) -> None:
         scheduled = phase.scheduled

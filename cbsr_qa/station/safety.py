@@ -35,6 +35,21 @@ class State(StrEnum):
     SAFE = "safe"  #: every instrument reached it
     UNSAFE = "unsafe"  #: at least one did not: check the bench
 
+    @property
+    def in_words(self) -> str:
+        """What the head was doing, for the sentence that says where a run ended."""
+        return _IN_WORDS.get(self, f"bench {self.value}")
+
+
+_IN_WORDS: Final[dict[State, str]] = {
+    State.ARMED: "head up",
+    State.MOVING: "head travelling",
+    State.FEELING: "head searching the surface",
+    State.PRESSING: "head going down",
+    State.PRESSED: "head down",
+    State.EASING: "head changing its depth",
+    State.RELEASING: "head going up",
+}
 
 #: Which state may follow which. STOPPING may follow every one but the two it ends in.
 TRANSITIONS: Final[dict[State, frozenset[State]]] = {

@@ -147,7 +147,7 @@ def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_lo
         assert channel.ask("stop", by="Ada")["ok"]
     assert process.exitcode == 3
     record = came_of(folder, run).record
-    assert record.end_detail.startswith("by Ada over the control channel, while ")
+    assert record.end_detail.startswith("by Ada (remote), while ")
     (pause,) = record.pauses
     assert (pause.by, pause.ended_s) == ("Ada", None)
     assert not control_socket(STATION).exists()
@@ -185,7 +185,7 @@ def test_a_recipe_asks_with_a_picture_and_the_first_of_two_answers_counts(folder
     record = came_of(folder, latest_run(folder, "S-1")).record
     (asked,) = record.prompts
     assert (asked.answer, asked.by, asked.picture) == ("yes, wiped", "Grace", "sheet.png")
-    assert record.end_detail.startswith("by an emergency stop by Ada over the control channel, while ")
+    assert record.end_detail.startswith("by an emergency stop by Ada (remote), while ")
 
 
 def test_a_signal_goes_only_to_the_process_that_holds_the_lock(folder):

@@ -136,7 +136,7 @@ def test_limits_and_heartbeat_are_watched_in_a_pause(monkeypatch, what):
 
 
 @pytest.mark.parametrize(
-    ("stop", "said"), [("stop", "by Ada over"), ("emergency", "by an emergency stop by Ada over")]
+    ("stop", "said"), [("stop", "by Ada (remote)"), ("emergency", "by an emergency stop by Ada (remote)")]
 )
 def test_a_pause_is_stopped_at_once(stop, said):
     desk = ControlDesk()
@@ -144,7 +144,7 @@ def test_a_pause_is_stopped_at_once(stop, said):
     ended, _, script, *_ = run(STEPS, listeners=[at(Press, lambda: desk.pause("Ada"))], desk=desk)
     beside.join(20)
     assert ended.end is EndReason.ABORTED
-    assert ended.detail.startswith(f"{said} the control channel, while ")
+    assert ended.detail.startswith(f"{said}, while ")
     assert script.count("force_applicator.press") == 1
     assert_made_safe(script)
 
@@ -154,7 +154,7 @@ def test_a_stop_in_a_press_lifts_the_head_in_order_and_names_who_asked():
     listeners = [at(Hold, lambda: desk.stop("Ada"), count=2)]
     ended, _, script, bench, said = run(STEPS, listeners=listeners, desk=desk)
     assert ended.end is EndReason.ABORTED
-    assert ended.detail.startswith("by Ada over the control channel, while holding still for 10 s")
+    assert ended.detail.startswith("by Ada (remote), while holding still for 10 s")
     assert script.count("force_applicator.release") == 1
     assert not bench.force_applicator.down
     assert "Ada" in said[0]
@@ -228,7 +228,7 @@ def test_a_stop_ends_a_prompt_also_while_the_bench_is_opened():
     beside.join(20)
     beside = Beside(desk := ControlDesk(answers=True), lambda state: state["prompt"], lambda: desk.stop("Ada"))
     ended, *_ = run((Prompt("Ready?"), *CYCLE), ask=OperatorPrompt(None, desk), desk=desk)
-    assert (ended.end, ended.detail[:30]) == (EndReason.ABORTED, "by Ada over the control channel"[:30])
+    assert (ended.end, ended.detail[:15]) == (EndReason.ABORTED, "by Ada (remote)")
 
 
 def test_nothing_that_is_done_differs_on_a_paced_clock():

@@ -51,7 +51,7 @@ def test_a_fault_at_any_call_ends_safe_and_says_where(number, fault):
     called = script.names()[len(SAFE) : -len(SAFE)]
     assert called[: number + 1] == GOOD[: number + 1]
     # Nothing else is touched after the fault, but that a head somebody stopped in the sheet goes up as usual.
-    lifts = reason is EndReason.ABORTED and "bench pressed" in ended.detail
+    lifts = reason is EndReason.ABORTED and "head down" in ended.detail
     assert called[number + 1 :] == (["force_applicator.release"] if lifts else [])
     assert ended.end is reason
     assert said in ended.detail

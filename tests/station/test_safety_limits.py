@@ -47,7 +47,7 @@ def test_a_load_cell_that_falls_silent_under_load_stops_the_run():
     ended, _, script, bench = run(script=script)
     assert_safe(script, bench)
     assert "rule 'stale force'" in ended.detail
-    assert "bench pressed" in ended.detail
+    assert "head down" in ended.detail
 
 
 def test_a_load_cell_may_be_silent_while_nothing_is_pressed():
@@ -78,7 +78,7 @@ def test_the_surface_is_not_searched_for_without_a_live_load_cell():
     ended, _, script, bench = run(SEARCH, script=Script(VirtualClock(), force_N=lambda t, down: None))
     assert_safe(script, bench)
     assert "rule 'stale force'" in ended.detail
-    assert "bench feeling" in ended.detail
+    assert "head searching the surface" in ended.detail
     assert script.count("force_applicator.find_surface") == 0
 
 
@@ -100,7 +100,7 @@ def test_too_much_force_during_the_search_stops_the_run():
     ended, _, script, bench = run(SEARCH, script=script)
     assert_safe(script, bench)
     assert "rule 'force': 21 N measured" in ended.detail
-    assert "bench feeling" in ended.detail
+    assert "head searching the surface" in ended.detail
 
 
 def test_the_head_does_not_go_down_on_a_load_cell_that_has_fallen_silent():
@@ -119,7 +119,7 @@ def test_a_head_is_not_eased_on_a_load_cell_that_has_fallen_silent():
     ended, _, script, bench = run(EASED, script=script)
     assert_safe(script, bench)
     assert "rule 'stale force'" in ended.detail
-    assert "bench pressed" in ended.detail
+    assert "head down" in ended.detail
     assert script.count("force_applicator.press") == 1
 
 
@@ -143,7 +143,7 @@ def test_an_ease_that_fails_is_not_tried_again():
     assert_safe(script, bench)
     assert script.count("force_applicator.press") == 2
     assert "going to 30 %" in ended.detail
-    assert "bench easing" in ended.detail
+    assert "head changing its depth" in ended.detail
 
 
 def test_the_runner_holds_an_ease_against_the_limits_of_a_press():

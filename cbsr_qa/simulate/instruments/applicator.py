@@ -72,6 +72,7 @@ _LEVELLING_S: Final = 60.0
 _FASTEST_MM_S: Final = (200.0, 200.0, 12.0)
 #: Most queued moves; another one waits before it is acknowledged.
 _BUFFER: Final = 16
+_BUSY: Final = b"echo:busy: processing\n"
 _BUSY_EVERY_S: Final = 2.0
 #: Number and spacing of messages of a BUSY fault [s, real time].
 BUSY_MESSAGES: Final = 3
@@ -136,7 +137,7 @@ class EmulatedApplicator:
 
     def _keep_busy(self) -> None:
         for _ in range(BUSY_MESSAGES):
-            self._send(b"echo:busy: processing\n")
+            self._send(_BUSY)
             threading.Event().wait(BUSY_PAUSE_S)
             self._rig.clock.sleep(_BUSY_EVERY_S)
 
@@ -191,9 +192,8 @@ class EmulatedApplicator:
         return self._g1(parameters)
 
     def _g1(self, parameters: Parameters) -> str:
-        reply = ""
         while self._head.queued >= _BUFFER:
-            reply += self._wait_until(self._head.next_end_s)
+            self._wait_until(self._head.next_end_s)
         speed = parameters.get("F")
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
@@ -205,19 +205,19 @@ class EmulatedApplicator:
         slowest_s = max([length / self._speed_mm_s, *(w / v for w, v in zip(ways, _FASTEST_MM_S, strict=True))])
         if length > 0:
             self._head.go(self._true((x, y, z)), length / slowest_s)
-        return reply
+        return ""
 
     def _g4(self, parameters: Parameters) -> str:
-        reply = self._m400({})
-        dwell_s = (parameters.get("S") or 0.0) + (parameters.get("P") or 0.0) / 1e3
-        return reply + self._wait_until(self._rig.clock.now() + dwell_s)
+        self._m400({})
+        self._wait_until(self._rig.clock.now() + (parameters.get("S") or 0.0) + (parameters.get("P") or 0.0) / 1e3)
+        return ""
 
     def _g28(self, parameters: Parameters) -> str:
         """Home the named axes, or all.
 
         A Prusa lifts first, and levels the mesh afterwards if no axis was named.
         """
-        reply = self._m400({})
+        self._m400({})
         named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
         x, y, z = self._head.target_mm
         if self._firmware == "prusa":
@@ -226,12 +226,12 @@ class EmulatedApplicator:
             goal = list(self._head.target_mm)
             goal[axis] = 0.0
             self._head.go((goal[0], goal[1], goal[2]), _HOMING_MM_S[axis])
-        reply += self._m400({})
+        self._m400({})
         x, y, z = (0.0 if axis in named else offset for axis, offset in enumerate(self._offset))
         self._offset = (x, y, z)
         if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
-            reply += self._wait_until(self._rig.clock.now() + _LEVELLING_S)
-        return reply
+            self._wait_until(self._rig.clock.now() + _LEVELLING_S)
+        return ""
 
     def _g90(self, parameters: Parameters) -> str:
         self._absolute = True
@@ -259,7 +259,8 @@ class EmulatedApplicator:
         return f"{_FIRMWARE[self._firmware]}\n"
 
     def _m400(self, parameters: Parameters) -> str:
-        return self._wait_until(self._head.free_at_s)
+        self._wait_until(self._head.free_at_s)
+        return ""
 
     def _m410(self, parameters: Parameters) -> str:
         self._head.stop()
@@ -281,10 +282,9 @@ class EmulatedApplicator:
             return now_mm
         return goal if self._absolute else now_mm + goal
 
-    def _wait_until(self, time_s: float) -> str:
-        """Wait, with a busy message every two seconds."""
-        reply = ""
+    def _wait_until(self, time_s: float) -> None:
+        """Wait, with a busy message every two seconds, sent at once: on a paced clock the driver waits as long."""
         while (left_s := time_s - self._rig.clock.now()) > 0:
             self._rig.clock.sleep(min(left_s, _BUSY_EVERY_S))
-            reply += "echo:busy: processing\n" if left_s > _BUSY_EVERY_S else ""
-        return reply
+            if left_s > _BUSY_EVERY_S:
+                self._send(_BUSY)

@@ -143,9 +143,14 @@ class Port(ABC):
         self._thread = threading.Thread(target=self._run, args=(instrument,), name=self._name, daemon=True)
         self._thread.start()
 
-    @abstractmethod
     def send(self, data: bytes) -> None:
-        """Send unsolicited bytes; bytes that do not fit are lost, as on a real line."""
+        """Send unsolicited bytes, unless silenced; bytes that do not fit are lost, as on a real line."""
+        if not self._silent:
+            self._send(data)
+
+    @abstractmethod
+    def _send(self, data: bytes) -> None:
+        """Send bytes that fit."""
 
     def unread(self) -> int:
         """Number of bytes sent that no driver has read yet; 0 if unknown."""
@@ -206,8 +211,7 @@ class PtyPort(Port):
         self._writing = threading.Lock()
         self._wakes, self._wake = os.pipe()
 
-    def send(self, data: bytes) -> None:
-        """Send unsolicited bytes; bytes that do not fit are lost."""
+    def _send(self, data: bytes) -> None:
         with self._writing, suppress(BlockingIOError, OSError):
             os.write(self._master, data)
 
@@ -276,8 +280,7 @@ class TcpPort(Port):
         self.number = int(self._listening.getsockname()[1])
         self.address = f"TCPIP::127.0.0.1::{self.number}::SOCKET"
 
-    def send(self, data: bytes) -> None:
-        """Send unsolicited bytes, if a client is connected."""
+    def _send(self, data: bytes) -> None:
         if (talking := self._talking) is not None:
             with suppress(OSError):
                 talking.sendall(data)
