@@ -10,6 +10,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Figure
 from cbsr_qa.report.draw.sheet import add_scale
 from cbsr_qa.report.draw.style import (
@@ -145,9 +146,6 @@ def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:
         )
     if present:
         axes.legend(loc="upper right", bbox_to_anchor=(-0.12, 1.0), frameon=False, fontsize=7, labelcolor=QUIET)
-
-
-Array = NDArray[np.float64]
 
 
 def ring_figure(

@@ -13,8 +13,8 @@ from mpmath import mp
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.sheet import ResponseMap
+from cbsr_qa.domain import Array
 
-Array = NDArray[np.float64]
 #: Of mpmath numbers.
 _Exact = NDArray[np.object_]
 #: In extended precision, 64 bits of mantissa.
