@@ -223,7 +223,7 @@ class Moment:
     presses: list[SimulatedPress]
     response: list[float]
     stress_kPa: list[float]
-    voltages: NDArray[np.float64] | None = None
+    voltages: Array | None = None
     force_N: float = 0.0
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float = 0.0

@@ -39,7 +39,7 @@ class ChannelMark:
 
 @drawn
 def channel_map_figure(
-    values: NDArray[np.float64],
+    values: Array,
     *,
     label: str,
     unit: str,
@@ -75,7 +75,7 @@ def channel_map_figure(
 
 @drawn
 def pair_bar_figure(
-    values: NDArray[np.float64],
+    values: Array,
     names: Sequence[str],
     *,
     label: str,
@@ -107,14 +107,14 @@ def pair_bar_figure(
     return figure
 
 
-def _middle(values: NDArray[np.float64]) -> tuple[float, float]:
+def _middle(values: Array) -> tuple[float, float]:
     if not values.size:
         return 0.0, 1.0
     lowest, highest = (float(v) for v in np.percentile(values, (2, 98)))
     return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
 
 
-def _draw_map(axes: Axes, values: NDArray[np.float64], shown: NDArray[np.bool_], norm: Normalize) -> None:
+def _draw_map(axes: Axes, values: Array, shown: NDArray[np.bool_], norm: Normalize) -> None:
     drives, measures = values.shape
     _empty_cells(axes, shown)
     edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle, Polygon as Patch
 from matplotlib.path import Path
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import Disc, Footprint, SheetOutline
 from cbsr_qa.domain.results import Region
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh, SensorType
@@ -23,7 +23,7 @@ from cbsr_qa.report.draw.style import FAINT, INK, QUIET, Box, bare
 Point = tuple[float, float]
 
 
-def rings(region: Region) -> list[NDArray[np.float64]]:
+def rings(region: Region) -> list[Array]:
     """Trace a region's perimeter: closed rings (n, 2) [mm], outer ones counterclockwise, holes clockwise."""
     starts, ends = region.rim_mm()
     following: dict[Point, list[Point]] = defaultdict(list)
@@ -86,7 +86,7 @@ class Raster:
         self.elements = elements
         self.extent = (low_x, low_x + step * columns, low_y, low_y + step * rows)
 
-    def picture(self, values: NDArray[np.float64]) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
+    def picture(self, values: Array) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
         """Return (rows, columns) values, bottom row first; masked outside the sheet."""
         outside = self.elements < 0
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
@@ -138,7 +138,7 @@ def sheet_patch(sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool 
     return Patch(corners, closed=True, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
 
 
-def sheet_path(sheet: SheetOutline) -> NDArray[np.float64]:
+def sheet_path(sheet: SheetOutline) -> Array:
     """Corners of the sheet's edge as it is drawn, (n, 2): bends in steps that look round in print."""
     curve = sheet.curve
     steps = np.maximum(np.ceil(np.abs(curve.curvature * curve.length) * _SIDES / (2 * np.pi)).astype(int), 1)
@@ -166,9 +166,7 @@ def draw_electrodes(
             axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
 
 
-def _draw_ring(
-    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: Array) -> Array:
     """Draw electrodes on a ring; returns where their numbers go."""
     angles = layout.angles_rad()
     direction = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -180,13 +178,11 @@ def _draw_ring(
         half = layout.width_mm / layout.ring_radius_mm / 2
         arcs = [_arc(angle - half, angle + half, radius_mm) + shift for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
-    places: NDArray[np.float64] = direction * radius_mm * 1.075 + shift
+    places: Array = direction * radius_mm * 1.075 + shift
     return places
 
 
-def _draw_placed(
-    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Array) -> Array:
     """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
     centres, curve = electrodes.positions_mm(), sheet.curve
     along, away = curve.nearest(centres)
@@ -201,13 +197,13 @@ def _draw_placed(
     ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
     inner = (away > 4 * size)[:, None]
-    places: NDArray[np.float64] = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
+    places: Array = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
     return places
 
 
 def draw_circles(
     axes: Axes,
-    centres_mm: NDArray[np.float64],
+    centres_mm: Array,
     radius_mm: float,
     *,
     color: str = INK,
@@ -291,7 +287,7 @@ def reach(sheet: SheetOutline) -> float:
     return max(high_x - low_x, high_y - low_y) / 2
 
 
-def _arc(start: float, end: float, radius: float) -> NDArray[np.float64]:
+def _arc(start: float, end: float, radius: float) -> Array:
     steps = max(int(_SIDES * abs(end - start) / (2 * np.pi)), 4)
     angles = np.linspace(start, end, steps + 1)
     return radius * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.transforms import blended_transform_factory
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Trace
 from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, beside, canvas, drawn, fit_left, light_grid, note
 from cbsr_qa.report.tables import duration, unit_shown
@@ -122,9 +122,7 @@ def shade(axes: Axes, span: Span, *, named: bool) -> None:
         axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
 
 
-def thinned(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], points: int = _POINTS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def thinned(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
     """Keep lowest and highest value of each stretch, so that no spike is lost where points are too many to draw."""
     if len(values) <= points:
         return time_s, values
