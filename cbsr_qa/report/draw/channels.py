@@ -45,17 +45,15 @@ def channel_map_figure(
     unit: str,
     used: NDArray[np.bool_] | None = None,
     marks: Sequence[ChannelMark] = (),
-    limits: tuple[float, float] | None = None,
 ) -> Canvas:
     """Draw one value per reading as a map, drive pairs down, measure pairs across.
 
     Parameters
     ----------
     values : (drives, measures) float64; not finite where there is no value (drawn empty).
-    label, unit : what is shown and in what.
+    label, unit : what is shown and in what; the colours go from the 2nd to the 98th percentile.
     used : (drives, measures) bool; readings that are not used are drawn empty.
     marks : readings to point at, with a legend below the map; those without pairs are left out.
-    limits : (lowest, highest) of the colour scale; the 2nd and 98th percentile where None.
     """
     drives, measures = values.shape
     shown = np.isfinite(values) & (True if used is None else used)
@@ -65,7 +63,7 @@ def channel_map_figure(
     figure = canvas(height_in, WIDTH_IN)
     left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
     axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-    norm = Normalize(*(limits or _middle(values[shown])))
+    norm = Normalize(*_middle(values[shown]))
     _draw_map(axes, values, shown, norm)
     _draw_marks(axes, marks)
     if shown.any():

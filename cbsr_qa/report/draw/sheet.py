@@ -147,9 +147,7 @@ def sheet_path(sheet: SheetOutline) -> Array:
     return curve.at(np.concatenate(places))
 
 
-def draw_electrodes(
-    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, numbered: bool = True
-) -> None:
+def draw_electrodes(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, *, numbered: bool = True) -> None:
     """Draw the electrodes where they are, with their numbers just outside the sheet.
 
     Parameters
@@ -158,46 +156,45 @@ def draw_electrodes(
     numbered : every number where there is room, else only electrode 0.
     """
     if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
-        places = _draw_ring(axes, electrodes, sheet.radius_mm, np.asarray(shift))
+        places = _draw_ring(axes, electrodes, sheet.radius_mm)
     else:
-        places = _draw_placed(axes, electrodes, sheet, np.asarray(shift))
+        places = _draw_placed(axes, electrodes, sheet)
     for number, (x, y) in enumerate(places):
         if numbered or number == 0:
             axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
 
 
-def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: Array) -> Array:
+def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
     """Draw electrodes on a ring; returns where their numbers go."""
     angles = layout.angles_rad()
     direction = np.column_stack([np.cos(angles), np.sin(angles)])
     if layout.kind is ElectrodeKind.PIN:
         ring = min(layout.ring_radius_mm, radius_mm)
-        pins = direction * ring + shift
+        pins = direction * ring
         axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = layout.width_mm / layout.ring_radius_mm / 2
-        arcs = [_arc(angle - half, angle + half, radius_mm) + shift for angle in angles]
+        arcs = [_arc(angle - half, angle + half, radius_mm) for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
-    places: Array = direction * radius_mm * 1.075 + shift
+    places: Array = direction * radius_mm * 1.075
     return places
 
 
-def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Array) -> Array:
+def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Array:
     """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
     centres, curve = electrodes.positions_mm(), sheet.curve
     along, away = curve.nearest(centres)
     if electrodes.kind is ElectrodeKind.PIN:
-        pins = centres + shift
-        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+        axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = electrodes.width_mm / 2
-        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) + shift for place in along]
+        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) for place in along]
         axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     size = 0.075 * reach(sheet)
     ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
     inner = (away > 4 * size)[:, None]
-    places: Array = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
+    places: Array = np.where(inner, centres + size / 2, curve.at(along) + size * outward)
     return places
 
 
@@ -273,10 +270,10 @@ def add_scale(
         slot.set_xlabel(label)
 
 
-def fit_sheet(axes: Axes, sheet: SheetOutline, margin: float = 0.16) -> None:
+def fit_sheet(axes: Axes, sheet: SheetOutline) -> None:
     """Show exactly the sheet with room for the electrodes' numbers."""
     low_x, high_x, low_y, high_y = sheet.extent_mm
-    room = margin * reach(sheet)
+    room = 0.16 * reach(sheet)
     axes.set_xlim(low_x - room, high_x + room)
     axes.set_ylim(low_y - room, high_y + room)
 

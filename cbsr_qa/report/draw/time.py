@@ -72,18 +72,14 @@ class Span:
 
 @drawn
 def timeline_figure(
-    traces: Sequence[Trace],
-    spans: Sequence[Span],
-    *,
-    time_label: str = "time since the first complete frame [s]",
-    panel_height_in: float = 1.35,
+    traces: Sequence[Trace], spans: Sequence[Span], *, time_label: str = "time since the first complete frame [s]"
 ) -> Canvas:
-    """Draw traces below each other over one time axis, those of equal unit in one panel [in].
+    """Draw traces below each other over one time axis, those of equal unit in one panel.
 
     Spans are shaded through all panels and named above the first. Traces without points are left out.
     """
     panels = _by_unit(traces)
-    height_in = panel_height_in * len(panels) + 0.75
+    height_in = 1.35 * len(panels) + 0.75
     figure = canvas(height_in)
     grid = figure.add_gridspec(
         len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
