@@ -8,20 +8,19 @@ from typing import Any
 
 
 def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Make what a package's stub lists importable from the package, each name loaded when it is first used.
+    """Make importable what a package's file imports for type checkers alone, each name loaded when it is first used.
 
     As ``lazy_loader.attach_stub``, which a robot does not have: there numpy, scipy and h5py are all there is.
 
     Parameters
     ----------
-    package, file : ``__name__`` and ``__file__`` of the package; the stub is beside its file, ``__init__.pyi``.
+    package, file : ``__name__`` and ``__file__`` of the package.
 
     Returns
     -------
     ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
     """
-    stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
-    own = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.level]
+    own = listed(Path(file).read_text(encoding="utf-8"))
     modules = {alias.name: node.module for node in own for alias in node.names}
     names = sorted(modules)
 
@@ -34,3 +33,9 @@ def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], li
         return value
 
     return load, lambda: names, names
+
+
+def listed(source: str) -> list[ast.ImportFrom]:
+    """Return the imports under ``if TYPE_CHECKING`` of a door: what it offers."""
+    blocks = [node for node in ast.parse(source).body if isinstance(node, ast.If)]
+    return [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]

@@ -9,11 +9,10 @@ from typing import Annotated, Any, Final, Literal, NoReturn, TypeVar
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from cbsr_qa.calibration.file import attribute
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.plugin import CheckedTable, check, printable, shown
 
@@ -34,9 +33,7 @@ def group_of(parent: h5py.Group, name: str) -> h5py.Group:
     return member
 
 
-def numbers(
-    parent: h5py.Group, name: str, kinds: str = "iuf", shape: tuple[int, ...] | None = None
-) -> NDArray[np.float64]:
+def numbers(parent: h5py.Group, name: str, kinds: str = "iuf", shape: tuple[int, ...] | None = None) -> Array:
     """Read a dataset of real numbers as float64.
 
     Parameters
@@ -51,7 +48,7 @@ def numbers(
         raise RefusedError(f"{dataset.name} holds values of type {dataset.dtype}, not {expected}", remedy=remedy)
     if shape is not None and dataset.shape != shape:
         raise RefusedError(f"{dataset.name} has shape {dataset.shape}; {shape} is expected")
-    values: NDArray[np.float64] = dataset[()].astype(np.float64)
+    values: Array = dataset[()].astype(np.float64)
     return values
 
 

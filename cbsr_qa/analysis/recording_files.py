@@ -28,7 +28,7 @@ from cbsr_qa.analysis.recording_entries import (
     unit_of,
 )
 from cbsr_qa.calibration.file import attribute, attribute_names, members
-from cbsr_qa.domain import CbsrError, RecordingError, RefusedError
+from cbsr_qa.domain import Array, CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Load, LoadRecord
 from cbsr_qa.plugin import echo
@@ -273,9 +273,7 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     )
 
 
-def _check_finite(
-    group: h5py.Group, name: str, column: NDArray[np.float64], unit: str, labels: Sequence[str]
-) -> None:
+def _check_finite(group: h5py.Group, name: str, column: Array, unit: str, labels: Sequence[str]) -> None:
     for k in np.flatnonzero(~np.isfinite(column))[:1].tolist():
         raise RefusedError(
             f"{group.name}/{name}, row {k} (from 0), of load {echo(labels[k])}, is {column[k]:g} {unit};"

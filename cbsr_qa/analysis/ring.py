@@ -8,14 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
-
-Array = NDArray[np.float64]
 
 #: Readings expected below this share of the largest are compared with that share instead of themselves.
 _SMALLEST: Final = 1e-3

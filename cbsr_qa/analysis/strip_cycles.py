@@ -5,20 +5,17 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import limit_N
 from cbsr_qa.analysis.run import unloaded_frames
 from cbsr_qa.calibration.strip import Specimen, characterise
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, CycleReadings
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Parameter, SensorType
 from cbsr_qa.eit.loads import StripModel
-
-Array = NDArray[np.float64]
 
 #: Samples are averaged into this many points per hold: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60

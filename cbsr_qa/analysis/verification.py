@@ -4,18 +4,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import off_the_line
 from cbsr_qa.analysis.run import load_window
 from cbsr_qa.calibration.fits import predict_steady, relaxation_curve
 from cbsr_qa.calibration.runtime import Calibration, Matches
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import Array, CalibrationError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RunObservation
-
-Array = NDArray[np.float64]
 
 #: Earlier force samples are of a head still coming to rest [s].
 _SETTLED_S: Final = 1.0

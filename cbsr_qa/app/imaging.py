@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION
 from cbsr_qa.app.analyse import ChosenParameter
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
 from cbsr_qa.domain.results import Banner, CommandOutcome, Figure, Image, Page, PreparedReconstruction, Section
@@ -42,7 +41,7 @@ class ImagedFrames:
     readings: int
     elements: int
     warnings: tuple[str, ...]
-    values: Annotated[InstanceOf[NDArray[np.float64]], Field(exclude=True)]
+    values: Annotated[InstanceOf[Array], Field(exclude=True)]
     mesh: Annotated[InstanceOf[Mesh], Field(exclude=True)]
     sensor_type: Annotated[InstanceOf[SensorType], Field(exclude=True)]
 

@@ -1,5 +1,11 @@
 """Learning from a sensor's own loads: fits, the sheet's response, force, and the issued file."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .issue import issue_calibration as issue_calibration
+    from .runtime import Calibration as Calibration, Flag as Flag, ForceStream as ForceStream
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,13 @@
 """The command line."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .command import commands as commands, documents as documents
+    from .main import app as app, ended as ended, guarded as guarded
+    from .options import plugin_options as plugin_options
+    from .output import ask_operator as ask_operator, operator_at_terminal as operator_at_terminal
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -107,10 +107,10 @@ def with_type(found: object) -> str:
     return f"{'an' if kind[0].lower() in 'aeiou' else 'a'} {kind}"
 
 
-def did_you_mean(name: str, known: Collection[str], otherwise: str = "") -> str:
-    """Suggest the nearest known name; ``otherwise`` if none is near."""
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Suggest the nearest known name; empty if none is near."""
     near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else otherwise
+    return f"did you mean {near[0]!r}?" if near else ""
 
 
 def of_kind(kind: str, name: str) -> str:

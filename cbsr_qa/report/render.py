@@ -60,7 +60,7 @@ def render_recording(
     return _render(recording_page(result), result, sections, warnings)
 
 
-def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequence[str] = ()) -> str:
+def render_sections(page: Page, sections: Sequence[Section]) -> str:
     """Render a page whose sections are there already, in the look of the reports; see :func:`render_run`.
 
     Raises
@@ -70,7 +70,7 @@ def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequen
     """
     blocks = iter(side_by_side([partial(_block, block) for section in sections for block in section.blocks]))
     shown = [_Shown(f"s{n}", one.title, tuple(islice(blocks, len(one.blocks)))) for n, one in enumerate(sections, 1)]
-    return _page(page, shown, warnings)
+    return _page(page, shown, ())
 
 
 def render_fragment(page: Page, sections: Sequence[Section]) -> str:

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import AcquireFrames, Press, Release
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
 from cbsr_qa.domain.run import FramesTaken, RunEvent, StepStarted
@@ -24,8 +25,8 @@ class NoiseSoFar:
         self._counts = self._pressed = False
         self._frames = 0
         self._freedom = 0
-        self._mean: NDArray[np.float64] | None = None
-        self._squares: NDArray[np.float64] | None = None
+        self._mean: Array | None = None
+        self._squares: Array | None = None
         self._unusable: NDArray[np.bool_] | None = None
 
     def __call__(self, event: RunEvent) -> None:

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from sqlalchemy import DateTime, Dialect, Double, Integer, LargeBinary, String, Text
 from sqlalchemy.types import TypeDecorator
 
+from cbsr_qa.domain import Array
+
 _COUNTER_BITS = 12
 #: Of zlib: no header and no checksum, the digest of a row covers what is packed.
 _NO_HEADER: Final = -15
@@ -91,7 +93,7 @@ def _parts(identifier: str) -> tuple[int, int] | None:
     return number.int >> 80, (number.int >> 64) & ((1 << _COUNTER_BITS) - 1)
 
 
-def packed(values: NDArray[np.float64]) -> bytes:
+def packed(values: Array) -> bytes:
     """Return float64 as little-endian bytes in C order."""
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
@@ -101,7 +103,7 @@ def packed_flags(values: NDArray[np.uint8]) -> bytes:
     return np.ascontiguousarray(values, dtype=np.uint8).tobytes()
 
 
-def unpacked(data: bytes, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def unpacked(data: bytes, shape: tuple[int, ...]) -> Array:
     """Return float64 of a shape from little-endian bytes, as a writable copy.
 
     Raises

@@ -1,5 +1,42 @@
 """Operating system services: clocks, atomic files, locks, limited child processes."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .beside import Ahead as Ahead, side_by_side as side_by_side
+    from .clock import (
+        TICK_S as TICK_S,
+        Clock as Clock,
+        RealClock as RealClock,
+        Stages as Stages,
+        VirtualClock as VirtualClock,
+        in_ticks as in_ticks,
+        on_tick as on_tick,
+        passing as passing,
+    )
+    from .files import (
+        FileLock as FileLock,
+        HeldError as HeldError,
+        csv_text as csv_text,
+        holder as holder,
+        writing as writing,
+        written_whole as written_whole,
+    )
+    from .pins import (
+        hashed_pin as hashed_pin,
+        pin_allowed as pin_allowed,
+        pin_hash_readable as pin_hash_readable,
+        pin_matches as pin_matches,
+    )
+    from .redelivery import Redelivery as Redelivery
+    from .secret import secret_of as secret_of
+    from .untrusted import (
+        CONTAINED as CONTAINED,
+        largest_content as largest_content,
+        read_untrusted as read_untrusted,
+    )
+    from .workers import heard_later as heard_later, worker_pool as worker_pool
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

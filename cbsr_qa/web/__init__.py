@@ -1,5 +1,10 @@
 """The page of a line: operators see and start runs in a browser; see docs/decisions/0041."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .server import ServeRequest as ServeRequest, serve as serve
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

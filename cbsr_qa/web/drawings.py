@@ -133,6 +133,6 @@ class SheetDrawing:
         )
 
 
-def scale_colours(count: int = 25) -> tuple[str, ...]:
+def scale_colours() -> tuple[str, ...]:
     """Colours of the scale from its lowest to its highest value, as in images."""
-    return tuple(to_hex(CHANGE_MAP(value)) for value in np.linspace(0, 1, count))
+    return tuple(to_hex(CHANGE_MAP(value)) for value in np.linspace(0, 1, 25))

@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: A channel is at a rail if this share of its readings is exactly there, and flagged if this share is flagged.
 _AT_RAIL = 0.5

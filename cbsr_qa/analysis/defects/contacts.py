@@ -7,13 +7,10 @@ at the rim near that electrode changes the same readings most, but its pattern e
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import SILENT_SPREAD
 from cbsr_qa.domain.sensor import DrivePattern
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Least share of a change's energy, above noise, that lies in the readings of one electrode.
 _INSIDE = 0.9

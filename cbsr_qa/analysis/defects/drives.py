@@ -7,12 +7,9 @@ pair i, equals V_ji, driven at pair j. So the row of a dead drive is a fraction 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SOUND_SLOPE
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FOLLOWS = 0.8  #: correlation of the typical drive below which slopes mean nothing
 _AWAY = 0.5  #: a dead drive's own reading is wrapped if it differs by this share of the typical one

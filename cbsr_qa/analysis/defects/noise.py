@@ -4,12 +4,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import FrameBlock, NoiseReport, NoiseStep, VoltageUnit
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826

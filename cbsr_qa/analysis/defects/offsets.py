@@ -4,11 +4,9 @@ No load causes one: its pattern differs from reading to reading, as does a chang
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 _STAY_FRAMES = 8  #: at most so many frames on either side determine an offset
 _SUDDEN = 6.0  #: the typical reading jumps by so many times the noise of such jumps

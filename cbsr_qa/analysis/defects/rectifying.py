@@ -1,11 +1,9 @@
 """Rectifying front ends: readings of one polarity hardly answer."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.presses import AnsweringSide, compared_sides
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 _LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
 

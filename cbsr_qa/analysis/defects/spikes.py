@@ -10,14 +10,11 @@ over the whole recording, not that of the window, which a quiet handful of frame
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _HALF_WINDOW = 3  #: frames on either side: spikes of up to three frames are seen
 

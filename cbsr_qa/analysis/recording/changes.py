@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 #: Frames compared before and after a moment; wider windows find weaker and slower presses.
 WINDOWS = (2, 4, 8)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import Suspect, suspect_in
 from cbsr_qa.analysis.recording.changes import Change, find_changes
@@ -41,8 +40,7 @@ from cbsr_qa.analysis.recording.traces import (
     smooth,
     trace,
 )
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 _CLOSE = 3  #: frames: a pulse this close to a press at its place is part of it
 _RESIDUE = 0.6  #: a sheet keeps at most this share of a short press

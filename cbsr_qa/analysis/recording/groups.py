@@ -18,8 +18,7 @@ from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change, threshold_for
 from cbsr_qa.analysis.recording.places import Matcher
 from cbsr_qa.analysis.recording.traces import BEFORE_FRAMES, difference, rough, smooth, trace
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 SAME_PLACE = 0.4  #: of the radius: two steps closer than this are at the same place
 _NEW_PRESS_LOSS = 0.4  #: a step at the same place is a new press if the trace had lost this share before it

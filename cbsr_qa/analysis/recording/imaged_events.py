@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording.images import EventImages, Sighting, Tell, prepare_for_events
 from cbsr_qa.analysis.recording.scene import RecordedScene
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import EventImaging, ImagedPlace, LoadEvent, Motion, SampleBlock
@@ -17,8 +17,6 @@ from cbsr_qa.domain.results import Blob, Image, LinearReconstruction
 from cbsr_qa.domain.sensor import Electrodes
 from cbsr_qa.eit.imaging import Assignment, assign_regions, masked_blobs, split_blobs
 from cbsr_qa.plugin import Reconstruction
-
-Array = NDArray[np.float64]
 
 #: Assumed radius of an unknown head, of the sheet's (13 mm on a 100 mm disc).
 _HEAD: Final = 0.13

@@ -12,15 +12,12 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model
 from cbsr_qa.analysis.recording.places import Place
-from cbsr_qa.domain import CbsrError, Goodness, NumericsError, PluginError
+from cbsr_qa.domain import Array, CbsrError, Goodness, NumericsError, PluginError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
 from cbsr_qa.plugin import Reconstruction
-
-Array = NDArray[np.float64]
 
 #: Receives each step, in words.
 Tell = Callable[[str], None]

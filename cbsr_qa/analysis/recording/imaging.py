@@ -15,13 +15,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Mask, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Response, SensorType, adjacent_pattern
 from cbsr_qa.eit.inverse import imaging_problem
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _NOMINAL_RADIUS_MM = 50.0
 _ARC = 0.1  # length of a nominal electrode, of the radius

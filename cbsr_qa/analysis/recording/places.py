@@ -9,11 +9,9 @@ residual of the others.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import MAD_TO_SIGMA
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
 _FURTHER_SHARE = 0.15

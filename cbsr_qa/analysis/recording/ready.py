@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import (
     ChannelFaults,
@@ -17,6 +16,7 @@ from cbsr_qa.analysis.defects import (
     open_electrodes,
     without_offsets,
 )
+from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import (
     CarryOver,
     ChannelReport,
@@ -31,9 +31,6 @@ from cbsr_qa.domain.readings import (
     scan_order,
 )
 from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: One electrode that loses contact differs from loads by its change; several at once by the parts without them.
 _PARTS, _PART_FRAMES = 4, 8

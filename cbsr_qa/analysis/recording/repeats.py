@@ -3,12 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Indices
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, Recording
 from cbsr_qa.domain.sensor import DrivePattern, SensorType
-
-Indices = NDArray[np.int64]
 
 
 def without_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Recording, SensorType]:

@@ -15,11 +15,9 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, fitted, matcher, r
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
-from cbsr_qa.domain import Goodness
+from cbsr_qa.domain import Array, Goodness
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.sensor import SensorType
-
-Array = NDArray[np.float64]
 
 #: Faster recordings are averaged to about this rate before detection; presses are slower.
 _DETECTION_RATE_HZ = 8.0

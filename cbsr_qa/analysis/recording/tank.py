@@ -15,13 +15,10 @@ from scipy.optimize import minimize_scalar
 
 from cbsr_qa.analysis.recording.imaging import Sheet
 from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fitted
-from cbsr_qa.domain import Goodness
+from cbsr_qa.domain import Array, Goodness, Mask
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
 from cbsr_qa.eit.loads import DeepTank
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _DETECTED = 6.0  #: product of pattern and change, over the noise, from which an object counts
 _EXPLAINED = 0.25  #: and the share of the change it must explain

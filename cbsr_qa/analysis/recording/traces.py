@@ -7,13 +7,11 @@ decline sets in (the sheet keeps much of a change, so the trace may not return t
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
 _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import off_the_line
 from cbsr_qa.analysis.run.loads import LoadWindow, window_of
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation
 from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
 from cbsr_qa.eit.loads import RoundLoadModel
 
-Array = NDArray[np.float64]
 Key = tuple[str, int]  # phase, index of the load within it
 
 #: With fewer unloaded frames the noise of a single reading is unknown.

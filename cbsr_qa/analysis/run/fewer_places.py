@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.run.force import RunForce
 from cbsr_qa.analysis.run.force_quality import calibrated_radius_mm, map_quality, places_mm
 from cbsr_qa.calibration.sheet import FEWEST, ResponseMap, learn_response, sheet_places
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 
-Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
 #: Shares of the places that are tried.

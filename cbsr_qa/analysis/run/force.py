@@ -23,12 +23,10 @@ from cbsr_qa.calibration.force import (
 )
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables, scattered
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
-from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain import Array, CbsrError, NumericsError
 from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
 from cbsr_qa.eit.estimate import load_model, merged_readings
 from cbsr_qa.system import Ahead
-
-Array = NDArray[np.float64]
 
 #: How a load is tested.
 HELD_OUT: Final = "held out"

@@ -16,11 +16,10 @@ from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits import TimedValues, learn_kernel, predict_steady, relaxation_start
 from cbsr_qa.calibration.force import RESIDUE_SHARE, CalibrationLoads
 from cbsr_qa.calibration.runtime import Matches, TemplateFilter
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RunObservation
 
-Array = NDArray[np.float64]
 #: Phase of a load and its index there.
 LoadKey = tuple[str, int]
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run.loads import window_of
@@ -13,12 +12,10 @@ from cbsr_qa.calibration.fits import TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.force import LearnedForce
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolated, map_tables
 from cbsr_qa.calibration.sheet import Estimate, sheet_gauge_factor, sheet_places, steady_share
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 from cbsr_qa.domain.run import Indenter
-
-Array = NDArray[np.float64]
 
 #: Fewest errors for a standard deviation.
 FEWEST: Final = 2

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock
@@ -27,14 +27,14 @@ class Imager:
     """
 
     reconstruction: LinearReconstruction
-    reference: NDArray[np.float64]
+    reference: Array
     scale: float
 
     @property
     def mesh(self) -> Mesh:
         return self.reconstruction.problem.mesh
 
-    def images(self, frames: FrameBlock) -> NDArray[np.float64]:
+    def images(self, frames: FrameBlock) -> Array:
         """Image n frames as one matrix product: (n, elements) float64, relative conductance change."""
         readings = changes(frames.voltages, self.reference, self.reconstruction.problem, self.scale)
         return self.reconstruction.images(readings)
@@ -75,7 +75,7 @@ def decide_response(
     return voted, f"decided from {len(clear)} loads: {counts}", warnings
 
 
-def mean_under(mesh: Mesh, values: NDArray[np.float64], pressed: Footprint) -> float:
+def mean_under(mesh: Mesh, values: Array, pressed: Footprint) -> float:
     """Area-weighted mean of an image (e,) over the elements with their centroid under a head; 0 without any."""
     under = pressed.contains(mesh.centroids_mm)
     area = mesh.areas_mm2 * under
@@ -89,7 +89,7 @@ RESOLUTION = 1e-9
 
 def mask_views(
     mesh: Mesh,
-    signed: NDArray[np.float64],
+    signed: Array,
     noise_floor: float,
     settings: AnalysisSettings,
     pressed: Footprint,
@@ -120,7 +120,7 @@ def mask_views(
 
 def sensed_regions(
     mesh: Mesh,
-    signed: NDArray[np.float64],
+    signed: Array,
     noise_floor: float,
     settings: AnalysisSettings,
     pressed: Footprint,
@@ -152,5 +152,5 @@ def _sensed(
     return None if own is None else regions[own], assignment.fate(0)
 
 
-def _cleared(mesh: Mesh, signed: NDArray[np.float64], noise_floor: float) -> Image:
+def _cleared(mesh: Mesh, signed: Array, noise_floor: float) -> Image:
     return Image(mesh, floored(signed, max(noise_floor, RESOLUTION)))

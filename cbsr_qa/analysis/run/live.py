@@ -7,11 +7,9 @@ show over a whole run (offsets, spikes, electrodes that come loose) are left to 
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cbsr_qa.analysis.run.imaging import Imager, mean_under, sensed_regions
 from cbsr_qa.analysis.run.reference import split_unloaded
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
 from cbsr_qa.domain.results import linear
@@ -77,9 +75,9 @@ class LivePreview:
     def mesh(self) -> Mesh:
         return self.imager.mesh
 
-    def image(self, frames: FrameBlock) -> NDArray[np.float64]:
+    def image(self, frames: FrameBlock) -> Array:
         """Return the mean image of some frames: (e,) float64, relative conductance change."""
-        values: NDArray[np.float64] = self.imager.images(frames).mean(axis=0)
+        values: Array = self.imager.images(frames).mean(axis=0)
         return values
 
     def place(self, load: Load, steady: FrameBlock) -> PlacePreview:

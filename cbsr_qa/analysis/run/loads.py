@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import stood_at_limit
 from cbsr_qa.analysis.run.imaging import Imager, mask_views, mean_under
 from cbsr_qa.calibration.fits import fit_relaxation, relaxation_start, settling_time, window_s
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
@@ -109,7 +108,7 @@ def relaxed(
     return replace(load, settled=_settled(load, window, settings))
 
 
-def _image_before(setting: LoadSetting, window: LoadWindow) -> NDArray[np.float64]:
+def _image_before(setting: LoadSetting, window: LoadWindow) -> Array:
     """Image (e,) just before the press: residues of earlier loads."""
     imager = setting.imager
     return imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
@@ -120,7 +119,7 @@ def _observe(
     phase: PhaseRecord,
     record: LoadRecord,
     window: LoadWindow,
-    values: NDArray[np.float64],
+    values: Array,
     residue: float,
 ) -> LoadObservation:
     no_force = stood_at_limit(phase.channel("force"), record)

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import stood_at_limit
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import LoopObservation, Trace
 from cbsr_qa.domain.run import HeldStrain, Indenter, LoadRecord, PhaseRecord, RunRecord
-
-Array = NDArray[np.float64]
 
 #: The output at the deepest strain must be so many of its own standard errors from zero.
 _CLEAR: Final = 5.0

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.imaging import Imager, decide_response, sensed_regions
 from cbsr_qa.analysis.run.loads import (
@@ -28,6 +27,7 @@ from cbsr_qa.analysis.run.reference import (
     weighed_problem,
     without_side,
 )
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings, Role
 from cbsr_qa.domain.readings import FrameBlock
@@ -62,9 +62,7 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
     return MetricTimeline(phase.name, time_s, masks, metrics[0], metrics[1], metrics[2], phase.channel("force"))
 
 
-def _metrics(
-    setting: LoadSetting, signed: NDArray[np.float64], record: LoadRecord, others: list[Footprint]
-) -> NDArray[np.float64]:
+def _metrics(setting: LoadSetting, signed: Array, record: LoadRecord, others: list[Footprint]) -> Array:
     """Three metrics of every mask, (3, k); NaN where no blob is seen."""
     chosen, pressed = setting.settings, setting.indenter.at(record.load.x_mm, record.load.y_mm)
     regions = sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)

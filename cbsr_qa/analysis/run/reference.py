@@ -16,7 +16,7 @@ from cbsr_qa.analysis.defects import (
     open_electrodes,
     without_offsets,
 )
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, ScanKind, join_frames
 from cbsr_qa.domain.results import ImagingProblem
@@ -154,9 +154,7 @@ def _without_current(
     return silent, words
 
 
-def _without_offsets(
-    voltages: NDArray[np.float64], readings: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], tuple[tuple[int, float], ...]]:
+def _without_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
     if len(voltages) < 2 or not readings.any():
         return voltages, ()
     used = voltages[:, readings]
@@ -164,7 +162,7 @@ def _without_offsets(
     return (without_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
 
 
-def without_side(data: UsableData, unloaded: FrameBlock, modelled: NDArray[np.float64]) -> UsableData:
+def without_side(data: UsableData, unloaded: FrameBlock, modelled: Array) -> UsableData:
     """Leave out readings of a polarity that hardly answers, of a front end that rectifies.
 
     Parameters
@@ -190,7 +188,7 @@ def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return left_out
 
 
-def _with(record: RunRecord, voltages: NDArray[np.float64], lost_s: NDArray[np.float64]) -> RunRecord:
+def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
     """Return the run with only its kept frames, their readings replaced."""
     phases, first = list[PhaseRecord](), 0
     for phase in record.phases:

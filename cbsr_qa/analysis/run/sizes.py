@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
 from cbsr_qa.domain.results import Image, ImagingProblem, PreparedReconstruction, RunObservation
 from cbsr_qa.eit.imaging import contour_regions, nearest_blob
-
-Array = NDArray[np.float64]
 
 #: Smaller slopes are called flat: a target of twice the area then has a region less than 19 % larger.
 FLAT: Final = 0.25

@@ -1,5 +1,20 @@
 """Recorded data through the same analysis as a run."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .analyse import (
+        AnalyseRequest as AnalyseRequest,
+        analyse_file as analyse_file,
+        analyse_frames as analyse_frames,
+    )
+    from .outcome import (
+        Analysed as Analysed,
+        AnalysedFiles as AnalysedFiles,
+        ChosenParameter as ChosenParameter,
+        analyse_outcome as analyse_outcome,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

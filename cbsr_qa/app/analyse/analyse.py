@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording, guarded, recognised
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
 from cbsr_qa.app.run import report_sections
 from cbsr_qa.config import DocumentKind, load_sensor_type, reports_folder, shipped_names
-from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
+from cbsr_qa.domain import Array, CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
 from cbsr_qa.domain.sensor import SensorType
@@ -29,7 +28,6 @@ _MOST_OFFSET: Final = 0.5
 #: The same drive current, as far as it is stated.
 _SAME_CURRENT: Final = 0.1
 
-Array = NDArray[np.float64]
 _REMEDY: Final = "name a recording of the same domain, empty, by the same instrument with the same settings"
 
 

@@ -1,5 +1,19 @@
 """Stored runs as files that other programs read: tables, frames, outcomes."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .export import (
+        Exported as Exported,
+        ExportRequest as ExportRequest,
+        export_data as export_data,
+        run_attributes as run_attributes,
+    )
+    from .formats import ExportTable as ExportTable
+    from .frames import frames_of as frames_of, joined_samples as joined_samples, run_frames as run_frames
+    from .netcdf import Variable as Variable, frame_variables as frame_variables
+    from .tables import whole_table as whole_table
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
 
@@ -40,11 +40,11 @@ class RunFrames:
     """
 
     frames: FrameBlock
-    current_A: NDArray[np.float64]
+    current_A: Array
     phase: NDArray[np.int32]
     load: NDArray[np.int32]
     stage: NDArray[np.uint8]
-    strain: NDArray[np.float64]
+    strain: Array
     phases: tuple[str, ...]
     loads: tuple[tuple[int, LoadRecord], ...]
 
@@ -61,7 +61,7 @@ class RunFrames:
         return np.array([*values, absent], dtype=kind)[self.load]
 
     @property
-    def readings(self) -> NDArray[np.float64]:
+    def readings(self) -> Array:
         """Readings (n, drives, measures) in their unit, NaN where a reading is missing."""
         missing = self.frames.flags & ReadingFlag.MISSING.value != 0
         return np.where(missing, np.nan, self.frames.voltages)
@@ -139,8 +139,8 @@ def _joined(blocks: list[FrameBlock]) -> FrameBlock:
 
 
 def _loaded(
-    time_s: NDArray[np.float64], phase: NDArray[np.int32], loads: tuple[tuple[int, LoadRecord], ...]
-) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64]]:
+    time_s: Array, phase: NDArray[np.int32], loads: tuple[tuple[int, LoadRecord], ...]
+) -> tuple[NDArray[np.int32], NDArray[np.uint8], Array]:
     """Return load, stage and strain of each frame."""
     number = np.full(len(time_s), -1, dtype=np.int32)
     stage = np.zeros(len(time_s), dtype=np.uint8)

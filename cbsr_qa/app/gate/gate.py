@@ -61,15 +61,10 @@ def ask_gate(
     return tuple(_answer(check, asked) for check in GateCheck if check in checks)
 
 
-def ask_before(
-    request: GateRequest,
-    configuration: Configuration,
-    plugins: Plugins,
-    checks: Collection[GateCheck] = tuple(GateCheck),
-) -> tuple[GateAnswer, ...]:
+def ask_before(request: GateRequest, configuration: Configuration, plugins: Plugins) -> tuple[GateAnswer, ...]:
     """Return the answers as :func:`ask_gate`, by the database of the request as far as it exists."""
     with open_existing(request.database) or nullcontext() as store:
-        return ask_gate(request, configuration, plugins, store, checks)
+        return ask_gate(request, configuration, plugins, store)
 
 
 def asked_again(

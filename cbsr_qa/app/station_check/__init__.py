@@ -1,5 +1,12 @@
 """A station checked: instruments, reference ring, golden sensor."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .bench import BenchFindings as BenchFindings
+    from .check import CheckRequest as CheckRequest, check_station as check_station
+    from .outcome import CheckedStation as CheckedStation
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,38 @@
 """The calibration file: HDF5, JSON, firmware."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .content import FLAG as FLAG, INDEX as INDEX, PURE as PURE, TEXT as TEXT, Entry as Entry
+    from .entries import Issued as Issued, as_filed as as_filed, decode as decode, encode as encode
+    from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
+    from .hdf5 import (
+        BLOCK_BEGINS as BLOCK_BEGINS,
+        calibration_of as calibration_of,
+        of_run as of_run,
+        read_calibration as read_calibration,
+        read_contained as read_contained,
+        read_issued as read_issued,
+        signed as signed,
+        stamped as stamped,
+        verify_calibration_file as verify_calibration_file,
+        write_calibration as write_calibration,
+    )
+    from .hdf5_content import attribute as attribute, attribute_names as attribute_names, members as members
+    from .json import (
+        json_document as json_document,
+        read_json_calibration as read_json_calibration,
+        verify_json_calibration as verify_json_calibration,
+    )
+    from .keys import (
+        SigningKey as SigningKey,
+        new_key as new_key,
+        passphrase as passphrase,
+        public_path as public_path,
+        signing_key as signing_key,
+    )
+    from .signing import check_signed_file as check_signed_file
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

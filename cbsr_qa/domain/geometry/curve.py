@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cbsr_qa.domain.numbers import Array
+
 Points = NDArray[np.float64]
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry.curve import ClosedCurve, circle_curve, corner_turns, polygon_curve, rounding_room
+from cbsr_qa.domain.numbers import Array
 
 Points = NDArray[np.float64]
 
@@ -39,10 +40,10 @@ class Disc:
     def curve(self) -> ClosedCurve:
         return circle_curve(self.radius_mm)
 
-    def clearance_mm(self, points_mm: Points) -> NDArray[np.float64]:
+    def clearance_mm(self, points_mm: Points) -> Array:
         """Distance of (n, 2) points to the edge, (n,), negative outside."""
         points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
-        clearance: NDArray[np.float64] = self.radius_mm - np.hypot(points[:, 0], points[:, 1])
+        clearance: Array = self.radius_mm - np.hypot(points[:, 0], points[:, 1])
         return clearance
 
     def words(self) -> str:
@@ -101,7 +102,7 @@ class Polygon:
     def curve(self) -> ClosedCurve:
         return _curve(self)
 
-    def clearance_mm(self, points_mm: Points) -> NDArray[np.float64]:
+    def clearance_mm(self, points_mm: Points) -> Array:
         """Distance of (n, 2) points to the edge, (n,), negative outside."""
         points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
         distance = self.curve.nearest(points)[1]
@@ -235,10 +236,10 @@ def _narrowest(corners: Points) -> tuple[float, int, int] | None:
     return float(distance[least]), int(first[least]), int(second[least])
 
 
-def _to_edge(point: Points, start: Points, end: Points) -> NDArray[np.float64]:
+def _to_edge(point: Points, start: Points, end: Points) -> Array:
     along = end - start
     share = np.clip(((point - start) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
-    distance: NDArray[np.float64] = np.hypot(*(point - start - share[:, None] * along).T)
+    distance: Array = np.hypot(*(point - start - share[:, None] * along).T)
     return distance
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
@@ -17,7 +18,7 @@ Values = NDArray[np.float64]
 _GAUSS_NODES, _GAUSS_WEIGHTS = (np.polynomial.legendre.leggauss(14) + np.array([[1.0], [0.0]])) * 0.5
 
 
-def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radius_mm: float) -> NDArray[np.float64]:
+def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radius_mm: float) -> Array:
     """Return the area of triangles inside a circle, exactly, arcs included.
 
     By Green's theorem the area is a sum over the triangle's directed edges: the stretch of an edge inside the
@@ -40,12 +41,12 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
     if not 0 < radius_mm < float("inf"):
         raise NumericsError(f"circle radius is {radius_mm} mm; it must be positive and finite")
     start = corners_mm - np.asarray(centre_mm)
-    area: NDArray[np.float64] = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
+    area: Array = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
     return np.maximum(np.where(_boxes_touch(start, radius_mm), area, 0.0), 0.0)
 
 
-def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     """Signed area between the origin and directed edges inside a circle about the origin, (…, 2) → (…)."""
     along = end - start
     length_squared = _dot(along, along)
@@ -59,11 +60,11 @@ def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.fl
     # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
     before = np.where(first > 0, np.arctan2(first * across, _dot(start, enters)), 0.0)
     after = np.where(last < 1, np.arctan2((1 - last) * across, _dot(leaves, end)), 0.0)
-    area: NDArray[np.float64] = (radius**2 * (before + after) + (last - first) * across) / 2
+    area: Array = (radius**2 * (before + after) + (last - first) * across) / 2
     return area
 
 
-def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+def squared_deviation_integral(start: Points, end: Points, radius: float) -> Array:
     """Integral of (‖P‖ − r)² along straight edges, exact to rounding: (k, 2), (k, 2) → (k,).
 
     With u the coordinate along the edge's line from the foot of the perpendicular and h the line's distance,
@@ -77,7 +78,7 @@ def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDA
     height = np.abs(_cross(start, along)) / length
     beside = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
     short = length <= np.hypot(height, beside)
-    integral: NDArray[np.float64] = np.where(
+    integral: Array = np.where(
         short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
     )
     return integral
@@ -92,12 +93,10 @@ def _deviation_at_points(start: Points, along: Points, length: Values, radius: f
 
 
 def _deviation_primitive(first: Values, last: Values, height: Values, radius: float) -> Values:
-    def primitive(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    def primitive(u: Array) -> Array:
         # h² asinh(u/h) vanishes with h; the floor keeps the quotient finite.
         bent = height**2 * np.arcsinh(u / np.maximum(height, 1e-150))
-        value: NDArray[np.float64] = (
-            u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
-        )
+        value: Array = u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
         return value
 
     integral: Values = np.maximum(primitive(last) - primitive(first), 0.0)
@@ -109,13 +108,13 @@ def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
     return near
 
 
-def _dot(a: Points, b: Points) -> NDArray[np.float64]:
-    dot: NDArray[np.float64] = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+def _dot(a: Points, b: Points) -> Array:
+    dot: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
     return dot
 
 
-def _cross(a: Points, b: Points) -> NDArray[np.float64]:
-    cross: NDArray[np.float64] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+def _cross(a: Points, b: Points) -> Array:
+    cross: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return cross
 
 

@@ -8,10 +8,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, SensorType
-
-Array = NDArray[np.float64]
 
 #: A factor by place: (n, 2) [mm] to (n,), above zero.
 SheetField = Callable[[Array], Array]
@@ -224,7 +223,7 @@ class Moment:
     presses: list[SimulatedPress]
     response: list[float]
     stress_kPa: list[float]
-    voltages: NDArray[np.float64] | None = None
+    voltages: Array | None = None
     force_N: float = 0.0
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float = 0.0

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: An estimate counts only if it is this many of its own standard errors away from zero …
 _SIGNIFICANT = 5.0

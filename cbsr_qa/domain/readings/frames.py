@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError, RowProblem
-from cbsr_qa.domain.numbers import check_encodable
+from cbsr_qa.domain.numbers import Array, check_encodable
 from cbsr_qa.domain.run import LoadRecord
 from cbsr_qa.domain.sensor import Electrodes
 
@@ -63,12 +63,12 @@ class FrameBlock:
         the current is beyond :data:`LARGEST_VALUE`; the first such reading is named.
     """
 
-    time_s: NDArray[np.float64]
-    voltages: NDArray[np.float64]
+    time_s: Array
+    voltages: Array
     flags: NDArray[np.uint8]
     unit: VoltageUnit
     current_A: float | None
-    reading_time_s: NDArray[np.float64] | None = None
+    reading_time_s: Array | None = None
 
     def __post_init__(self) -> None:
         if self.voltages.ndim != 3 or self.voltages.shape[0] != self.time_s.shape[0]:
@@ -127,8 +127,8 @@ class SampleBlock:
 
     channel: str
     unit: str
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
+    time_s: Array
+    values: Array
 
     def __post_init__(self) -> None:
         if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:

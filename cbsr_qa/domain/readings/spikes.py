@@ -7,10 +7,8 @@ from where it should be is a spike if the one with drive and measurement exchang
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from cbsr_qa.domain.numbers import Array, Mask
 
 SPIKE_SIGMA: Final = 7.0  #: distance from where a reading should be, over the noise
 MOST_SPIKES: Final = 0.05  #: largest share of a frame that may be spikes where nothing else tells them from loads

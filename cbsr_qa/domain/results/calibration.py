@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.image import LinearReconstruction
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorType
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: Larger than any number of a force model, with a finite square; and larger than any logarithm in one.
 _LARGEST: Final = 1e12

@@ -4,13 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
-
-Array = NDArray[np.float64]
 
 #: What the characterisation of a strip measures: names of measurements → units.
 STRIP_MEASURES: Final[Mapping[str, str]] = {

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.measurement import EndReason, Outcome, metric_words
 from cbsr_qa.domain.run import run_named
 
@@ -216,6 +217,6 @@ class FleetTable:
     kinds: tuple[ValueKind, ...]
     run: NDArray[np.int32]
     kind: NDArray[np.int32]
-    value: NDArray[np.float64]
+    value: Array
     state: NDArray[np.uint8]
     places_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
-from cbsr_qa.domain.numbers import real_numbers
+from cbsr_qa.domain.numbers import Array, real_numbers
 from cbsr_qa.domain.sensor import Mesh, SensorType
 
 
@@ -27,7 +27,7 @@ class Image:
     """
 
     mesh: Mesh
-    values: NDArray[np.float64]
+    values: Array
 
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.mesh.elements),):
@@ -49,11 +49,11 @@ class Region(Protocol):
         """Integral of the image over the region [mm²]."""
         ...
 
-    def centre_mm(self) -> NDArray[np.float64]:
+    def centre_mm(self) -> Array:
         """Centre of mass M of the image over the region: (2,) [mm]."""
         ...
 
-    def rim_mm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the straight pieces of the perimeter, the region to their left."""
         ...
 
@@ -81,9 +81,9 @@ class Blob:
         """Integral of the values over the blob [mm²]."""
         return float(self._weights.sum())
 
-    def centre_mm(self) -> NDArray[np.float64]:
+    def centre_mm(self) -> Array:
         """Centre of mass M, area- and value-weighted: (2,) [mm]."""
-        centre: NDArray[np.float64] = self._weights @ self.image.mesh.centroids_mm[self.elements] / self.weight
+        centre: Array = self._weights @ self.image.mesh.centroids_mm[self.elements] / self.weight
         return centre
 
     @cached_property
@@ -96,14 +96,14 @@ class Blob:
         rim: NDArray[np.int64] = np.column_stack([corners[alone], corners[:, [1, 2, 0]][alone]])
         return rim
 
-    def rim_mm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the rim's edges."""
         nodes_mm = self.image.mesh.nodes_mm
         return nodes_mm[self.rim[:, 0]], nodes_mm[self.rim[:, 1]]
 
     @cached_property
-    def _weights(self) -> NDArray[np.float64]:
-        weights: NDArray[np.float64] = self.image.values[self.elements] * self.image.mesh.areas_mm2[self.elements]
+    def _weights(self) -> Array:
+        weights: Array = self.image.values[self.elements] * self.image.mesh.areas_mm2[self.elements]
         return weights
 
 
@@ -130,13 +130,13 @@ class ImagingProblem:
 
     sensor_type: Annotated[SensorType, FROM_ABOVE]
     mesh: Annotated[Mesh, Kept("/mesh/", prepared=True)]
-    jacobian: Annotated[NDArray[np.float64], Kept(units="V/(A.Ohm)", prepared=True, shortest=True)]
-    reference: Annotated[NDArray[np.float64], Kept(units="V/(A.Ohm)", prepared=True)]
+    jacobian: Annotated[Array, Kept(units="V/(A.Ohm)", prepared=True, shortest=True)]
+    reference: Annotated[Array, Kept(units="V/(A.Ohm)", prepared=True)]
     used: NDArray[np.bool_]
-    noise_variance: Annotated[NDArray[np.float64] | None, Kept(prepared=True)] = None
+    noise_variance: Annotated[Array | None, Kept(prepared=True)] = None
     nominal: Annotated[Self | None, NOT_KEPT] = None
-    sample: Annotated[NDArray[np.float64] | None, NOT_KEPT] = None
-    measured: Annotated[NDArray[np.float64] | None, NOT_KEPT] = None
+    sample: Annotated[Array | None, NOT_KEPT] = None
+    measured: Annotated[Array | None, NOT_KEPT] = None
 
     def __post_init__(self) -> None:
         count = int(self.used.sum())
@@ -176,8 +176,8 @@ class ParameterCurve:
     discrete : whether the parameter is a count, and ``values`` are all there are.
     """
 
-    values: NDArray[np.float64]
-    noise_figures: NDArray[np.float64]
+    values: Array
+    noise_figures: Array
     answers: tuple[ParameterAnswer, ...]
     target: float | None = None
     discrete: bool = False
@@ -230,7 +230,7 @@ class PreparedReconstruction(Protocol):
         """The regularisation parameter and the reason for its value."""
         ...
 
-    def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, changes: Array) -> Array:
         """Relative conductance changes (n, e) of scaled changes (n, m): consecutive frames of one recording."""
         ...
 
@@ -249,10 +249,10 @@ class LinearReconstruction:
 
     method: str
     problem: Annotated[ImagingProblem, Kept("")]
-    matrix: Annotated[NDArray[np.float64], Kept(units="A.Ohm/V", prepared=True, shortest=True)]
+    matrix: Annotated[Array, Kept(units="A.Ohm/V", prepared=True, shortest=True)]
     choice: Annotated[ParameterChoice, Kept("")]
 
-    def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def images(self, changes: Array) -> Array:
         """Reconstruct relative conductance changes.
 
         Parameters
@@ -268,7 +268,7 @@ class LinearReconstruction:
         RefusedError
             As :func:`checked_readings`.
         """
-        images: NDArray[np.float64] = checked_readings(changes, self.problem) @ self.matrix.T
+        images: Array = checked_readings(changes, self.problem) @ self.matrix.T
         return images
 
     def in_single_precision(self) -> Self:
@@ -282,7 +282,7 @@ class LinearReconstruction:
         return replace(self, matrix=matrix, problem=replace(self.problem, jacobian=jacobian))
 
 
-def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> NDArray[np.float64]:
+def checked_readings(changes: Array, problem: ImagingProblem) -> Array:
     """Changes of the used readings, (n, m), as float64.
 
     Raises

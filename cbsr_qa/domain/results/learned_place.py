@@ -8,12 +8,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import Kept
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from cbsr_qa.domain.numbers import Array, Indices
 
 _LARGEST = 1e12
 #: Far more than any sheet has from its centre.

@@ -3,12 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cbsr_qa.domain.kept import OWN, Kept
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain.numbers import Array
 
 _LARGEST = 1e12
 _NotNegative = Annotated[float, Kept(least=0, most=_LARGEST)]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.geometry import Footprint
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan import AnalysisSettings, Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results.dimensions import Dimensions
@@ -76,7 +77,7 @@ class LoadEstimate:
     why: str
     detectability: float
     place_mm: tuple[float, float] | None
-    place_covariance_mm2: NDArray[np.float64] | None
+    place_covariance_mm2: Array | None
     area_contrast_mm2: Estimated | None
     contrast: Estimated | None
     radius_mm: Estimated | None
@@ -106,8 +107,8 @@ class Trace:
 
     name: str
     unit: str
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
+    time_s: Array
+    values: Array
 
     @property
     def end_level(self) -> float:
@@ -264,11 +265,11 @@ class MetricTimeline:
     """
 
     phase: str
-    time_s: NDArray[np.float64]
+    time_s: Array
     masks: tuple[float, ...]
-    error_mm: NDArray[np.float64]
-    overlap_percent: NDArray[np.float64]
-    deviation_mm2: NDArray[np.float64]
+    error_mm: Array
+    overlap_percent: Array
+    deviation_mm2: Array
     force: SampleBlock | None
 
 
@@ -298,9 +299,9 @@ class RunObservation:
     reconstruction: LinearReconstruction
     scale: float
     unloaded: FrameBlock
-    reference: NDArray[np.float64]
+    reference: Array
     noise_floor: float
-    noise_images: NDArray[np.float64]
+    noise_images: Array
     response: Response
     response_how: str
     main_mask: float

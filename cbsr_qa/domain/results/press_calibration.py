@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import NOT_KEPT, Kept
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.signature import Signature
@@ -14,8 +14,6 @@ from cbsr_qa.domain.results.signature import Signature
 #: What presses may be labelled with beside their places, and in which unit.
 PRESS_QUANTITIES: Final = {"force": "N", "depth": "mm"}
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Pairs = tuple[tuple[int, int], ...]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import FROM_ABOVE, OWN, Kept
+from cbsr_qa.domain.numbers import Array
 
 
 class FitStatus(StrEnum):
@@ -84,10 +85,10 @@ class RelaxationKernel:
     """
 
     loading: Annotated[bool, FROM_ABOVE]
-    weights: Annotated[NDArray[np.float64], Kept(dims="k", most=np.inf)]
-    time_constants_s: Annotated[NDArray[np.float64], Kept(dims="k", most=np.inf)]
-    covariance: Annotated[NDArray[np.float64], Kept(dims="2k 2k", most=np.inf)]
-    scatter: Annotated[NDArray[np.float64], Kept(dims="k", least=0)]
+    weights: Annotated[Array, Kept(dims="k", most=np.inf)]
+    time_constants_s: Annotated[Array, Kept(dims="k", most=np.inf)]
+    covariance: Annotated[Array, Kept(dims="2k 2k", most=np.inf)]
+    scatter: Annotated[Array, Kept(dims="k", least=0)]
     scatter_freedom: float
     loads: int
     start_s: float = 0.0
@@ -109,8 +110,8 @@ class SteadyPrediction:
     spare : (m,) frames − 1.
     """
 
-    values: NDArray[np.float64]
-    stderr: NDArray[np.float64]
-    freedom: NDArray[np.float64]
-    misfit: NDArray[np.float64]
+    values: Array
+    stderr: Array
+    freedom: Array
+    misfit: Array
     spare: NDArray[np.int64]

@@ -9,11 +9,11 @@ from enum import StrEnum
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry import Disc, SheetOutline
 from cbsr_qa.domain.kept import Kept
+from cbsr_qa.domain.numbers import Array
 
 
 class ElectrodeKind(StrEnum):
@@ -59,7 +59,7 @@ class ElectrodeLayout:
         """Signed angle from one electrode to the next [rad]."""
         return (1 if self.counterclockwise else -1) * 2 * np.pi / self.count
 
-    def angles_rad(self) -> NDArray[np.float64]:
+    def angles_rad(self) -> Array:
         """Directions of the electrodes, counterclockwise from +x.
 
         Returns
@@ -67,10 +67,10 @@ class ElectrodeLayout:
         (count,) float64 [rad].
         """
         first_rad = float(np.deg2rad(self.first_angle_deg))
-        angles: NDArray[np.float64] = first_rad + self.step_rad * np.arange(self.count, dtype=np.float64)
+        angles: Array = first_rad + self.step_rad * np.arange(self.count, dtype=np.float64)
         return angles
 
-    def positions_mm(self) -> NDArray[np.float64]:
+    def positions_mm(self) -> Array:
         """Centres of the electrodes.
 
         Returns
@@ -118,7 +118,7 @@ class PlacedElectrodes:
     def count(self) -> int:
         return len(self.places_mm)
 
-    def positions_mm(self) -> NDArray[np.float64]:
+    def positions_mm(self) -> Array:
         """Centres of the electrodes.
 
         Returns

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.numbers import real_numbers
+from cbsr_qa.domain.numbers import Array, real_numbers
 
 #: Farthest a node may be from the sheet's centre [mm]; products of lengths stay far from overflow.
 FARTHEST_MM: Final = 1e9
@@ -34,10 +34,10 @@ class CircleArcs:
     centre_mm: tuple[float, float]
     radius_mm: float
 
-    def middles_mm(self, nodes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def middles_mm(self, nodes_mm: Array) -> Array:
         """Middles of the arcs, (k, 2) [mm]."""
         chord = nodes_mm[self.edges].mean(axis=1) - self.centre_mm
-        middles: NDArray[np.float64] = self.centre_mm + chord * (self.radius_mm / np.hypot(*chord.T))[:, None]
+        middles: Array = self.centre_mm + chord * (self.radius_mm / np.hypot(*chord.T))[:, None]
         return middles
 
 
@@ -59,7 +59,7 @@ class Mesh:
         a node that is not there, or an arc's node is off its circle.
     """
 
-    nodes_mm: NDArray[np.float64]
+    nodes_mm: Array
     elements: NDArray[np.int64]
     electrode_edges: tuple[NDArray[np.int64], ...] = ()
     arcs: tuple[CircleArcs, ...] = ()
@@ -80,22 +80,22 @@ class Mesh:
                 raise RefusedError(f"an arc of radius {arcs.radius_mm:g} mm joins nodes that are not on its circle")
 
     @cached_property
-    def corners_mm(self) -> NDArray[np.float64]:
+    def corners_mm(self) -> Array:
         """Corners of the elements, (e, 3, 2) [mm]."""
         return self.nodes_mm[self.elements]
 
     @cached_property
-    def areas_mm2(self) -> NDArray[np.float64]:
+    def areas_mm2(self) -> Array:
         """Areas of the elements, (e,) [mm²]."""
         first, second, third = np.moveaxis(self.nodes_mm[self.elements], 1, 0)
         one, other = second - first, third - first
-        area: NDArray[np.float64] = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        area: Array = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
         return area
 
     @cached_property
-    def centroids_mm(self) -> NDArray[np.float64]:
+    def centroids_mm(self) -> Array:
         """Centroids of the elements, (e, 2) [mm]."""
-        centroids: NDArray[np.float64] = self.corners_mm.mean(axis=1)
+        centroids: Array = self.corners_mm.mean(axis=1)
         return centroids
 
     @cached_property
@@ -132,7 +132,7 @@ class Mesh:
         return edges, of_element.reshape(-1, 3).astype(np.int64)
 
 
-def check_places(nodes_mm: NDArray[np.float64]) -> None:
+def check_places(nodes_mm: Array) -> None:
     """Refuse nodes (n, 2) that are not finite, or farther away than any sheet reaches.
 
     Raises

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.numbers import is_whole
+from cbsr_qa.domain.numbers import Array, is_whole
 
 #: Coefficients by unknown; none is zero.
 Functional = dict[tuple[int, int], int]
@@ -49,7 +49,7 @@ def _dense_rank(functionals: Sequence[Functional]) -> int:
     if not functionals:
         return 0
     unknowns = {unknown: k for k, unknown in enumerate(sorted({u for f in functionals for u in f}))}
-    matrix: NDArray[np.float64] = np.zeros((len(functionals), len(unknowns)))
+    matrix: Array = np.zeros((len(functionals), len(unknowns)))
     for row, functional in enumerate(functionals):
         for unknown, coefficient in functional.items():
             matrix[row, unknowns[unknown]] = coefficient
@@ -102,7 +102,7 @@ class DrivePattern:
         """Shape of one frame: (drive pairs, measure pairs)."""
         return len(self.drive), len(self.measure)
 
-    def drive_currents(self) -> NDArray[np.float64]:
+    def drive_currents(self) -> Array:
         """Unit current of each drive pair into each electrode.
 
         Returns
@@ -111,7 +111,7 @@ class DrivePattern:
         """
         return _incidence(self.electrode_count, self.drive)
 
-    def measure_matrix(self) -> NDArray[np.float64]:
+    def measure_matrix(self) -> Array:
         """Matrix from electrode potentials to readings: readings = potentials.T @ this.
 
         Returns
@@ -140,7 +140,7 @@ class DrivePattern:
         touching: NDArray[np.bool_] = driven[:, None] | measured
         return touching
 
-    def reading_groups(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def reading_groups(self) -> tuple[NDArray[np.int64], Array]:
         """Groups of readings that are equal, up to sign, on every sheet that obeys Ohm's law.
 
         By reciprocity exchanging the driven and the measured pair changes nothing; reversing one of them changes
@@ -157,7 +157,7 @@ class DrivePattern:
         sign = np.array([sign for _, sign in keys], dtype=np.float64)
         return group.reshape(self.shape), sign.reshape(self.shape)
 
-    def reciprocal_pairs(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def reciprocal_pairs(self) -> tuple[NDArray[np.int64], Array]:
         """Reciprocal readings as pairs: the first of every group with each of the others.
 
         Returns
@@ -170,7 +170,7 @@ class DrivePattern:
         _, first = np.unique(group, return_index=True)
         of_first = first[group]
         other = np.flatnonzero(of_first != np.arange(group.size))
-        equal: NDArray[np.float64] = sign[of_first[other]] * sign[other]
+        equal: Array = sign[of_first[other]] * sign[other]
         return np.column_stack([of_first[other], other]).astype(np.int64), equal
 
     def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
@@ -306,7 +306,7 @@ def _functional(first: Pair, second: Pair) -> Functional:
     return entries
 
 
-def _incidence(electrode_count: int, pairs: Pairs) -> NDArray[np.float64]:
+def _incidence(electrode_count: int, pairs: Pairs) -> Array:
     matrix = np.zeros((electrode_count, len(pairs)))
     for column, (plus, minus) in enumerate(pairs):
         matrix[plus, column] += 1

@@ -5,11 +5,11 @@ from enum import StrEnum
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.kept import OWN, Kept
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.sensor.electrodes import Electrodes
 from cbsr_qa.domain.sensor.mesh import Mesh, mesh_digest
 from cbsr_qa.domain.sensor.patterns import DrivePattern
@@ -141,7 +141,7 @@ class QuasiStatic:
     intercept: Annotated[Parameter, Kept("intercept", "1")]
     covariance: Annotated[float | None, Kept(units=OWN)] = None  # β has the unit 1
 
-    def variance(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def variance(self, x: Array) -> Array:
         """Variance (n,) of the change at stresses or strains (n,); an unstated error counts as 0."""
         slope, intercept = self.slope.stderr or 0.0, self.intercept.stderr or 0.0
         return np.maximum((slope * x) ** 2 + intercept**2 + 2 * x * (self.covariance or 0.0), 0.0)

@@ -1,5 +1,21 @@
 """Maximum-likelihood estimate of place and strength of a load, with the Cramér–Rao bound."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .load_estimate import (
+        LEAST_DETECTABILITY as LEAST_DETECTABILITY,
+        LoadEstimator as LoadEstimator,
+        LoadFits as LoadFits,
+        contrast_of as contrast_of,
+        radius_of as radius_of,
+    )
+    from .readings import (
+        MergedReadings as MergedReadings,
+        load_model as load_model,
+        merged_readings as merged_readings,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

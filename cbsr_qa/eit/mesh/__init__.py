@@ -1,5 +1,13 @@
 """Triangle meshes of sheets, generated or imported."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .files import mesh_sensor as mesh_sensor, read_mesh as read_mesh, write_mesh as write_mesh
+    from .imported import ElectrodeAt as ElectrodeAt, imported_mesh as imported_mesh
+    from .sheet import image_mesh as image_mesh, sheet_mesh as sheet_mesh
+    from .triangulate import smallest_angle_deg as smallest_angle_deg
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,12 @@
 """How drivers reach their instruments; every failure is an InstrumentError."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .locks import AddressLock as AddressLock
+    from .serial_link import SerialLink as SerialLink
+    from .visa_link import VisaLink as VisaLink
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -7,12 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 import pyvisa
-from numpy.typing import NDArray
 from pyvisa import rname
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import Array, ConfigError, InstrumentError
 from cbsr_qa.plugin.links.locks import AddressLock
 from cbsr_qa.system import RealClock
 
@@ -83,7 +82,7 @@ class VisaLink:
             raise self.error(f"answered {line[:80]!r} to {text!r}, which is marked {mark!r}", retryable=True)
         return rest
 
-    def query_binary(self, text: str, count: int, *, mark: str = "") -> NDArray[np.float64]:
+    def query_binary(self, text: str, count: int, *, mark: str = "") -> Array:
         """Send one line and return the numbers that answer it.
 
         They are read by their length: a line end may occur within them. Returns (count,) float64. InstrumentError if

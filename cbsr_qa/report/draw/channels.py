@@ -10,6 +10,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Figure
 from cbsr_qa.report.draw.sheet import add_scale
 from cbsr_qa.report.draw.style import (
@@ -38,23 +39,21 @@ class ChannelMark:
 
 @drawn
 def channel_map_figure(
-    values: NDArray[np.float64],
+    values: Array,
     *,
     label: str,
     unit: str,
     used: NDArray[np.bool_] | None = None,
     marks: Sequence[ChannelMark] = (),
-    limits: tuple[float, float] | None = None,
 ) -> Canvas:
     """Draw one value per reading as a map, drive pairs down, measure pairs across.
 
     Parameters
     ----------
     values : (drives, measures) float64; not finite where there is no value (drawn empty).
-    label, unit : what is shown and in what.
+    label, unit : what is shown and in what; the colours go from the 2nd to the 98th percentile.
     used : (drives, measures) bool; readings that are not used are drawn empty.
     marks : readings to point at, with a legend below the map; those without pairs are left out.
-    limits : (lowest, highest) of the colour scale; the 2nd and 98th percentile where None.
     """
     drives, measures = values.shape
     shown = np.isfinite(values) & (True if used is None else used)
@@ -64,7 +63,7 @@ def channel_map_figure(
     figure = canvas(height_in, WIDTH_IN)
     left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
     axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-    norm = Normalize(*(limits or _middle(values[shown])))
+    norm = Normalize(*_middle(values[shown]))
     _draw_map(axes, values, shown, norm)
     _draw_marks(axes, marks)
     if shown.any():
@@ -74,7 +73,7 @@ def channel_map_figure(
 
 @drawn
 def pair_bar_figure(
-    values: NDArray[np.float64],
+    values: Array,
     names: Sequence[str],
     *,
     label: str,
@@ -106,14 +105,14 @@ def pair_bar_figure(
     return figure
 
 
-def _middle(values: NDArray[np.float64]) -> tuple[float, float]:
+def _middle(values: Array) -> tuple[float, float]:
     if not values.size:
         return 0.0, 1.0
     lowest, highest = (float(v) for v in np.percentile(values, (2, 98)))
     return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
 
 
-def _draw_map(axes: Axes, values: NDArray[np.float64], shown: NDArray[np.bool_], norm: Normalize) -> None:
+def _draw_map(axes: Axes, values: Array, shown: NDArray[np.bool_], norm: Normalize) -> None:
     drives, measures = values.shape
     _empty_cells(axes, shown)
     edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
@@ -145,9 +144,6 @@ def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:
         )
     if present:
         axes.legend(loc="upper right", bbox_to_anchor=(-0.12, 1.0), frameon=False, fontsize=7, labelcolor=QUIET)
-
-
-Array = NDArray[np.float64]
 
 
 def ring_figure(

@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import (
     Characterisation,
     FitStatus,
@@ -92,7 +92,7 @@ def _draw_line(
     axes.set_xlim(0, 1.06 * highest)
 
 
-def _draw_level(axes: Axes, level: StrainLevel, points: NDArray[np.float64]) -> None:
+def _draw_level(axes: Axes, level: StrainLevel, points: Array) -> None:
     x, y = points.mean(axis=0)
     deviation = points[:, 1].std(ddof=1) if len(points) > 1 else 0.0
     axes.plot(points[:, 0], points[:, 1], linestyle="none", marker="o", markersize=2, color=FAINT, zorder=2.5)

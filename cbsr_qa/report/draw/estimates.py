@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.draw.sheet import draw_heads, head_path, sheet_axes
@@ -45,17 +45,17 @@ class PlacedLoad:
 
     label: str
     pressed: Footprint
-    imaged_mm: NDArray[np.float64] | None
-    estimated_mm: NDArray[np.float64] | None
-    covariance_mm2: NDArray[np.float64] | None
+    imaged_mm: Array | None
+    estimated_mm: Array | None
+    covariance_mm2: Array | None
 
     @property
-    def imaged_error(self) -> NDArray[np.float64] | None:
+    def imaged_error(self) -> Array | None:
         """From the indenter's centre to the image's centre of mass [mm]."""
         return None if self.imaged_mm is None else self.imaged_mm - np.asarray(self.pressed.centre_mm)
 
     @property
-    def estimated_error(self) -> NDArray[np.float64] | None:
+    def estimated_error(self) -> Array | None:
         """From the indenter's centre to the estimate [mm]."""
         return None if self.estimated_mm is None else self.estimated_mm - np.asarray(self.pressed.centre_mm)
 
@@ -126,9 +126,9 @@ def _draw_errors(axes: Axes, loads: Sequence[PlacedLoad]) -> None:
     axes.set_xlim(left=0)
 
 
-def _ellipse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ellipse(covariance: Array) -> Array:
     size, axes = np.linalg.eigh(covariance)
     turn = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
-    ellipse: NDArray[np.float64] = ELLIPSE_68 * (circle * np.sqrt(np.maximum(size, 0))) @ axes.T
+    ellipse: Array = ELLIPSE_68 * (circle * np.sqrt(np.maximum(size, 0))) @ axes.T
     return ellipse

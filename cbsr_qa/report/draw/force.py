@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, dots, drawn, plot
-
-Array = NDArray[np.float64]
 
 #: Errors of one response for the sheet that exceed all others by more than this are marks at the edge: drawn to scale
 #: they would flatten what the panel is about.

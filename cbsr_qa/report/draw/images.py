@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import SheetOutline
 from cbsr_qa.domain.results import SEVERITY, Image, Outcome
 from cbsr_qa.domain.sensor import Electrodes, Mesh, SensorType
@@ -95,7 +95,7 @@ class ImagePanel:
     image: Image
     markers: tuple[Marker, ...] = ()
     note: str = ""
-    track: NDArray[np.float64] | None = None
+    track: Array | None = None
 
 
 @drawn
@@ -202,7 +202,7 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
     fit_sheet(axes, sheet)
 
 
-def _draw_track(axes: Axes, track: NDArray[np.float64]) -> None:
+def _draw_track(axes: Axes, track: Array) -> None:
     """Draw a path from a ring to a dot, readable on dark and pale images."""
     for width, colour, order in ((2.4, "white", 4.5), (0.9, INK, 5)):
         axes.plot(*track.T, color=colour, linewidth=width, zorder=order)

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import BaselineConductance
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
@@ -83,8 +83,6 @@ def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float)
     axes.axvline(mean, color=INK, linewidth=0.8)
     name_rows(axes, [place.location for place in places])
 
-
-Array = NDArray[np.float64]
 
 #: Steps of a scale: as many as a reader tells apart.
 _STEPS: Final = 9

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import blended_transform_factory
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.results import MetricTimeline
 from cbsr_qa.report.draw.style import (
@@ -86,9 +86,7 @@ def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) ->
     return figure
 
 
-def held_profile(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], held: Sequence[Held]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def held_profile(time_s: Array, values: Array, held: Sequence[Held]) -> tuple[Array, Array, Array, Array]:
     """Average a metric over loads at the same number of frames into the hold.
 
     Parameters
@@ -117,9 +115,7 @@ def held_profile(
     return np.nanmean(times, axis=0), np.nanmean(table, axis=0), low, high
 
 
-def _draw_masks(
-    axes: Axes, timeline: MetricTimeline, values: NDArray[np.float64], held: Sequence[Held], start_s: float
-) -> None:
+def _draw_masks(axes: Axes, timeline: MetricTimeline, values: Array, held: Sequence[Held], start_s: float) -> None:
     minutes = (timeline.time_s - start_s) / 60
     for number, series in enumerate(values):
         colour = mask_colour(number, len(values))
@@ -130,7 +126,7 @@ def _draw_masks(
     axes.set_zorder(2)
 
 
-def _scale(axes: Axes, values: NDArray[np.float64]) -> None:
+def _scale(axes: Axes, values: Array) -> None:
     """Start at zero; where masks differ by more than a factor of thirty, use powers of ten instead."""
     seen = values[np.isfinite(values)]
     if seen.size and seen.min() > 0 and np.percentile(seen, 98) / np.percentile(seen, 2) > 30:

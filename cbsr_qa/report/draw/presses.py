@@ -7,13 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
-from numpy.typing import NDArray
 from scipy.stats import binom
 
+from cbsr_qa.domain import Array
 from cbsr_qa.report.draw.sheet import add_scale
 from cbsr_qa.report.draw.style import AMOUNT_MAP, BLUE, HAIR, INK, QUIET, bare, canvas, dots, drawn, note, plot
-
-Array = NDArray[np.float64]
 
 #: Share of what chance does inside the band.
 _BAND: Final = 0.95

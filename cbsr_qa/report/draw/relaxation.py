@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from matplotlib.gridspec import GridSpec
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import DirectedAgreement
 from cbsr_qa.calibration.fits import SHAPE_MARGIN, ComparedCurves, restricted_mean
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationObservation
 from cbsr_qa.report.draw.style import (
     BLUE,
@@ -111,7 +111,7 @@ class SettledLoad:
         return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
 
-def relaxation_value(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def relaxation_value(fit: RelaxationFit, time_s: Array) -> Array:
     """Evaluate G(t) = a₀ + Σ aᵢ e^(−t/τᵢ) (paper Eq 3) at times (n,) from the end of the ramp [s]."""
     terms = zip(fit.amplitudes, fit.time_constants_s, strict=True)
     return fit.offset + sum((a * np.exp(-time_s / tau) for a, tau in terms), np.zeros_like(time_s))

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle, Polygon as Patch
 from matplotlib.path import Path
 from matplotlib.tri import Triangulation
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import Disc, Footprint, SheetOutline
 from cbsr_qa.domain.results import Region
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh, SensorType
@@ -23,7 +23,7 @@ from cbsr_qa.report.draw.style import FAINT, INK, QUIET, Box, bare
 Point = tuple[float, float]
 
 
-def rings(region: Region) -> list[NDArray[np.float64]]:
+def rings(region: Region) -> list[Array]:
     """Trace a region's perimeter: closed rings (n, 2) [mm], outer ones counterclockwise, holes clockwise."""
     starts, ends = region.rim_mm()
     following: dict[Point, list[Point]] = defaultdict(list)
@@ -86,7 +86,7 @@ class Raster:
         self.elements = elements
         self.extent = (low_x, low_x + step * columns, low_y, low_y + step * rows)
 
-    def picture(self, values: NDArray[np.float64]) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
+    def picture(self, values: Array) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
         """Return (rows, columns) values, bottom row first; masked outside the sheet."""
         outside = self.elements < 0
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
@@ -138,7 +138,7 @@ def sheet_patch(sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool 
     return Patch(corners, closed=True, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
 
 
-def sheet_path(sheet: SheetOutline) -> NDArray[np.float64]:
+def sheet_path(sheet: SheetOutline) -> Array:
     """Corners of the sheet's edge as it is drawn, (n, 2): bends in steps that look round in print."""
     curve = sheet.curve
     steps = np.maximum(np.ceil(np.abs(curve.curvature * curve.length) * _SIDES / (2 * np.pi)).astype(int), 1)
@@ -147,9 +147,7 @@ def sheet_path(sheet: SheetOutline) -> NDArray[np.float64]:
     return curve.at(np.concatenate(places))
 
 
-def draw_electrodes(
-    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, numbered: bool = True
-) -> None:
+def draw_electrodes(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, *, numbered: bool = True) -> None:
     """Draw the electrodes where they are, with their numbers just outside the sheet.
 
     Parameters
@@ -158,56 +156,51 @@ def draw_electrodes(
     numbered : every number where there is room, else only electrode 0.
     """
     if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
-        places = _draw_ring(axes, electrodes, sheet.radius_mm, np.asarray(shift))
+        places = _draw_ring(axes, electrodes, sheet.radius_mm)
     else:
-        places = _draw_placed(axes, electrodes, sheet, np.asarray(shift))
+        places = _draw_placed(axes, electrodes, sheet)
     for number, (x, y) in enumerate(places):
         if numbered or number == 0:
             axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
 
 
-def _draw_ring(
-    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
     """Draw electrodes on a ring; returns where their numbers go."""
     angles = layout.angles_rad()
     direction = np.column_stack([np.cos(angles), np.sin(angles)])
     if layout.kind is ElectrodeKind.PIN:
         ring = min(layout.ring_radius_mm, radius_mm)
-        pins = direction * ring + shift
+        pins = direction * ring
         axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = layout.width_mm / layout.ring_radius_mm / 2
-        arcs = [_arc(angle - half, angle + half, radius_mm) + shift for angle in angles]
+        arcs = [_arc(angle - half, angle + half, radius_mm) for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
-    places: NDArray[np.float64] = direction * radius_mm * 1.075 + shift
+    places: Array = direction * radius_mm * 1.075
     return places
 
 
-def _draw_placed(
-    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Array:
     """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
     centres, curve = electrodes.positions_mm(), sheet.curve
     along, away = curve.nearest(centres)
     if electrodes.kind is ElectrodeKind.PIN:
-        pins = centres + shift
-        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+        axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = electrodes.width_mm / 2
-        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) + shift for place in along]
+        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) for place in along]
         axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     size = 0.075 * reach(sheet)
     ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
     inner = (away > 4 * size)[:, None]
-    places: NDArray[np.float64] = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
+    places: Array = np.where(inner, centres + size / 2, curve.at(along) + size * outward)
     return places
 
 
 def draw_circles(
     axes: Axes,
-    centres_mm: NDArray[np.float64],
+    centres_mm: Array,
     radius_mm: float,
     *,
     color: str = INK,
@@ -277,10 +270,10 @@ def add_scale(
         slot.set_xlabel(label)
 
 
-def fit_sheet(axes: Axes, sheet: SheetOutline, margin: float = 0.16) -> None:
+def fit_sheet(axes: Axes, sheet: SheetOutline) -> None:
     """Show exactly the sheet with room for the electrodes' numbers."""
     low_x, high_x, low_y, high_y = sheet.extent_mm
-    room = margin * reach(sheet)
+    room = 0.16 * reach(sheet)
     axes.set_xlim(low_x - room, high_x + room)
     axes.set_ylim(low_y - room, high_y + room)
 
@@ -291,7 +284,7 @@ def reach(sheet: SheetOutline) -> float:
     return max(high_x - low_x, high_y - low_y) / 2
 
 
-def _arc(start: float, end: float, radius: float) -> NDArray[np.float64]:
+def _arc(start: float, end: float, radius: float) -> Array:
     steps = max(int(_SIDES * abs(end - start) / (2 * np.pi)), 4)
     angles = np.linspace(start, end, steps + 1)
     return radius * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.transforms import blended_transform_factory
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Trace
 from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, beside, canvas, drawn, fit_left, light_grid, note
 from cbsr_qa.report.tables import duration, unit_shown
@@ -72,18 +72,14 @@ class Span:
 
 @drawn
 def timeline_figure(
-    traces: Sequence[Trace],
-    spans: Sequence[Span],
-    *,
-    time_label: str = "time since the first complete frame [s]",
-    panel_height_in: float = 1.35,
+    traces: Sequence[Trace], spans: Sequence[Span], *, time_label: str = "time since the first complete frame [s]"
 ) -> Canvas:
-    """Draw traces below each other over one time axis, those of equal unit in one panel [in].
+    """Draw traces below each other over one time axis, those of equal unit in one panel.
 
     Spans are shaded through all panels and named above the first. Traces without points are left out.
     """
     panels = _by_unit(traces)
-    height_in = panel_height_in * len(panels) + 0.75
+    height_in = 1.35 * len(panels) + 0.75
     figure = canvas(height_in)
     grid = figure.add_gridspec(
         len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
@@ -122,9 +118,7 @@ def shade(axes: Axes, span: Span, *, named: bool) -> None:
         axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
 
 
-def thinned(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], points: int = _POINTS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def thinned(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
     """Keep lowest and highest value of each stretch, so that no spike is lost where points are too many to draw."""
     if len(values) <= points:
         return time_s, values

@@ -1,5 +1,11 @@
 """Emulated instruments on byte streams, all connected to one simulated world."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .rig import EmulatedRig as EmulatedRig, Emulation as Emulation
+    from .streams import Fault as Fault, PtyPort as PtyPort, TcpPort as TcpPort, WatchedClock as WatchedClock
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

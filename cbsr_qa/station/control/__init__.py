@@ -1,5 +1,25 @@
 """Control of a run by others than its own terminal: one lock per station, and a channel to the run that holds it."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .client import RunChannel as RunChannel
+    from .desk import (
+        ControlDesk as ControlDesk,
+        Question as Question,
+    )
+    from .lock import (
+        control_socket as control_socket,
+        refuse_busy as refuse_busy,
+        station_held as station_held,
+        station_holder as station_holder,
+    )
+    from .server import (
+        LONGEST_LINE as LONGEST_LINE,
+        RunServer as RunServer,
+    )
+    from .status import RunStatus as RunStatus
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,10 @@
 """Mixed model: groups and stations fixed, sensors random."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .model import Fit as Fit, fit as fit
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

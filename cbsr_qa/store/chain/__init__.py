@@ -1,5 +1,54 @@
 """The chain of digests of a run, and its verification."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .check import (
+        IDENTITY as IDENTITY,
+        RESULTS as RESULTS,
+        check_run as check_run,
+        data_digest as data_digest,
+        of_run as of_run,
+        stored_documents as stored_documents,
+        unreadable as unreadable,
+    )
+    from .fleet import (
+        AT_ONCE as AT_ONCE,
+        Figures as Figures,
+        Known as Known,
+        check_figures as check_figures,
+        figures_query as figures_query,
+    )
+    from .links import (
+        KEY_OPTION as KEY_OPTION,
+        OF_A_SESSION as OF_A_SESSION,
+        SigningKey as SigningKey,
+        add_links as add_links,
+        add_rows as add_rows,
+        chain_head as chain_head,
+        key_to_continue as key_to_continue,
+        link_digest as link_digest,
+        new_chain as new_chain,
+    )
+    from .run_documents import (
+        BETWEEN as BETWEEN,
+        FIGURES as FIGURES,
+        JOINED as JOINED,
+        KEYS as KEYS,
+        PHASE_END as PHASE_END,
+        RUN_COLUMNS as RUN_COLUMNS,
+        document_of as document_of,
+        documents as documents,
+        facts as facts,
+        phase_end as phase_end,
+        row_text as row_text,
+        sha256 as sha256,
+        shown as shown,
+        stored_figures as stored_figures,
+        tables as tables,
+        words as words,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

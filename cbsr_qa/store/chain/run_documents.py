@@ -32,6 +32,7 @@ from sqlalchemy import (
     select,
 )
 
+from cbsr_qa.domain import Array
 from cbsr_qa.store.tables import (
     AdoptionRow,
     AnalysisRow,
@@ -245,7 +246,7 @@ def contents(
     known: Sequence[str],
     place: NDArray[np.int32],
     said: NDArray[np.int32],
-    value: NDArray[np.float64],
+    value: Array,
     sayings: Sequence[Saying],
 ) -> Iterator[str]:
     """Yield the digest of each analysis, hexadecimal.

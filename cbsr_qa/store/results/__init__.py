@@ -1,5 +1,21 @@
 """Analyses and calibrations."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from . import (
+        analyses as analyses,
+        calibrations as calibrations,
+        calibrations_of_before as calibrations_of_before,
+        reanalyses as reanalyses,
+    )
+    from .analyses import (
+        StoredAnalysis as StoredAnalysis,
+        analysis_outcome as analysis_outcome,
+        as_measurement as as_measurement,
+    )
+    from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,49 @@
 """Runs: stored, read and resumed."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from . import (
+        archiving as archiving,
+        attendance as attendance,
+        live as live,
+        outcomes as outcomes,
+        runs as runs,
+        sessions as sessions,
+    )
+    from .archiving import ArchivedRun as ArchivedRun
+    from .codec import (
+        check_frames as check_frames,
+        check_samples as check_samples,
+        decoded_indenter as decoded_indenter,
+        decoded_material as decoded_material,
+        decoded_sensor_type as decoded_sensor_type,
+        encoded as encoded,
+        frame_block as frame_block,
+        frame_values as frame_values,
+        sample_block as sample_block,
+        sample_values as sample_values,
+    )
+    from .journal import Journal as Journal
+    from .live import (
+        ChangeNotice as ChangeNotice,
+        LivePhase as LivePhase,
+        RunLook as RunLook,
+        RunTail as RunTail,
+    )
+    from .outcomes import latest_outcome as latest_outcome
+    from .rows import (
+        current_state as current_state,
+        run_row as run_row,
+    )
+    from .sessions import (
+        IncompleteRun as IncompleteRun,
+        counts as counts,
+        incomplete_runs as incomplete_runs,
+        latest_id as latest_id,
+        runs_without_result as runs_without_result,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

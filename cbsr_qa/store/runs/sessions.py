@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, Row, exists, func, select
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import LoadRecord, RunSession
 from cbsr_qa.store.damage import stored
@@ -79,7 +80,7 @@ def counted_spans(
     return counted + [(from_s, ends_s) for from_s, _ in spans[-1:]]
 
 
-def within(time_s: NDArray[np.float64], spans: Sequence[Span]) -> NDArray[np.bool_]:
+def within(time_s: Array, spans: Sequence[Span]) -> NDArray[np.bool_]:
     """Return which times (n,) lie in some spans, (n,) bool."""
     inside = np.zeros(len(time_s), dtype=np.bool_)
     for from_s, to_s in spans:

@@ -1,5 +1,20 @@
 """Control charts of a station."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .after_run import charts_after as charts_after, charts_now as charts_now
+    from .charting import (
+        STANDS as STANDS,
+        UNCOUNTED as UNCOUNTED,
+        MetricChart as MetricChart,
+        charts_of as charts_of,
+        standard_of as standard_of,
+    )
+    from .charts import Charts as Charts, control_charts as control_charts
+    from .report import charts_outcome as charts_outcome
+    from .request import ChartsRequest as ChartsRequest, ReferencePeriod as ReferencePeriod
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,32 @@
 """What accuracy costs in time."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .figures import station_svg as station_svg, write_png as write_png
+    from .files import Files as Files
+    from .point import (
+        Accuracy as Accuracy,
+        Point as Point,
+        Task as Task,
+        TimeBasis as TimeBasis,
+        stored as stored,
+    )
+    from .points import worth_the_station as worth_the_station
+    from .recommend import Wish as Wish
+    from .report import frontier_outcome as frontier_outcome, table_of as table_of
+    from .sensors import station_seconds as station_seconds
+    from .setting import Setting as Setting
+    from .station import (
+        EVEN as EVEN,
+        PAPER as PAPER,
+        Tried as Tried,
+        shortened as shortened,
+        tried_alone as tried_alone,
+        tried_on_paper as tried_on_paper,
+    )
+    from .study import Frontier as Frontier, frontier as frontier
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cbsr_qa.analysis.run import RunForce, farthest_first, force_tests, gauge_factor, hold_traces, learned_from
@@ -19,13 +18,11 @@ from cbsr_qa.calibration.fits import TimedValues, common_settling_time, fit_comm
 from cbsr_qa.calibration.force import LearnedForce
 from cbsr_qa.calibration.runtime import interpolated
 from cbsr_qa.calibration.sheet import sheet_places
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain import Array, CbsrError
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM
-
-Array = NDArray[np.float64]
 
 #: Share of the steady change within which a hold counts as settled (paper, 4.3).
 _TOLERANCE: Final = 0.15

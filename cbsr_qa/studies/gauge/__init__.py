@@ -1,5 +1,18 @@
 """Gauge R&R of stored runs."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .references import references_of as references_of
+    from .report import gauge_outcome as gauge_outcome
+    from .request import (
+        GaugeRequest as GaugeRequest,
+        MetricWanted as MetricWanted,
+        StudyFile as StudyFile,
+        read_study as read_study,
+    )
+    from .study import GaugeStudy as GaugeStudy, gauge as gauge
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -13,8 +13,8 @@ from mpmath import mp
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.sheet import ResponseMap
+from cbsr_qa.domain import Array
 
-Array = NDArray[np.float64]
 #: Of mpmath numbers.
 _Exact = NDArray[np.object_]
 #: In extended precision, 64 bits of mantissa.
@@ -50,7 +50,7 @@ def apart(computed: Array, exact: Array) -> float:
     return float(np.linalg.norm(computed - exact) / np.linalg.norm(exact))
 
 
-def polygon_area(corners: NDArray[np.float64]) -> Any:  # an mpmath number
+def polygon_area(corners: Array) -> Any:  # an mpmath number
     """Area of a counterclockwise polygon (q, 2)."""
     with mp.workdps(DIGITS):
         points = [(mp.mpf(float(x)), mp.mpf(float(y))) for x, y in corners]
@@ -58,7 +58,7 @@ def polygon_area(corners: NDArray[np.float64]) -> Any:  # an mpmath number
         return sum((x0 * y1 - y0 * x1 for (x0, y0), (x1, y1) in zip(points, following, strict=True)), mp.mpf(0)) / 2
 
 
-def circle_overlap(corners: NDArray[np.float64], centre: Sequence[float], radius: float) -> Any:
+def circle_overlap(corners: Array, centre: Sequence[float], radius: float) -> Any:
     """Area of a counterclockwise polygon (q, 2) inside a circle, by Green's theorem along its sides."""
     with mp.workdps(DIGITS):
         middle = mp.mpc(float(centre[0]), float(centre[1]))

@@ -13,6 +13,7 @@ import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.sensor import (
     DrivePattern,
@@ -69,7 +70,6 @@ def without_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArr
     return np.asarray(pattern.usable() & ~drives[:, None] & ~measures, dtype=np.bool_)
 
 
-Array = NDArray[np.float64]
 #: Of mpmath numbers.
 _Exact = NDArray[np.object_]
 

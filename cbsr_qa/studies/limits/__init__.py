@@ -1,5 +1,13 @@
 """Limits proposed from a golden lot."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .golden_lot import LotChoice as LotChoice, read_serials as read_serials
+    from .proposals import Terms as Terms
+    from .propose import ProposedLimits as ProposedLimits, propose_limits as propose_limits, write_new as write_new
+    from .report import limits_outcome as limits_outcome
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,12 @@
 """Reproduction of a publication's tables with simulated sensors."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .compare import deviations_agree as deviations_agree
+    from .report import reproduction_outcome as reproduction_outcome
+    from .reproduce import Reproduction as Reproduction, published as published, reproduce_paper as reproduce_paper
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -6,9 +6,8 @@ from enum import StrEnum
 from math import hypot, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import finite_numbers
+from cbsr_qa.domain import Array, finite_numbers
 from cbsr_qa.eit.imaging import overlap_grade
 
 
@@ -175,7 +174,7 @@ def not_compared(group: str, name: str, unit: str, paper: Printed, ours: Ours, w
     return ComparedRow(group, name, unit, ValueOrigin.OUTCOME, Rule.NONE, paper, ours, reason=why)
 
 
-def mean_of_deviations(sheet: str, errors: NDArray[np.float64]) -> Ours:
+def mean_of_deviations(sheet: str, errors: Array) -> Ours:
     """Return the standard deviation of some errors with its standard error for normal values."""
     deviation, count = float(errors.std(ddof=1)), len(errors)
     of = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import RunForce
 from cbsr_qa.calibration.fits import restricted_mean
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import (
     Characterisation,
@@ -20,8 +20,6 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.eit.inverse import changes
 from cbsr_qa.studies.reproduce.compare import Ours
-
-Array = NDArray[np.float64]
 
 #: Frames of a noise floor (paper 3.2.1).
 _FLOOR_FRAMES: Final = 8

@@ -1,5 +1,24 @@
 """Scenes: explanation, costs and recordings."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .explain import Explained as Explained, explain_scene as explain_scene
+    from .report import explained_outcome as explained_outcome, scene_outcome as scene_outcome
+    from .run import (
+        SceneRun as SceneRun,
+        SceneRunRequest as SceneRunRequest,
+        SimulatedScene as SimulatedScene,
+        run_scene as run_scene,
+        simulate_to_memory as simulate_to_memory,
+    )
+    from .setting import (
+        SceneSetup as SceneSetup,
+        effects_of as effects_of,
+        made_world as made_world,
+        set_up as set_up,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import date, datetime, time, timedelta
+from datetime import datetime, time, timedelta
 from typing import Annotated
 
 from pydantic import Field
@@ -76,9 +76,9 @@ class ShiftSummary:
     reasons: tuple[FailureReason, ...]
 
 
-def local_day(day: date | None = None) -> tuple[datetime, datetime]:
-    """Return the beginning and the end of a local day of this computer; by default today's."""
-    begins = datetime.combine(day or datetime.now().astimezone().date(), time())
+def local_day() -> tuple[datetime, datetime]:
+    """Return the beginning and the end of today, as this computer reckons days."""
+    begins = datetime.combine(datetime.now().astimezone().date(), time())
     return begins.astimezone(), (begins + timedelta(days=1)).astimezone()
 
 

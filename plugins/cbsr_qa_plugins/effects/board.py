@@ -4,10 +4,9 @@ from collections.abc import Iterator
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import Dump, Moment, SceneSetting, Transcript
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import PluginOptions, Problem
@@ -119,7 +118,7 @@ class ReadingMemory(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        self._shares: NDArray[np.float64] | None = None
+        self._shares: Array | None = None
 
     def apply(self, moment: Moment) -> None:
         if moment.voltages is None:
@@ -141,7 +140,7 @@ class ReadingMemory(SceneEffect):
             )
         return told if at_s[1, 0] != at_s[0, 1] else self.options.inner or "measure"
 
-    def _mixed(self, count: int) -> NDArray[np.float64]:
+    def _mixed(self, count: int) -> Array:
         """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
         if self._shares is None or len(self._shares) != count:
             kept, back = self.options.share, np.subtract.outer(np.arange(count), np.arange(count)) % count

@@ -3,17 +3,14 @@
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.constants import Boltzmann, zero_Celsius
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.plan import Moment, SceneSetting
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import PluginOptions
 from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
-
-Array = NDArray[np.float64]
 
 #: What the materials' noise is stated at: the rig's script reads at 0.01 power line cycles. The paper prints none.
 REFERENCE_NPLC: Final = 0.01

@@ -4,17 +4,14 @@ import math
 from typing import Annotated, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.geometry import SheetOutline
 from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, SheetField, SimulatedPress
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.plugin import PluginOptions
 from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, Transients, quasi_static
-
-Array = NDArray[np.float64]
 
 _LATTICE: Final = 41  # places a side
 _WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.sensor import DrivePattern, Pair
 
 #: Of the median pair. On the paper's sensors the largest is 1.5 times the median.
@@ -58,7 +59,7 @@ class ContactFault:
         return text + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
 
 
-def contact_faults(pattern: DrivePattern, drive_ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
+def contact_faults(pattern: DrivePattern, drive_ohm: Array) -> tuple[ContactFault, ...]:
     """Find contacts that are open, poor, or touch.
 
     Open and poor pins are the fewest that explain all pairs that read too much: a pin counts only if every pair it is
@@ -77,7 +78,7 @@ def contact_faults(pattern: DrivePattern, drive_ohm: NDArray[np.float64]) -> tup
 
 
 def _high(
-    pattern: DrivePattern, drive_ohm: NDArray[np.float64], median: float, pins: tuple[int, ...], rows: list[int]
+    pattern: DrivePattern, drive_ohm: Array, median: float, pins: tuple[int, ...], rows: list[int]
 ) -> ContactFault:
     ohm = tuple(float(drive_ohm[row]) for row in rows)
     state = ContactState.OPEN if max(ohm) >= _OPEN * median else ContactState.POOR

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Annotated, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import SafetyError
+from cbsr_qa.domain import Array, SafetyError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext
@@ -31,11 +30,11 @@ _UNITS: Final = {"N": 1.0, "counts": 1.0, "g": NEWTON_PER_G}
 class ForceSource(Protocol):
     """What a cell is read by; forces in newtons before any tare."""
 
-    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and forces [N], both (n,), after a time."""
         ...
 
-    def newest(self, count: int) -> NDArray[np.float64]:
+    def newest(self, count: int) -> Array:
         """Return the last forces [N], at most so many, (n,)."""
         ...
 

@@ -4,10 +4,7 @@ import itertools
 from contextlib import suppress
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain import Array, InstrumentError
 from cbsr_qa.plugin.links import VisaLink
 
 #: Set values may be rounded to the instrument's resolution; what is further off was not taken.
@@ -84,7 +81,7 @@ class TspUnit:
             raise self._link.error(f"answered {answer[:80]!r} when asked for {', '.join(names)}", retryable=True)
         return values
 
-    def table(self, function: str, rows: int, columns: int) -> NDArray[np.float64]:
+    def table(self, function: str, rows: int, columns: int) -> Array:
         """Call a function ``f(rows, word)`` that prints so many binary numbers and then the word: (rows, columns)."""
         word = f"{next(self._words) % 1000000:06d}"
         numbers = self._link.query_binary(f'{function}({rows}, "{word}")', rows * columns, mark=word)

@@ -11,9 +11,8 @@ from contextlib import suppress
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain import Array, InstrumentError
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import Clock, RealClock
 
@@ -43,13 +42,13 @@ class SampleLog:
             if old > len(self._times) // 2:
                 del self._times[:old], self._values[:old]
 
-    def since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and values, both (n,), after a time."""
         with self._keeping:
             first = bisect_right(self._times, time_s)
             return np.array(self._times[first:]), np.array(self._values[first:])
 
-    def newest(self, count: int) -> NDArray[np.float64]:
+    def newest(self, count: int) -> Array:
         """Return the last values, at most so many, (n,)."""
         with self._keeping:
             return np.array(self._values[-count:])
@@ -164,7 +163,7 @@ class LineSampler:
         """Number of restarts of the instrument's clock."""
         return self._device.restarts
 
-    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and values, both (n,), of what was sent after a time up to now.
 
         InstrumentError if the line is down and cannot be opened again, or what comes on it are no such lines.
@@ -182,7 +181,7 @@ class LineSampler:
                 )
         return self._log.since(time_s)
 
-    def newest(self, count: int) -> NDArray[np.float64]:
+    def newest(self, count: int) -> Array:
         """Return the last values, at most so many, (n,)."""
         return self._log.newest(count)
 

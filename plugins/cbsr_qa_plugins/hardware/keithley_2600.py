@@ -6,10 +6,9 @@ from contextlib import contextmanager, suppress
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain import Array, InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import MeterReading, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import VisaLink
@@ -220,7 +219,7 @@ class Keithley2600(DriverBase):
 
     # --- how ---
 
-    def _reading(self, values: NDArray[np.float64], time_s: float) -> MeterReading:
+    def _reading(self, values: Array, time_s: float) -> MeterReading:
         volts, meter_status, amperes, source_status = values.T
         if (meter_status > _NO_NUMBER).any() or (source_status > _NO_NUMBER).any():
             got = int((meter_status < _NO_NUMBER).sum())
@@ -240,7 +239,7 @@ class Keithley2600(DriverBase):
             time_s=time_s,
         )
 
-    def _given(self, amperes: NDArray[np.float64], compliance: bool) -> float:
+    def _given(self, amperes: Array, compliance: bool) -> float:
         """Return the current that flowed; it must be the requested one, unless the source is at its limit."""
         asked_A = float(self._given_A or 0.0)
         if (np.abs(amperes) > _NO_NUMBER).any():

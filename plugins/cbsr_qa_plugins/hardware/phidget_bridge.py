@@ -11,10 +11,9 @@ from importlib import import_module
 from typing import Annotated, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import Array, ConfigError, InstrumentError
 from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import AddressLock
 from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
@@ -115,14 +114,14 @@ class PhidgetSource(DriverBase):
             raise self._failed("does not say who it is", error) from error
         return str(model), str(serial), str(version)
 
-    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and forces [N], both (n,), after a time. InstrumentError while it is unplugged."""
         if not self._attached:
             complaint = f" ({self._said})" if self._said else ""
             raise self._error(f"the bridge is unplugged{complaint}", _PLUG)
         return self._log.since(time_s)
 
-    def newest(self, count: int) -> NDArray[np.float64]:
+    def newest(self, count: int) -> Array:
         """Return the last forces [N], at most so many, (n,)."""
         return self._log.newest(count)
 

@@ -5,10 +5,9 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, join_frames
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import (
@@ -180,7 +179,7 @@ class ScannedFrames(DriverBase):
                 retryable=True,
             )
 
-    def _driven_ohm(self) -> NDArray[np.float64]:
+    def _driven_ohm(self) -> Array:
         """Resistance of each driven pair (drives,): infinite with the source at its limit, NaN where not measured."""
         pattern, multiplexer, meter = self._pattern, self._multiplexer, self._meter
         columns = {frozenset(pair): index for index, pair in enumerate(pattern.measure)}
@@ -209,7 +208,7 @@ class ScannedFrames(DriverBase):
             return np.inf
         return self._sign * turned * reading.volts / reading.current_A
 
-    def _check_contacts(self, ohm: NDArray[np.float64]) -> None:
+    def _check_contacts(self, ohm: Array) -> None:
         measured = ohm[~np.isnan(ohm)]
         if not measured.size:
             self._contacts = "not checked: no driven pair is measured itself"
@@ -234,7 +233,7 @@ class ScannedFrames(DriverBase):
         for text in findings:
             _log.warning("%s: %s", self._role, text)
 
-    def _contact_faults(self, ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
+    def _contact_faults(self, ohm: Array) -> tuple[ContactFault, ...]:
         """Find the faults, and keep their description."""
         measured = ohm[~np.isnan(ohm)]
         if not measured.size:
@@ -247,7 +246,7 @@ class ScannedFrames(DriverBase):
         self._contacts = "; ".join([pairs, *(fault.words() for fault in faults)])
         return faults
 
-    def _chosen_A(self, ohm: NDArray[np.float64]) -> float:
+    def _chosen_A(self, ohm: Array) -> float:
         """Return the stated current if it leaves the headroom, else the largest round one that does."""
         known = np.abs(ohm[np.isfinite(ohm)])
         most_A = self._largest_A

@@ -14,17 +14,14 @@ from importlib import import_module
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import sparse
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse import noise_figure, overlap_fractions, target_signal
 from cbsr_qa.plugin import PluginOptions, WithOptions
-
-Array = NDArray[np.float64]
 
 _REMEDY = "pip install 'cbsr-qa[pyeit]'"
 _MOST_CONDITION = 1e12  # its inverse has four digits then

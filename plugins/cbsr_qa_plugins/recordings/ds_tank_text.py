@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RecordingError, RowProblem
+from cbsr_qa.domain import Array, RecordingError, RowProblem
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
 from cbsr_qa_plugins.recordings.lab_files import OneDataSet, number, text_lines
@@ -90,7 +89,7 @@ def _voltage(fields: list[str]) -> float | None:
     return numbers[0] if possible and len(numbers) == _COLUMNS else None
 
 
-def _frame(values: NDArray[np.float64]) -> FrameBlock:
+def _frame(values: Array) -> FrameBlock:
     """Row i is drive pair i; measure pairs rise in absolute order and skip i−1, i and i+1."""
     usable = adjacent_pattern(_ELECTRODES).usable()
     voltages = np.zeros((1, _ELECTRODES, _ELECTRODES))

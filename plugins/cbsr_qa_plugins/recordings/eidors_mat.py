@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import RecordingError
+from cbsr_qa.domain import Array, RecordingError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ReadOptions, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
 from cbsr_qa.system import largest_content
@@ -46,7 +46,7 @@ class _Variable:
     is_complex: bool
 
 
-def real_matrices(data: bytes, rows: int) -> tuple[dict[str, NDArray[np.float64]], tuple[str, ...]]:
+def real_matrices(data: bytes, rows: int) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Read the matrices of some rows and at least one column.
 
     Parameters
@@ -62,7 +62,7 @@ def real_matrices(data: bytes, rows: int) -> tuple[dict[str, NDArray[np.float64]
     ValueError
         If the file is cut or damaged, or claims more than a file of its length may hold.
     """
-    found: dict[str, NDArray[np.float64]] = {}
+    found: dict[str, Array] = {}
     complex_ones: list[str] = []
     left = largest_content(len(data))
     for element, packed, order in _elements(data):

@@ -5,9 +5,8 @@ from datetime import datetime
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RowProblem
+from cbsr_qa.domain import Array, RowProblem
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, BoardLine, LineKind, Rows
 
@@ -76,10 +75,10 @@ def board_clock(lines: list[BoardLine], width: int) -> RowClock:
     return clock
 
 
-def frame_times(assembly: Assembly, clock: RowClock) -> NDArray[np.float64]:
+def frame_times(assembly: Assembly, clock: RowClock) -> Array:
     """Middles of the frames [s] from the first one's, (frames,) float64."""
     middles = np.array([clock.at(rows) for rows in assembly.frames], dtype=np.float64)
-    times: NDArray[np.float64] = middles - middles[0]
+    times: Array = middles - middles[0]
     return times
 
 

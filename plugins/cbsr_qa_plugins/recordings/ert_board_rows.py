@@ -20,9 +20,8 @@ from math import gcd
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RowProblem
+from cbsr_qa.domain import Array, RowProblem
 from cbsr_qa.domain.readings import ScanKind
 from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
@@ -273,7 +272,7 @@ class Assembly:
     dropped: list[DroppedFrame] = field(default_factory=list)
     dumps: list[RowProblem] = field(default_factory=list)
 
-    def counts(self) -> NDArray[np.float64]:
+    def counts(self) -> Array:
         """Return the readings, (frames, rows, 16) float64 [counts]."""
         return np.array([[row.numbers[-PAIRS:] for row in rows] for rows in self.frames], dtype=np.float64)
 

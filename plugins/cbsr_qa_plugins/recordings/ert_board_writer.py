@@ -12,7 +12,7 @@ from typing import Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import Dump, Transcript
 from cbsr_qa.domain.readings import ReadingFlag, Recording, SampleBlock
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
@@ -70,7 +70,7 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     What the file does not say, in words.
     """
     refuse_unfit(NAME, path, recording, transcript)
-    row_s: NDArray[np.float64] = reading_times(NAME, recording, transcript, "measure").mean(axis=2)
+    row_s: Array = reading_times(NAME, recording, transcript, "measure").mean(axis=2)
     _refuse_too_long(float(row_s[-1, -1] - row_s[0, 0]))
     gain = scale_of(recording.frames.voltages)
     with new_text_file(path) as file:
@@ -83,7 +83,7 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     return (*_converted(recording, gain), *left_out(recording, transcript, ("force",), ~ReadingFlag.NONE))
 
 
-def scale_of(voltages_V: NDArray[np.float64]) -> float:
+def scale_of(voltages_V: Array) -> float:
     """Counts per volt for frames (n, 16, 16): so that what their used readings usually are fills the 16 bits."""
     usual = np.median(np.abs(voltages_V), axis=0)
     return counts_per_volt(_HEADROOM * float(usual[_away()].max() or usual.max()))

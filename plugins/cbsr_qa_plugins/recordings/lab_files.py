@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Final, TextIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis import recording_file
-from cbsr_qa.domain import RecordingError, RefusedError
+from cbsr_qa.domain import Array, RecordingError, RefusedError
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import adjacent_pattern
@@ -197,7 +196,7 @@ def _refuse_lost(name: str, transcript: Transcript) -> None:
         )
 
 
-def reading_times(name: str, recording: Recording, transcript: Transcript, order: str) -> NDArray[np.float64]:
+def reading_times(name: str, recording: Recording, transcript: Transcript, order: str) -> Array:
     """When each reading was taken, (frames, 16, 16) in canonical order [s].
 
     Where a recording has no times of readings, its frames are taken at once: each reading has its frame's time.

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RecordingError, RowProblem
+from cbsr_qa.domain import Array, RecordingError, RowProblem
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import (
     FrameBlock,
@@ -115,7 +114,7 @@ def _position(readings: list[Reading], expected: int) -> int:
     if not count:
         return expected
     values = [0.0 if reading.bad else abs(reading.voltage) for reading in readings[: count * FRAME]]
-    level: NDArray[np.float64] = np.median(np.reshape(values, (count, FRAME)), axis=0)
+    level: Array = np.median(np.reshape(values, (count, FRAME)), axis=0)
     explained = np.array([level[(_DRIVEN - at) % FRAME].sum() for at in range(FRAME)])
     best = int(explained.argmax())
     stands_out = explained[best] > _STAND_OUT * len(_DRIVEN) * float(np.median(level))
@@ -190,12 +189,12 @@ def _order_note(late: int) -> str:
     return f"{said}; the recording starts {count} late and was shifted back"
 
 
-def _canonical(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _canonical(values: Array) -> Array:
     """From scan order (n, 256), current pair inner, to (n, drive, measure)."""
     return values.reshape(-1, ELECTRODES, ELECTRODES).swapaxes(1, 2)
 
 
-def _reading_times(frames: Frames) -> NDArray[np.float64]:
+def _reading_times(frames: Frames) -> Array:
     """Times of the readings (n, 256) [s]; a session that starts its clock again is put behind the one before."""
     times = np.array([[reading.time_s for reading in frame] for frame in frames])
     for k in range(1, len(times)):
@@ -204,7 +203,7 @@ def _reading_times(frames: Frames) -> NDArray[np.float64]:
     return times
 
 
-def _block(frames: Frames, times: NDArray[np.float64]) -> FrameBlock:
+def _block(frames: Frames, times: Array) -> FrameBlock:
     voltages = _canonical(np.array([[reading.voltage for reading in frame] for frame in frames]))
     saturated = _canonical(np.array([[float(reading.saturated) for reading in frame] for frame in frames]))
     flags = np.where(saturated > 0, ReadingFlag.COMPLIANCE.value, 0).astype(np.uint8)
@@ -215,7 +214,7 @@ def _block(frames: Frames, times: NDArray[np.float64]) -> FrameBlock:
     )
 
 
-def _samples(frames: Frames, times: NDArray[np.float64]) -> tuple[tuple[SampleBlock, ...], list[str]]:
+def _samples(frames: Frames, times: Array) -> tuple[tuple[SampleBlock, ...], list[str]]:
     values = np.array([reading.others for frame in frames for reading in frame])
     flat_s = times.ravel()
     blocks: list[SampleBlock] = []

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import RecordingError, RefusedError, RowProblem
+from cbsr_qa.domain import Array, RecordingError, RefusedError, RowProblem
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import ReadingFlag, Recording
 from cbsr_qa_plugins.recordings.lab_files import (
@@ -220,7 +220,7 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
 def _frame_lines(
     recording: Recording,
     frame: int,
-    times_s: NDArray[np.float64],
+    times_s: Array,
     zero_s: float,
     lost: NDArray[np.bool_],
     current: str,
@@ -243,7 +243,7 @@ def _frame_lines(
     return out
 
 
-def _column(recording: Recording, name: str, unit: str, at_s: NDArray[np.float64]) -> Sequence[str]:
+def _column(recording: Recording, name: str, unit: str, at_s: Array) -> Sequence[str]:
     block = channel(recording, name, unit)
     if block is None:
         return ["nan"] * len(at_s)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import (
     HELD_OUT,
@@ -24,6 +23,7 @@ from cbsr_qa.analysis.run import (
 from cbsr_qa.calibration.force import LearnedForce, prediction_words
 from cbsr_qa.calibration.runtime import interpolated
 from cbsr_qa.calibration.sheet import SheetPose
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult
 from cbsr_qa.report import (
     ObservedSection,
@@ -36,8 +36,6 @@ from cbsr_qa.report import (
     with_uncertainty,
 )
 from cbsr_qa.report.draw import ForcePanel, RatioPoints, SheetField, force_figure, force_map_figure, ratio_figure
-
-Array = NDArray[np.float64]
 
 #: Cells of the maps across the sheet.
 _ACROSS: Final = 61

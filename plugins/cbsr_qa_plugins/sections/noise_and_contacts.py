@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import (
     Block,
     Cell,
@@ -62,7 +63,7 @@ def _table(result: RunResult, run: RunObservation) -> Table:
     return text_table("Noise of readings and images.", columns, rows, (2, 3))
 
 
-def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
+def _channels(run: RunObservation, ratio_dB: Array) -> Figure:
     used = ratio_dB[run.usable & np.isfinite(ratio_dB)]
     words = "no usable reading" if not used.size else f"median {np.median(used):.0f} dB, lowest {used.min():.0f} dB"
     return Figure(
@@ -73,7 +74,7 @@ def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
     )
 
 
-def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[np.float64]) -> Figure:
+def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: Array) -> Figure:
     largest = largest_by_reading(pairs, errors, run.usable.shape)
     words = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
     return Figure(

@@ -79,7 +79,7 @@ def secret(option: str, variable: str | None) -> str | None:
     return value
 
 
-def check_file(option: str, path: str | None) -> None:
-    """ConfigError if a file that an option names does not exist."""
+def check_ca_file(path: str | None) -> None:
+    """ConfigError if the file of ``ca_file`` does not exist."""
     if path is not None and not Path(path).is_file():
-        raise ConfigError(f"{option} names {path!r}, which is not a file", remedy="correct the path")
+        raise ConfigError(f"ca_file names {path!r}, which is not a file", remedy="correct the path")

@@ -15,7 +15,7 @@ from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
 from cbsr_qa_plugins.sinks._options import (
     EnvironmentVariable,
     Timeout,
-    check_file,
+    check_ca_file,
     check_template,
     filled_template,
     secret,
@@ -79,7 +79,7 @@ class Mqtt(WithOptions):
             remedy = 'install it: pip install "cbsr-qa[mqtt]"'
             raise ConfigError("the library paho-mqtt is missing", remedy=remedy) from error
         self._password = secret("password_env", self.options.password_env)
-        check_file("ca_file", self.options.ca_file)
+        check_ca_file(self.options.ca_file)
         self._port = self.options.port or (_TLS_PORT if self.options.tls else _PORT)
         self._broker = f"broker {self.options.host}:{self._port}"
         self._client: Any = None

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import DeliveryError
 from cbsr_qa.plugin import PluginOptions, WithOptions
-from cbsr_qa_plugins.sinks._options import EnvironmentVariable, Timeout, check_file, secret
+from cbsr_qa_plugins.sinks._options import EnvironmentVariable, Timeout, check_ca_file, secret
 
 #: Refusals that may end: of a token, an address or a rate. Other answers 400 to 499 would be the same again.
 _MAY_END: Final = (401, 403, 404, 407, 408, 425, 429)
@@ -77,7 +77,7 @@ class Webhook(WithOptions):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         token = secret("token_env", self.options.token_env)
-        check_file("ca_file", self.options.ca_file)
+        check_ca_file(self.options.ca_file)
         self.largest_batch = self.options.largest_batch
         self._headers = {"Content-Type": "application/json", "User-Agent": "cbsr-qa"}
         if token is not None:

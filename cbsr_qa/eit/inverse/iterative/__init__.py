@@ -1,5 +1,12 @@
 """Iterative reconstructions: total variation, and absolute Gauss–Newton."""
 
-from cbsr_qa import door
+from typing import TYPE_CHECKING
 
-__getattr__, __dir__, __all__ = door(__name__, __file__)
+from cbsr_qa.lazy import door
+
+if TYPE_CHECKING:
+    from .absolute_images import AbsoluteImages as AbsoluteImages, Expected as Expected
+    from .total_variation import MOST_STEPS as MOST_STEPS, TOLERANCE as TOLERANCE
+    from .total_variation_images import TotalVariationImages as TotalVariationImages, choose_alpha as choose_alpha
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -229,17 +229,11 @@ class _Place:
 
 
 def most_probable_state(
-    model: SheetModel,
-    start: Linearised,
-    wanted: Array,
-    prior: SheetPrior,
-    *,
-    most_steps: int = MOST_STEPS,
-    tolerance: float = TOLERANCE,
+    model: SheetModel, start: Linearised, wanted: Array, prior: SheetPrior, *, most_steps: int = MOST_STEPS
 ) -> FoundState:
     """Iterate from the expected state θ₀ to the most probable state, for (g,) folded readings d.
 
-    NumericsError if no step lowers Φ, or steps run out, before it is within ``tolerance``; or if Φ is not finite.
+    NumericsError if no step lowers Φ, or steps run out, before it is within ``TOLERANCE``; or if Φ is not finite.
     """
     origin, here, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))
@@ -250,7 +244,7 @@ def most_probable_state(
             step, weights, fall = here.step(wanted, place)
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
             raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
-        if fall <= tolerance + _SHARE * cost:
+        if fall <= TOLERANCE + _SHARE * cost:
             return _found(here, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):

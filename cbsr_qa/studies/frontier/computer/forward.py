@@ -10,11 +10,11 @@ from functools import lru_cache, partial
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, SensorType
@@ -24,7 +24,6 @@ from cbsr_qa.eit.mesh import sheet_mesh
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 
 T = TypeVar("T")
-Array = NDArray[np.float64]
 
 SERIES_ARCS: Final = "forward-model, electrodes on the edge"
 SERIES_PINS: Final = "forward-model, pins"

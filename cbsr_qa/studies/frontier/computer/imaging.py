@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain import Array, CbsrError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction, linear
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import image_jacobian, imaging_problem, nominal_model
@@ -22,7 +22,6 @@ from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
 SERIES: Final = "applying the matrix"

@@ -5,10 +5,9 @@ from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.config import load_material, load_scene_plan, load_sensor_type
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.results import Image, PreparedReconstruction
 from cbsr_qa.domain.sensor import Mesh, SensorType
@@ -17,8 +16,6 @@ from cbsr_qa.eit.inverse import changes, scale_of
 from cbsr_qa.plugin import Kind, Plugins, discover
 from cbsr_qa.simulate import PressedLoad, SimulatedSheet, SimulatedWorld, press_loads
 from cbsr_qa.studies.frontier.point import Accuracy
-
-Array = NDArray[np.float64]
 
 NOISE_FRAMES: Final = 8  # as in the recipes: frames of the noise floor
 REFERENCE_FRAMES: Final = 4

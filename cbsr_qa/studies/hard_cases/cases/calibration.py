@@ -4,12 +4,11 @@ from typing import Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import fit_quasi_static, learn_kernel
 from cbsr_qa.calibration.runtime import Matches
 from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predicted_change, sheet_gauge_factor, sheet_pose_of
-from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain import Array, CalibrationError, NumericsError
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.eit.imaging import register
@@ -22,8 +21,6 @@ from cbsr_qa.studies.hard_cases.exact import (
     map_condition,
     relative_error,
 )
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("calibration")
 _SQUARES: Final = "weighted least squares of the same numbers in fifty digits"

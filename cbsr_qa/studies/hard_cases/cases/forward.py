@@ -3,9 +3,8 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain import Array, NumericsError, RefusedError
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward import REFINED_ABOVE, UNREFINED_ERROR, ForwardModel, ValueRangeError
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned, conditioned_bound
@@ -23,8 +22,6 @@ from cbsr_qa.studies.hard_cases.sheets import (
     small_mesh,
     small_model,
 )
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("forward model")
 FIFTY: Final = "the same equations in fifty digits, in their textbook form"

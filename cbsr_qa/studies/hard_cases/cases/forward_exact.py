@@ -5,14 +5,12 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.sensor import CircleArcs, Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, arc_transfer_impedance
 from cbsr_qa.studies.hard_cases.case import Answer, Area
 from cbsr_qa.studies.hard_cases.sheets import reading_condition, relative_error, ring_mesh
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("forward model")
 _ELECTRODES: Final = 8

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.eit.forward import disc_coverage, point_model
 from cbsr_qa.eit.loads import LocalUpdate
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
@@ -17,8 +17,6 @@ from cbsr_qa.studies.hard_cases.sheets import (
     relative_error,
     small_model,
 )
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("forward model")
 

@@ -4,9 +4,8 @@ from typing import Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint, circle_overlap_mm2, overlap_mm2
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
@@ -20,8 +19,6 @@ from cbsr_qa.studies.hard_cases.exact import (
     polygon_area,
     relative_error,
 )
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("imaging")
 _TRIANGLE: Final = "area and centre of the triangle in fifty digits"

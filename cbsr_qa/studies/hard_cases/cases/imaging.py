@@ -3,9 +3,8 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Image
 from cbsr_qa.eit.imaging import (
@@ -22,8 +21,6 @@ from cbsr_qa.eit.imaging import (
 )
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import largest_relative_error, relative_error
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("imaging")
 _TRIANGLE: Final = "area, weight and centre of the triangle"

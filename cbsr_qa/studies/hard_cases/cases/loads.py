@@ -5,19 +5,16 @@ from typing import Any, Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
 from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain import Array, CalibrationError, NumericsError
 from cbsr_qa.domain.results import ForceModel, Lattice, LoadEstimate
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("calibration")
 _PLACE: Final = "the place it was pressed at"

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import find_faults
-from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain import Array, NumericsError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import ReadingFold, changes, imaging_problem, reading_noise, scale_doubts, scale_of
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import apart
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor, without_electrodes
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("readings")
 _SEED: Final = 20261123

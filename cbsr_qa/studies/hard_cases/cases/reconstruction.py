@@ -5,17 +5,14 @@ from typing import Final
 
 import numpy as np
 from mpmath import mp
-from numpy.typing import NDArray
 from scipy import linalg
 
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import Array, ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smoothed
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("reconstruction")
 FIFTY: Final = "the normal equations, solved in fifty digits"

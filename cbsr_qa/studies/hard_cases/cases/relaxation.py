@@ -4,7 +4,6 @@ from typing import Any, Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import (
     fit_common_relaxation,
@@ -13,12 +12,10 @@ from cbsr_qa.calibration.fits import (
     restricted_mean,
     settling_time,
 )
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationKernel
 from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, Area, conditioned, conditioned_bound
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("relaxation")
 _PARAMETERS: Final = "the parameters the trace was made from"

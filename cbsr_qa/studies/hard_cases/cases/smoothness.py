@@ -5,10 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 from mpmath import mp
-from numpy.typing import NDArray
 from scipy import linalg
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import dual_matrix, laplace
@@ -16,8 +15,6 @@ from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.cases.reconstruction import FIFTY, ridge_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
 from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepared, ring_mesh, usual_problem
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122

@@ -4,17 +4,14 @@ from typing import Any, Final
 
 import mpmath
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import Agreement, MeasuredRelaxation, compare_relaxations, fit_common_relaxation
 from cbsr_qa.calibration.sheet import best_straight_line, slope
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.eit.inverse import reading_noise
 from cbsr_qa.stats import Ask, Distribution, components, count_needed, lot_limits, one_sided_factor, two_sided_factor
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("statistics")
 _CONFIDENCE: Final = "the stated confidence, by integration in twenty digits"

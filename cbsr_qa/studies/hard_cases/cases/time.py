@@ -3,15 +3,12 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import exponentials, fit_relaxation, learn_kernel, predict_steady, relaxation_start
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import RelaxationKernel
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import largest_relative_error, mean_exponential, relative_error
-
-Array = NDArray[np.float64]
 
 AREA: Final = Area("time")
 _INTEGRALS: Final = "the integrals in fifty digits"

@@ -1,3 +1,0 @@
-from .locks import AddressLock as AddressLock
-from .serial_link import SerialLink as SerialLink
-from .visa_link import VisaLink as VisaLink

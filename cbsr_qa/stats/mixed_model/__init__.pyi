@@ -1,1 +1,0 @@
-from .model import Fit as Fit, fit as fit

@@ -1,9 +1,0 @@
-from .references import references_of as references_of
-from .report import gauge_outcome as gauge_outcome
-from .request import (
-    GaugeRequest as GaugeRequest,
-    MetricWanted as MetricWanted,
-    StudyFile as StudyFile,
-    read_study as read_study,
-)
-from .study import GaugeStudy as GaugeStudy, gauge as gauge

@@ -1,8 +1,0 @@
-from .conformance import (
-    CheckedPlugins as CheckedPlugins,
-    assert_conforms as assert_conforms,
-    check_plugins as check_plugins,
-)
-from .new import NewPackage as NewPackage, make_package as make_package
-from .package import targets_of as targets_of
-from .report import checks_outcome as checks_outcome

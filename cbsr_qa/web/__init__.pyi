@@ -1,1 +1,0 @@
-from .server import ServeRequest as ServeRequest, serve as serve
