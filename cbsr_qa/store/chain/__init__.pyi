@@ -25,6 +25,11 @@ from .links import (
     link_digest as link_digest,
     new_chain as new_chain,
 )
+from .many_rows import (
+    documents_in_columns as documents_in_columns,
+    keys_of as keys_of,
+    row_texts as row_texts,
+)
 from .run_documents import (
     BETWEEN as BETWEEN,
     FIGURES as FIGURES,
