@@ -35,7 +35,16 @@ from cbsr_qa.domain.run import (
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import configure
-from cbsr_qa.store import Repository, check_usable, open_engine, open_existing, open_store, parsed_url, writing
+from cbsr_qa.store import (
+    Repository,
+    check_usable,
+    open_engine,
+    open_existing,
+    open_store,
+    opening,
+    parsed_url,
+    writing,
+)
 from cbsr_qa.studies.shift import list_request, list_runs, list_sensors, sensor_runs
 
 _SERVER: Final = "postgresql+psycopg://postgres@127.0.0.1:5432/postgres"
@@ -77,6 +86,7 @@ class Line:
         """Everything that ``cbsr-qa run`` asks and writes from the first look at the database to the first row."""
         self._runs += 1
         serial = self._serial()
+        opening._engine_of_server.cache_clear()  # a run is a process of its own, which knows no server yet
         check_usable(self.url)
         with open_existing(self.url) or nullcontext() as earlier:
             if earlier is not None:

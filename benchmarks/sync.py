@@ -25,9 +25,11 @@ _STATIONS = 4
 _RUNS = 15
 _SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432/postgres"
 _CENTRE = "cbsr_qa_benchmark_sync"
+#: What `cbsr-qa db sync` does between its start and its end.
 _SEND = (
-    "import sys; from cbsr_qa.store import open_engine, parsed_url; from cbsr_qa.store.sync import send_waiting;"
-    "station, centre = (open_engine(parsed_url(url)) for url in sys.argv[1:]);"
+    "import gc, sys; from cbsr_qa.cli.main import COLLECTED;"
+    "from cbsr_qa.store import open_engine, parsed_url; from cbsr_qa.store.sync import send_waiting;"
+    "gc.set_threshold(*COLLECTED); station, centre = (open_engine(parsed_url(url)) for url in sys.argv[1:]);"
     "print('ready', flush=True); input(); sent = send_waiting(station, centre, 'benchmark');"
     "print(sent.runs, sent.rows, sent.size)"
 )

@@ -100,7 +100,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 #: Factor by which garbage collection is rarer than by default: loading libraries and reading a fleet create millions
 #: of objects and hardly a cycle, and searching took a third of the time of ``compare``. Nothing is searched while the
 #: libraries of a run are loaded.
-_COLLECTED = (500_000, 20, 20)
+COLLECTED = (500_000, 20, 20)
 
 
 def entry() -> None:
@@ -110,7 +110,7 @@ def entry() -> None:
     size are slower.
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
-    gc.set_threshold(*_COLLECTED)
+    gc.set_threshold(*COLLECTED)
     sys.exit(ended(sys.argv[1:]))
 
 

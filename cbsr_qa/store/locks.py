@@ -8,10 +8,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
+from threading import Lock
 from typing import Final
+from weakref import WeakKeyDictionary
 
-from sqlalchemy import Connection, Engine, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import URL, Connection, Engine, text
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
 from cbsr_qa.store.damage import shown, translated
@@ -34,7 +36,7 @@ def this_process(operator: str) -> str:
 def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     """Hold the right to write a run; it is released when the process ends, even if killed.
 
-    On SQLite a locked file beside the database, on PostgreSQL an advisory lock on a separate connection. A database
+    On SQLite a locked file beside the database, on PostgreSQL an advisory lock on a connection for locks. A database
     in memory has only one process. The next process to lock removes files of killed ones.
 
     Raises
@@ -128,17 +130,16 @@ def writer_of(engine: Engine, run: str) -> str:
     if file is not None:
         who = holder(_lock_file(file, run))
         return "" if who is None else _named(who)
-    release = _acquired(engine, run, this_process(""))
-    if isinstance(release, str):
-        return release
-    release()
-    return ""
+    if engine.url.get_backend_name() != "postgresql":
+        return ""
+    with translated(engine.url), engine.connect() as connection:
+        return _holder(connection, _number(run))
 
 
 def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
     """Return a function that releases the lock, or the current holder."""
     if engine.url.get_backend_name() == "postgresql":
-        return _advisory(engine, name, who)
+        return _SERVER_LOCKS.setdefault(engine, _ServerLocks(engine.url)).acquired(engine, _number(name), who)
     file = sqlite_file(engine.url)
     return (lambda: None) if file is None else _file_lock(engine, file, name, who)
 
@@ -165,34 +166,78 @@ def _named(who: bytes) -> str:
     return who.decode(errors="replace") or "another process"
 
 
-def _advisory(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
-    number = int.from_bytes(hashlib.sha256(f"cbsr-qa run {name}".encode()).digest()[:8], signed=True)
-    with translated(engine.url):
-        connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
-        try:
-            connection.execute(
-                text("SELECT set_config('application_name', :who, false)"), {"who": who[:_NAME_LENGTH]}
-            )
-            if connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": number}):
-                return lambda: _unlock(connection, number)
-            return _holder(connection, number)
-        except BaseException:
-            connection.close()
-            raise
+class _ServerLocks:
+    """Advisory locks of PostgreSQL that an engine holds, all over one connection, which ends with the process."""
+
+    def __init__(self, url: URL) -> None:
+        self._url = url
+        self._connection: Connection | None = None
+        self._held: dict[int, str] = {}
+        self._alone = Lock()
+
+    def acquired(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
+        """Return a function that releases the lock, or the current holder."""
+        with self._alone, translated(self._url):
+            try:
+                return self._acquired(engine, number, who)
+            except DBAPIError as error:
+                if not error.connection_invalidated:
+                    raise
+                self._close()  # the server has released what this connection held
+                return self._acquired(engine, number, who)
+            finally:
+                if not self._held:
+                    self._close()
+
+    def _acquired(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
+        if self._connection is None:
+            self._connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+        connection = self._connection
+        if number in self._held:
+            connection.execute(text("SELECT 1"))  # a lost connection holds nothing
+            return self._held[number]
+        values = {"number": number, "who": who[:_NAME_LENGTH]}
+        if connection.scalar(_TRY_LOCK, values) is None:
+            return _holder(connection, number) or "another process"
+        self._held[number] = who
+        return lambda: self._release(connection, number)
+
+    def _release(self, connection: Connection, number: int) -> None:
+        with self._alone:
+            if self._connection is not connection:
+                return  # it was lost
+            del self._held[number]
+            with suppress(SQLAlchemyError):
+                connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})
+            if not self._held:
+                self._close()
+
+    def _close(self) -> None:
+        connection, self._connection = self._connection, None
+        self._held.clear()
+        if connection is not None:
+            with suppress(SQLAlchemyError):
+                connection.close()
 
 
-def _unlock(connection: Connection, number: int) -> None:
-    with suppress(SQLAlchemyError), connection:  # a lost connection has released it
-        connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})
+_SERVER_LOCKS: Final[WeakKeyDictionary[Engine, _ServerLocks]] = WeakKeyDictionary()
+#: The connection is named after the writer once it has the lock; None if another one has it.
+_TRY_LOCK: Final = text(
+    "SELECT CASE WHEN pg_try_advisory_lock(:number) THEN set_config('application_name', :who, false) END"
+)
+_HOLDER: Final = text(
+    "SELECT a.application_name FROM pg_locks l JOIN pg_stat_activity a USING (pid)"
+    " WHERE l.locktype = 'advisory' AND l.granted AND l.objsubid = 1"
+    " AND l.classid::bigint = :high AND l.objid::bigint = :low"
+)
+
+
+def _number(name: str) -> int:
+    return int.from_bytes(hashlib.sha256(f"cbsr-qa run {name}".encode()).digest()[:8], signed=True)
 
 
 def _holder(connection: Connection, number: int) -> str:
-    query = (
-        "SELECT a.application_name FROM pg_locks l JOIN pg_stat_activity a USING (pid)"
-        " WHERE l.locktype = 'advisory' AND l.granted AND l.objsubid = 1"
-        " AND l.classid::bigint = :high AND l.objid::bigint = :low"
-    )
+    """Return who holds an advisory lock; empty for nobody."""
     unsigned = number % (1 << 64)
-    with connection:
-        found = connection.scalar(text(query), {"high": unsigned >> 32, "low": unsigned & 0xFFFFFFFF})
-    return str(found or "another process")
+    found = connection.execute(_HOLDER, {"high": unsigned >> 32, "low": unsigned & 0xFFFFFFFF}).first()
+    return "" if found is None else str(found[0] or "another process")

@@ -1,11 +1,15 @@
 """Open a database that is up to date, or say why it cannot be used."""
 
+import os
 from collections.abc import Callable
 from datetime import datetime
+from functools import cache
+
+from sqlalchemy import URL, Engine
 
 from cbsr_qa.store import schema
 from cbsr_qa.store.chain import KEY_OPTION, SigningKey
-from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.engine import open_engine, parsed_url, sqlite_file
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system import RealClock
 
@@ -56,8 +60,7 @@ def _opened(
     tell: Callable[[str], None] | None = None,
 ) -> Repository | None:
     key = SigningKey.from_environment()
-    engine = open_engine(parsed_url(url), durable=durable)
-    engine.update_execution_options(**{KEY_OPTION: key})
+    engine = _engine(url, durable=durable).execution_options(**{KEY_OPTION: key})
     try:
         version = schema.found_version(engine)
         if version.age is schema.Age.EMPTY:
@@ -76,16 +79,37 @@ def _opened(
 def check_usable(url: str) -> None:
     """Refuse a database that could not store a run; anything written to find out is removed.
 
+    The connection to a server stays open for what opens the database next.
+
     Raises
     ------
     StoreError
         If it cannot be reached or written, is of another version, or is another program's.
     """
-    engine = open_engine(parsed_url(url))
+    engine = _engine(url)
     try:
         version = schema.found_version(engine)
         if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
             raise schema.refusal(engine, version)
         schema.check_writable(engine, version)
-    finally:
+    except BaseException:
         engine.dispose()
+        raise
+    if sqlite_file(engine.url) is not None:
+        engine.dispose()
+
+
+def _engine(url: str, *, durable: bool = True) -> Engine:
+    parsed = parsed_url(url)
+    if parsed.get_backend_name() == "sqlite":
+        return open_engine(parsed, durable=durable)
+    return _engine_of_server(parsed, os.getpid())
+
+
+@cache
+def _engine_of_server(url: URL, process: int) -> Engine:
+    """Return the engine of a server, one a process: it keeps what it asked the server, and statements it compiled.
+
+    A run opens its database several times; its connections are closed each time.
+    """
+    return open_engine(url)

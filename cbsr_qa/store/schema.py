@@ -165,12 +165,12 @@ def _upgradable(engine: Engine, version: SchemaVersion) -> SchemaVersion:
 
 
 def _found(connection: Connection) -> SchemaVersion:
-    tables = inspect(connection).get_table_names()
-    if VERSION_TABLE not in tables:
-        return SchemaVersion(Age.FOREIGN if tables else Age.EMPTY, None)
+    looked_at = inspect(connection)
+    if not looked_at.has_table(VERSION_TABLE):
+        return SchemaVersion(Age.FOREIGN if looked_at.get_table_names() else Age.EMPTY, None)
     revision = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
     if revision is None:
-        return SchemaVersion(Age.EMPTY if tables == [VERSION_TABLE] else Age.FOREIGN, None)
+        return SchemaVersion(Age.EMPTY if looked_at.get_table_names() == [VERSION_TABLE] else Age.FOREIGN, None)
     if revision == HEAD:
         return SchemaVersion(Age.CURRENT, revision)
     return SchemaVersion(Age.OLDER if revision in REVISIONS else Age.NEWER, revision)

@@ -11,7 +11,7 @@ import hashlib
 import re
 import secrets
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from threading import Lock
 from typing import Any, Final, TypeVar
@@ -27,6 +27,8 @@ from cbsr_qa.domain import Array
 _COUNTER_BITS = 12
 #: Of zlib: no header and no checksum, the digest of a row covers what is packed.
 _NO_HEADER: Final = -15
+#: Cells that are restored at once: few enough to stay in the processor's cache.
+_AT_ONCE: Final = 128
 #: An identifier can encode later years than a date.
 _YEAR_10000_MS = 253_402_300_800_000
 
@@ -155,6 +157,27 @@ def restored(data: bytes, size: int, width: int, *, steps: bool = False) -> byte
     """
     if len(data) == size:
         return data
+    numbers = _numbers([_inflated(data, size)], width)
+    return (np.cumsum(numbers, dtype=numbers.dtype) if steps else numbers).tobytes()
+
+
+def restored_together(cells: Sequence[bytes], size: int, width: int, *, steps: bool = False) -> list[bytes]:
+    """Return the numbers of many cells of one size, as :func:`restored` does of each, in half the time."""
+    if width == 1:  # flags, which are alike in most frames
+        distinct = {cell: restored(cell, size, width) for cell in set(cells)}
+        return [distinct[cell] for cell in cells]
+    whole = list(cells)
+    places = [place for place, cell in enumerate(cells) if len(cell) != size]
+    for first in range(0, len(places), _AT_ONCE):
+        some = places[first : first + _AT_ONCE]
+        numbers = _numbers([_inflated(cells[place], size) for place in some], width)
+        data = (np.cumsum(numbers, axis=1, dtype=numbers.dtype) if steps else numbers).tobytes()
+        for at, place in enumerate(some):
+            whole[place] = data[at * size : (at + 1) * size]
+    return whole
+
+
+def _inflated(data: bytes, size: int) -> bytes:
     inflating = zlib.decompressobj(wbits=_NO_HEADER)
     try:
         columns = inflating.decompress(data, size + 1)
@@ -162,8 +185,13 @@ def restored(data: bytes, size: int, width: int, *, steps: bool = False) -> byte
         raise ValueError(str(error)) from error
     if len(columns) != size or not inflating.eof or inflating.unused_data:
         raise ValueError(f"{len(data)} bytes do not hold {size}")
-    numbers = np.ascontiguousarray(np.frombuffer(columns, dtype=np.uint8).reshape(width, -1).T).view(f"<u{width}")
-    return (np.cumsum(numbers, dtype=numbers.dtype) if steps else numbers).tobytes()
+    return columns
+
+
+def _numbers(cells: Sequence[bytes], width: int) -> NDArray[Any]:
+    """Return (cells, n) numbers, of which each cell has the first bytes of all first."""
+    significance = np.frombuffer(b"".join(cells), dtype=np.uint8).reshape(len(cells), width, -1)
+    return np.ascontiguousarray(significance.transpose(0, 2, 1)).view(f"<u{width}")[..., 0]
 
 
 def digest(header: str, parts: Iterable[bytes]) -> str:

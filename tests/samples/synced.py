@@ -22,7 +22,7 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.store import open_engine, parsed_url, reading, upgrade
 from cbsr_qa.store.chain import check_run
-from cbsr_qa.store.sync import send_waiting, storing, waiting
+from cbsr_qa.store.sync import copying, send_waiting, waiting
 from cbsr_qa.store.tables import Base
 
 #: Tables that only say what is to be sent.
@@ -101,23 +101,19 @@ def struck(at, strike):
         if count[0] - 1 == at:
             strike()
 
-    copied = storing._copy
+    encoded, at_once = copying.encoded, copying.AT_ONCE
 
-    def copied_ticking(connection, table, rows):
-        def ticking():
-            for row in rows:
-                tick()
-                yield row
-
-        copied(connection, table, ticking())
+    def encoded_ticking(table, rows):
+        tick()
+        return encoded(table, rows)
 
     sa.event.listen(sa.Engine, "after_cursor_execute", tick)
     sa.event.listen(sa.Engine, "commit", tick)
-    storing._copy = copied_ticking
+    copying.encoded, copying.AT_ONCE = encoded_ticking, 1
     try:
         yield count
     finally:
-        storing._copy = copied
+        copying.encoded, copying.AT_ONCE = encoded, at_once
         sa.event.remove(sa.Engine, "after_cursor_execute", tick)
         sa.event.remove(sa.Engine, "commit", tick)
 

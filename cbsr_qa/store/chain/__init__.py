@@ -32,6 +32,11 @@ if TYPE_CHECKING:
         link_digest as link_digest,
         new_chain as new_chain,
     )
+    from .many_rows import (
+        documents_in_columns as documents_in_columns,
+        keys_of as keys_of,
+        row_texts as row_texts,
+    )
     from .run_documents import (
         BETWEEN as BETWEEN,
         FIGURES as FIGURES,

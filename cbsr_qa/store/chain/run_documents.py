@@ -114,7 +114,8 @@ def _foreign(value: Any) -> str:
     return canonical([type(value).__name__, repr(value)])
 
 
-def _double(value: Any) -> str:
+def double_text(value: Any) -> str:
+    """Return a finite number with all of its digits; a foreign value so that it equals nothing else."""
     if type(value) is not float:
         if not isinstance(value, Real):
             return _foreign(value)
@@ -138,7 +139,7 @@ def _boolean(value: Any) -> str:
 
 #: How a value is written in JSON; the tests compare it with :func:`canonical`, which takes twice as long.
 _WRITERS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
-    (FiniteDouble, _double),
+    (FiniteDouble, double_text),
     (Whole, _whole),
     (PlainText, lambda value: encode_basestring(str(value).replace("\0", "\ufffd"))),
     (Instant, lambda value: encode_basestring(value.astimezone(UTC).isoformat())),
@@ -163,8 +164,8 @@ def covered(table: Table) -> tuple[Column[Any], ...]:
 
 
 @cache
-def _written(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
-    """Name, key in JSON and writer of the columns of a table, sorted."""
+def written(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
+    """Return name, key in JSON and writer of the columns that a digest covers, sorted."""
     return tuple(
         (one.name, f'"{one.name}":', next(how for kind, how in _WRITERS if isinstance(one.type, kind)))
         for one in sorted(covered(table), key=lambda one: one.name)
@@ -174,7 +175,7 @@ def _written(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
 def row_text(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
     """Return a row as canonical JSON: floats to the last bit, instants in UTC, keys sorted."""
     get = row.get
-    cells = [key + how(cell) for name, key, how in _written(table) if (cell := get(name)) is not None]
+    cells = [key + how(cell) for name, key, how in written(table) if (cell := get(name)) is not None]
     return f"{{{','.join(cells)}}}"
 
 

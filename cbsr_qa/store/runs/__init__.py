@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     )
     from .archiving import ArchivedRun as ArchivedRun
     from .codec import (
-        check_frames as check_frames,
-        check_samples as check_samples,
         decoded_indenter as decoded_indenter,
         decoded_material as decoded_material,
         decoded_sensor_type as decoded_sensor_type,
@@ -32,6 +30,10 @@ if TYPE_CHECKING:
         LivePhase as LivePhase,
         RunLook as RunLook,
         RunTail as RunTail,
+    )
+    from .many_blocks import (
+        check_many_frames as check_many_frames,
+        check_many_samples as check_many_samples,
     )
     from .outcomes import latest_outcome as latest_outcome
     from .rows import (

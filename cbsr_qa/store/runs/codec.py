@@ -41,7 +41,7 @@ def frame_values(block: FrameBlock) -> dict[str, Any]:
         "voltages": compact(parts[1], 8),
         "flags": compact(parts[2], 1),
         "reading_time_s": None if own is None else compact(own, 8, steps=True),
-        "sha256": digest(_frame_header(block.voltages.shape, str(block.unit), block.current_A), parts),
+        "sha256": digest(frame_header(block.voltages.shape, str(block.unit), block.current_A), parts),
     }
 
 
@@ -76,10 +76,10 @@ def check_frames(row: Row[Any] | FrameBlockRow) -> tuple[bytes, bytes, bytes, by
             b"" if own is None else restored(own, 8 * readings, 8, steps=True),
         )
     except ValueError as error:
-        raise _damaged("frame", row.run, row.phase, row.block) from error
+        raise damaged("frame", row.run, row.phase, row.block) from error
     shape = row.frames, row.drives, row.measures
-    if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
-        raise _damaged("frame", row.run, row.phase, row.block)
+    if digest(frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
+        raise damaged("frame", row.run, row.phase, row.block)
     return parts
 
 
@@ -94,7 +94,7 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
         "samples": len(block),
         "time_s": compact(parts[0], 8, steps=True),
         "sample_values": compact(parts[1], 8),
-        "sha256": digest(f"{block.channel}|{block.unit}|{len(block)}", parts),
+        "sha256": digest(sample_header(block.channel, block.unit, len(block)), parts),
     }
 
 
@@ -109,18 +109,25 @@ def check_samples(row: Row[Any]) -> tuple[bytes, bytes]:
     try:
         parts = restored(row.time_s, size, 8, steps=True), restored(row.sample_values, size, 8)
     except ValueError as error:
-        raise _damaged("sample", row.run, row.phase, row.block) from error
-    if digest(f"{row.channel}|{row.unit}|{row.samples}", parts) != row.sha256:
-        raise _damaged("sample", row.run, row.phase, row.block)
+        raise damaged("sample", row.run, row.phase, row.block) from error
+    if digest(sample_header(row.channel, row.unit, row.samples), parts) != row.sha256:
+        raise damaged("sample", row.run, row.phase, row.block)
     return parts
 
 
-def _frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) -> str:
+def frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) -> str:
+    """Return what the digest of frames covers beside their arrays."""
     # repr of a float is exact: the digest covers the current to the last bit.
     return f"{'x'.join(map(str, shape))}|{unit}|{None if current_A is None else float(current_A)!r}"
 
 
-def _damaged(what: str, run: str, phase: int, block: int) -> StoreError:
+def sample_header(channel: str, unit: str, samples: int) -> str:
+    """Return what the digest of samples covers beside their arrays."""
+    return f"{channel}|{unit}|{samples}"
+
+
+def damaged(what: str, run: str, phase: int, block: int) -> StoreError:
+    """Return the error for a block that does not match its digest."""
     return StoreError(
         f"{what} block {block} of phase {phase} of run {run} is not what was measured: its digest does not match",
         remedy="restore the database from a copy; this run is not analysed",

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Row
 
-from cbsr_qa.store.chain import row_text, sha256
+from cbsr_qa.store.chain import row_texts, sha256
 from cbsr_qa.store.outbox import Kind
-from cbsr_qa.store.sync.rows import raw_select
+from cbsr_qa.store.sync.rows import columns_of, raw_select
 from cbsr_qa.store.tables import (
     Base,
     ChartReferenceRow,
@@ -51,11 +51,7 @@ def read_item(connection: Connection, kind: Kind, name: str) -> Item | None:
     if not rows[head.name]:
         return None
     own = rows[head.name][0]._mapping
-    texts = [
-        row_text(table, dict(zip(table.columns.keys(), row, strict=True)))
-        for table in tables
-        for row in rows[table.name]
-    ]
+    texts = [text for table in tables for text in row_texts(table, columns_of(table, rows[table.name]))]
     return Item(
         own.get("station", ""),
         sha256(*sorted(texts)),

@@ -1,7 +1,9 @@
 """Parcels: what is read from a station's database for one transaction at the centre, checked against its digests."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, Final
 
 from sqlalchemy import Connection, Row, Table, case, func, literal, select
@@ -14,8 +16,8 @@ from cbsr_qa.store.chain import (
     KEYS,
     OF_A_SESSION,
     PHASE_END,
-    document_of,
-    documents,
+    documents_in_columns,
+    keys_of,
     link_digest,
     phase_end,
     shown,
@@ -24,8 +26,8 @@ from cbsr_qa.store.chain import (
     tables,
     unreadable,
 )
-from cbsr_qa.store.runs import check_frames, check_samples, current_state, frame_block, frame_values
-from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
+from cbsr_qa.store.runs import check_many_frames, check_many_samples, current_state, frame_block, frame_values
+from cbsr_qa.store.sync.rows import columns_of, counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
     AnalysisRow,
     Base,
@@ -51,10 +53,10 @@ _BEGINS: Final = OF_A_SESSION | {
     *(one.__tablename__ for one in (AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
 }
 
-#: Checks of the bytes of a row, which no digest of its document covers.
+#: Checks of the bytes of rows, which no digest of its document covers.
 _CHECKED: Final[Mapping[str, Any]] = {
-    FrameBlockRow.__tablename__: check_frames,
-    SampleBlockRow.__tablename__: check_samples,
+    FrameBlockRow.__tablename__: check_many_frames,
+    SampleBlockRow.__tablename__: check_many_samples,
 }
 #: Where a run stands at the centre: number and digest of its last link.
 Tail = tuple[int, str]
@@ -101,7 +103,7 @@ class Parcel:
     def tail(self) -> Tail:
         """Where the run stands at the centre with this parcel; only of a chained run."""
         last: Any = self.rows[LinkRow.__tablename__][-1]
-        return last.number, last.sha256
+        return last.number, last.sha256.hex()
 
     @property
     def row_count(self) -> int:
@@ -150,9 +152,9 @@ def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> P
         raise AlteredError(f"link {number} of run {run} differs from the centre's", own, sha256)
     links = _links(connection, run, number)
     _check_chain(run, links, number, sha256)
-    wanted: dict[str, dict[str, str]] = {}
-    for link in links:
-        wanted.setdefault(link.kind, {})[link.document] = link.content_sha256
+    wanted = defaultdict[str, dict[str, str]](dict)
+    for _, _, kind, document, content, _, _ in links:
+        wanted[kind][document] = content.hex()
     rows = dict(_linked_rows(connection, run, wanted, archives))
     ended = _phase_ends(connection, run, wanted)
     rows, ended = _with_ends(rows, ended)
@@ -220,6 +222,8 @@ def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
     query = raw_select(Base.metadata.tables[LinkRow.__tablename__]).where(LinkRow.run == run, LinkRow.number > number)
     links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MOST_AT_ONCE)).all())
     sizes = _sizes(connection, run, links)
+    if not sizes and len(links) <= MOST_LINKS:
+        return links
     total, ends = 0, len(links)
     for place, link in enumerate(links):
         if link.kind in _BEGINS and place:
@@ -233,9 +237,11 @@ def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
 def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[tuple[str, str], int]:
     """Bytes of blocks, by kind and document; empty if all of them are few."""
     sizes: dict[tuple[str, str], int] = {}
+    of_kind = defaultdict[str, list[str]](list)
+    for _, _, kind, document, *_ in links:
+        of_kind[kind].append(document)
     for table in (Base.metadata.tables[name] for name in _CHECKED):
-        keys = [link.document for link in links if link.kind == table.name]
-        if keys:
+        if keys := of_kind[table.name]:
             parts: list[Any] = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
             if table.name == FrameBlockRow.__tablename__:  # an archived one has no bytes here
                 row = FrameBlockRow
@@ -251,15 +257,14 @@ def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[
 
 
 def _check_chain(run: str, links: Sequence[Row[Any]], number: int, before: str) -> None:
-    for link in links:
-        number += 1
-        if link.number != number:
-            raise AlteredError(f"run {run}: link {number} in run_links is missing")
-        expected = link_digest(before, link.kind, link.document, link.content_sha256)
-        if link.sha256 != expected:
-            what = f"link {number} in run_links, of {shown(link.kind, link.document)},"
-            raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, link.sha256)
-        before = link.sha256
+    for expected_number, (_, found, kind, document, content, own, _) in enumerate(links, start=number + 1):
+        if found != expected_number:
+            raise AlteredError(f"run {run}: link {expected_number} in run_links is missing")
+        expected = link_digest(before, kind, document, content.hex())
+        before = own.hex()
+        if before != expected:
+            what = f"link {found} in run_links, of {shown(kind, document)},"
+            raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, before)
 
 
 def _linked_rows(
@@ -277,38 +282,41 @@ def _linked_rows(
 def _rows(
     connection: Connection, run: str, table: Table, contents: Mapping[str, str], archives: Archives
 ) -> Sequence[Sequence[Any]]:
-    names = table.columns.keys()
     rows: Sequence[Any] = connection.execute(raw_select(table).where(within(table, run, contents))).all()
-    mappings = [dict(zip(names, row, strict=True)) for row in rows]
-    stored = dict(documents(table, mappings))
+    columns = columns_of(table, rows)
+    keys = keys_of(table, columns)
+    stored = documents_in_columns(table, columns, keys)
     for key, content in contents.items():
-        _match(run, table.name, key, stored.get(key), content)
+        if stored.get(key) != content:
+            raise _unlike(run, table.name, key, stored.get(key), content)
     if len(stored) > len(contents):  # of earlier or later parcels
-        rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
+        rows = [row for row, key in zip(rows, keys, strict=True) if key in contents]
     check = _CHECKED.get(table.name)
     if check is not None:
         whole = list(with_arrays(connection, rows, archives) if table.name == FrameBlockRow.__tablename__ else rows)
-        for row in whole:
-            check(row)  # raises where bytes do not match the digest in their row
-        rows = [row if isinstance(row, Row) else _unarchived(row, names) for row in whole]
+        check(whole)  # raises where bytes do not match the digest in their row
+        rows = [row if isinstance(row, Row) else _unarchived(row, table.columns.keys()) for row in whole]
     return rows
 
 
 def _unarchived(row: Any, names: Sequence[str]) -> Sequence[Any]:
     """Return the row of a block of archived frames as it was stored before."""
-    values = vars(row) | {name: value for name, value in frame_values(frame_block(row)).items() if name in ARRAYS}
+    block = frame_block(SimpleNamespace(**(vars(row) | {"sha256": row.sha256.hex()})))
+    values = vars(row) | {name: value for name, value in frame_values(block).items() if name in ARRAYS}
     return [values[name] for name in names]
 
 
 def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> None:
-    if stored is None:
-        raise AlteredError(
-            f"run {run}: {shown(kind, key)} was removed: its link is there, the row is not", "", content
-        )
     if stored != content:
-        raise AlteredError(
-            f"run {run}: {shown(kind, key)} was changed: it does not match its digest", stored, content
-        )
+        raise _unlike(run, kind, key, stored, content)
+
+
+def _unlike(run: str, kind: str, key: str, stored: str | None, content: str) -> AlteredError:
+    if stored is None:
+        what = f"{shown(kind, key)} was removed: its link is there, the row is not"
+    else:
+        what = f"{shown(kind, key)} was changed: it does not match its digest"
+    return AlteredError(f"run {run}: {what}", stored or "", content)
 
 
 def _phase_ends(connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]]) -> dict[int, float]:

@@ -14,6 +14,7 @@ from sqlalchemy import (
     Select,
     Table,
     and_,
+    bindparam,
     func,
     null,
     select,
@@ -33,22 +34,25 @@ def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]
         return and_(of_run(table, run))
     if not isinstance(table.c[names[0]].type, Whole):
         return and_(table.c[names[0]].in_(list(keys)))
-    parts = [tuple(map(int, key.split("/"))) for key in keys]
-    first, last = min(parts), max(parts)
-    wanted = [of_run(table, run), table.c[names[0]].between(first[0], last[0])]
-    if len(names) > 1 and first[0] == last[0]:
-        wanted.append(table.c[names[1]].between(first[1], last[1]))
+    phases = {int(key) for key in {key.partition("/")[0] for key in keys}}
+    wanted = [of_run(table, run), table.c[names[0]].between(min(phases), max(phases))]
+    if len(names) > 1 and len(phases) == 1:
+        blocks = [int(key.rpartition("/")[2]) for key in keys]
+        wanted.append(table.c[names[1]].between(min(blocks), max(blocks)))
     return and_(*wanted)
 
 
 def counts_of(connection: Connection, run: str, names: Sequence[str]) -> dict[str, int]:
     """Return how many rows a run has in some tables, in one query."""
-    metadata = Base.metadata.tables
-    counted = [
-        select(func.count()).select_from(metadata[name]).where(of_run(metadata[name], run)).scalar_subquery()
-        for name in names
-    ]
-    return dict(zip(names, connection.execute(select(*counted)).one(), strict=True))
+    counts = connection.execute(_counting(tuple(names)), {"of_run": run}).one()
+    return dict(zip(names, counts, strict=True))
+
+
+@cache
+def _counting(names: tuple[str, ...]) -> Select[Any]:
+    metadata, run = Base.metadata.tables, bindparam("of_run")
+    counted = [select(func.count()).select_from(metadata[name]).where(of_run(metadata[name], run)) for name in names]
+    return select(*(one.scalar_subquery() for one in counted))
 
 
 def is_bytes(column: Any) -> bool:
@@ -58,15 +62,32 @@ def is_bytes(column: Any) -> bool:
 
 @cache
 def raw_select(table: Table) -> Select[Any]:
-    """Select whole rows as the driver returns them, which is quick; digests detect cells of a wrong type."""
+    """Select whole rows as the driver returns them, which is quick: digests detect cells of a wrong type."""
     return select(*(_raw(table, column) for column in table.columns))
 
 
 def _raw(table: Table, column: Any) -> ColumnElement[Any]:
     if (table.name, column.name) in (("calibrations", "superseded_by"), ("phases", "ended_s")):
         return null().label(column.name)  # filled in later, at the centre too
-    if isinstance(column.type, (JSON, Instant, Digest)):
+    if isinstance(column.type, (JSON, Instant)):
         return column  # type: ignore[no-any-return]
     if isinstance(column.type, Boolean):
         return type_coerce(column, Integer).label(column.name)
     return type_coerce(column, NullType()).label(column.name)
+
+
+def columns_of(table: Table, rows: Sequence[Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    """Return the cells of rows from :func:`raw_select` by column, digests as hexadecimal digits."""
+    cells = zip(*rows, strict=True) if rows else [()] * len(table.columns)
+    return {
+        column.name: _digits(some) if isinstance(column.type, Digest) else some
+        for column, some in zip(table.columns, cells, strict=True)
+    }
+
+
+def _digits(cells: Sequence[Any]) -> Sequence[str | None]:
+    """Return digests as digits; TypeError for a cell that is none."""
+    foreign = [cell for cell in cells if cell is not None and (type(cell) is not bytes or len(cell) != 32)]
+    if foreign:
+        raise TypeError("a cell holds no digest")
+    return [None if cell is None else cell.hex() for cell in cells]

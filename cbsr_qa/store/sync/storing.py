@@ -1,17 +1,13 @@
 """Parcels and items added to the central database, each in one transaction; PostgreSQL takes rows by COPY."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any
 
 from sqlalchemy import (
-    JSON,
-    Boolean,
     Connection,
     Engine,
-    LargeBinary,
     Row,
-    Table,
     bindparam,
     insert,
     select,
@@ -24,23 +20,11 @@ from cbsr_qa.domain import StoreError
 from cbsr_qa.store.damage import shown
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.outbox import Kind
+from cbsr_qa.store.sync.copying import copy_rows
 from cbsr_qa.store.sync.items import Item, read_item
 from cbsr_qa.store.sync.parcels import AlteredError, Parcel
-from cbsr_qa.store.sync.rows import counts_of
+from cbsr_qa.store.sync.rows import columns_of, counts_of
 from cbsr_qa.store.tables import Base, CalibrationRow, ConfigurationChangeRow, PhaseRow, RunRow, SensorRow
-from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole
-
-#: Types of PostgreSQL in binary form; words are "varchar".
-_TYPES: Final = (
-    (FiniteDouble, "float8"),
-    (Whole, "int4"),
-    (PlainText, "text"),
-    (Instant, "timestamptz"),
-    (JSON, "json"),
-    (LargeBinary, "bytea"),
-    (Digest, "bytea"),
-    (Boolean, "bool"),
-)
 
 
 class RowRefusedError(StoreError):
@@ -143,43 +127,15 @@ def _add_sensor(connection: Connection, sensor: Row[Any]) -> None:
     connection.execute(earlier.values(first_seen=sensor.first_seen))
 
 
-def _add_rows(connection: Connection, rows: Mapping[str, Sequence[Sequence[Any]]]) -> None:
-    for name, some in rows.items():
+def _add_rows(connection: Connection, parcel_rows: Mapping[str, Sequence[Sequence[Any]]]) -> None:
+    for name, some in parcel_rows.items():
         table = Base.metadata.tables[name]
         if connection.dialect.name == "postgresql":
-            _copy(connection, table, some)
+            copy_rows(connection, table, some)
         else:
-            names = table.columns.keys()
-            connection.execute(insert(table), [dict(zip(names, row, strict=True)) for row in some])
-
-
-def _copy(connection: Connection, table: Table, rows: Sequence[Sequence[Any]]) -> None:
-    """Write rows by COPY in binary form, ten times as fast as INSERT."""
-    columns = ", ".join(f'"{one.name}"' for one in table.columns)
-    types = [next((name for kind, name in _TYPES if isinstance(one.type, kind)), "varchar") for one in table.columns]
-    statement = f'COPY "{table.name}" ({columns}) FROM STDIN (FORMAT BINARY)'
-    driver: Any = connection.connection.driver_connection
-    dbapi: Any = connection.dialect.loaded_dbapi
-    try:
-        with driver.cursor() as cursor, cursor.copy(statement) as copy:
-            copy.set_types(types)
-            for row in _with_bytes(table, rows):
-                copy.write_row(row)
-    except dbapi.Error as error:
-        raise DBAPIError.instance(statement, None, error, dbapi.Error, dialect=connection.dialect) from error
-
-
-def _with_bytes(table: Table, rows: Iterable[Sequence[Any]]) -> Iterator[Sequence[Any]]:
-    """Yield rows with digests as the bytes they are stored as."""
-    places = [place for place, column in enumerate(table.columns) if isinstance(column.type, Digest)]
-    if not places:
-        yield from rows
-        return
-    for row in rows:
-        cells = list(row)
-        for place in places:
-            cells[place] = None if cells[place] is None else bytes.fromhex(cells[place])
-        yield cells
+            columns = columns_of(table, some)
+            rows = zip(*columns.values(), strict=True)
+            connection.execute(insert(table), [dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def _end_phase(connection: Connection, run: str, phase: int, ended_s: float) -> None:

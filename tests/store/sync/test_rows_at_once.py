@@ -1,0 +1,146 @@
+"""What is computed of many rows at once is what is computed of each."""
+
+import random
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+from hypothesis import given, strategies as st
+from synced import opened
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.store import restored, writing
+from cbsr_qa.store.chain import documents, documents_in_columns, keys_of, row_texts
+from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
+from cbsr_qa.store.runs import check_many_frames, check_many_samples, frame_values, sample_values
+from cbsr_qa.store.sync import copying
+from cbsr_qa.store.tables import Base
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word, restored_together
+
+LINKED = [Base.metadata.tables[name] for name in KEYS]
+WORDS = st.sampled_from(["", "a", "α\n", '"', "\0"])
+#: Cells as SQLite may hold them: of the column's type, of another, and equal ones of unlike types.
+FOREIGN = st.sampled_from([None, 1, 1.0, True, 0.5, "1", b"\xff", float("inf")])
+
+
+def cells(kind):
+    if isinstance(kind, FiniteDouble):
+        return st.sampled_from([0.0, -0.0, 0.1, 1e300, -5e-324])
+    if isinstance(kind, Instant):
+        return st.datetimes(timezones=st.just(UTC))
+    if isinstance(kind, sa.JSON):
+        return st.sampled_from([[], {"b": [1.5, None], "a": "α"}, [["x", 0.1]]])
+    if isinstance(kind, sa.Boolean):
+        return st.sampled_from([0, 1])
+    return st.sampled_from([0, 3, -(2**31)]) if isinstance(kind, Whole) else WORDS
+
+
+def typed(kind):
+    return isinstance(kind, sa.JSON | Instant)
+
+
+@given(st.sampled_from(LINKED), st.data())
+def test_documents_are_those_of_rows_one_by_one(table, data):
+    count = data.draw(st.integers(0, 12))
+    columns = {}
+    for one in covered(table):
+        own = cells(one.type) | st.none()
+        cell = data.draw(st.sampled_from([own, own if typed(one.type) else own | FOREIGN]))
+        columns[one.name] = data.draw(st.lists(cell, min_size=count, max_size=count))
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    assert row_texts(table, columns) == [row_text(table, row) for row in rows]
+    assert documents_in_columns(table, columns, keys_of(table, columns)) == dict(documents(table, rows))
+
+
+def frames(number, *, timed=True, current_A=None):
+    source = np.random.default_rng(number)
+    voltages = source.normal(size=(2, 3, 4))
+    times = voltages.cumsum().reshape(voltages.shape) if timed else None
+    block = FrameBlock(np.array([1.0, 1.5]) + number, voltages, source.integers(0, 2, (2, 3, 4)).astype(np.uint8),
+                       VoltageUnit.VOLT, current_A, times)  # fmt: skip
+    return as_stored(frame_values(block), number)
+
+
+def samples(number):
+    return as_stored(sample_values(SampleBlock("force", "N", np.arange(9.0), np.full(9, number))), number)
+
+
+def as_stored(values, number):
+    return SimpleNamespace(run="r", phase=0, block=number, **(values | {"sha256": bytes.fromhex(values["sha256"])}))
+
+
+def blocks():
+    kinds = [{}, {"timed": False}, {"current_A": 1e-4}]
+    return [frames(number, **kinds[number % 3]) for number in range(12)]
+
+
+def test_blocks_that_match_their_digests_are_accepted():
+    check_many_frames(blocks())
+    check_many_samples([samples(number) for number in range(5)])
+
+
+@pytest.mark.parametrize("column", ["time_s", "voltages", "flags", "reading_time_s", "sha256"])
+@pytest.mark.parametrize("spoilt", [lambda data: data[:-1], lambda data: bytes(len(data)), lambda data: data + b"x"])
+def test_the_block_that_was_changed_is_named(column, spoilt):
+    rows = blocks()
+    setattr(rows[6], column, spoilt(getattr(rows[6], column)))
+    with pytest.raises(StoreError, match="frame block 6 of phase 0 of run r"):
+        check_many_frames(rows)
+
+
+def test_the_samples_that_were_changed_are_named():
+    rows = [samples(number) for number in range(5)]
+    rows[3].unit = "kN"
+    with pytest.raises(StoreError, match="sample block 3"):
+        check_many_samples(rows)
+
+
+@pytest.mark.parametrize("steps", [True, False])
+def test_cells_are_restored_together_as_one_by_one(steps):
+    stored = [frames(number).reading_time_s for number in range(300)]
+    stored[7] = random.Random(7).randbytes(192)
+    assert restored_together(stored, 192, 8, steps=steps) == [restored(one, 192, 8, steps=steps) for one in stored]
+
+
+#: A cell of each type of column.
+CELLS = [
+    (FiniteDouble(), -1.5e-300),
+    (Whole(), -(2**31)),
+    (Instant(), datetime(1987, 6, 5, 4, 3, 2, 1, tzinfo=UTC)),
+    (sa.Boolean(), True),
+    (sa.JSON(), {"a": [1, "α"]}),
+    (sa.LargeBinary(), bytes(range(256))),
+    (Digest(), bytes(range(32))),
+    (PlainText(), "α\n"),
+    (Word(9), "volt"),
+]
+
+
+def table_of_each_type():
+    return sa.Table("each", sa.MetaData(), *(sa.Column(f"c{n}", kind) for n, (kind, _) in enumerate(CELLS)))
+
+
+@pytest.mark.postgres
+def test_every_type_arrives_by_copy_and_empty_cells_stay_empty(postgres_database):
+    engine, table = opened(postgres_database), table_of_each_type()
+    full = tuple(cell for _, cell in CELLS)
+    rows = [*[full] * 300, *[(*full[:n], None, *full[n + 1 :]) for n in range(len(full))]]
+    with writing(engine) as connection:
+        table.create(connection)
+        copying.copy_rows(connection, table, rows)
+        read = [tuple(row) for row in connection.execute(sa.select(table))]
+    engine.dispose()
+    digest = 6
+    assert read == [(*row[:digest], row[digest] and row[digest].hex(), *row[digest + 1 :]) for row in rows]
+
+
+@pytest.mark.parametrize("place", range(len(CELLS)))
+def test_a_cell_that_does_not_fit_its_column_is_named(place):
+    row = [cell for _, cell in CELLS]
+    row[place] = {1: 2**31, 4: {1j}}.get(place, row)
+    if place != 3:  # everything is true or false
+        with pytest.raises(OverflowError, match=f"each.c{place}"):
+            copying.encoded(table_of_each_type(), [row] * 5)
