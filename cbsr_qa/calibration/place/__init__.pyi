@@ -12,6 +12,7 @@ from .mixture import mahalanobis as mahalanobis
 from .modelled import (
     ModelledEstimator as ModelledEstimator,
     log_likelihood as log_likelihood,
+    log_likelihood_slopes as log_likelihood_slopes,
     most_alike as most_alike,
     unit_rows as unit_rows,
     with_variance as with_variance,
