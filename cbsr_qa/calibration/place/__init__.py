@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .modelled import (
         ModelledEstimator as ModelledEstimator,
         log_likelihood as log_likelihood,
+        log_likelihood_slopes as log_likelihood_slopes,
         most_alike as most_alike,
         unit_rows as unit_rows,
         with_variance as with_variance,

@@ -215,7 +215,7 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
         found[located] = places_mm[out.presses[located]] - apart
         inside[located] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
-    mean, stderr = mean_by_place(error, visits[out.presses])
+    mean, stderr = mean_by_place(error, visits)
     return HeldOut(mean, stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
 
 

@@ -114,6 +114,14 @@ def log_likelihood(alike: Array) -> Array:
     return value
 
 
+def log_likelihood_slopes(alike: Array) -> tuple[Array, Array]:
+    """First and second derivative of :func:`log_likelihood`."""
+    inside = (alike > 0) & (alike < _MOST_ALIKE)
+    left = 1 - np.clip(alike, 0.0, _MOST_ALIKE) ** 2
+    first, second = _INDEPENDENT * alike / left, _INDEPENDENT * (2 - left) / left**2
+    return np.where(inside, first, 0.0), np.where(inside, second, 0.0)
+
+
 def most_alike(node: Indices, alike: Array) -> Array:
     """Most likely place (n, 2) of each press in steps of a lattice, interpolated by parabolas.
 

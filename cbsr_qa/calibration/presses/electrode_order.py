@@ -14,12 +14,8 @@ import numpy as np
 from cbsr_qa.calibration.place import log_likelihood
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
-from cbsr_qa.calibration.presses.registration import (
-    Registered,
-    evenly_spread,
-    register_presses,
-    turned_likelihood,
-)
+from cbsr_qa.calibration.presses.pose import evenly_spread
+from cbsr_qa.calibration.presses.registration import Registered, register_presses, turned_likelihood
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices
 

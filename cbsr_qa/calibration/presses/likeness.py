@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from cbsr_qa.calibration.place import log_likelihood, most_alike, unit_rows
+from cbsr_qa.calibration.place import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, Indices, Mask
 
@@ -16,6 +16,12 @@ from cbsr_qa.domain import Array, Indices, Mask
 _DEAD: Final = 3.0
 #: Log likelihood of a press off the sheet.
 _OFF_SHEET: Final = -1.0
+#: Weights of nodes for a point between the inner two, as polynomials: of four nodes cubic (Keys 1981, a = -1/2); of
+#: two without slopes at nodes, since ascents would end at an edge.
+_CUBIC: Final = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
+_SMOOTH: Final = np.array([[1.0, 0.0], [0.0, 0.0], [-3.0, 3.0], [2.0, -2.0]])
+#: Orders of derivatives along both axes.
+_ORDERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +102,7 @@ class Likeness:
         maps = np.zeros((len(changes), self._width, self._width))
         maps[:, rows, columns] = self._alike
         nearest = distance_transform_edt(self._on_sheet == 0, return_distances=False, return_indices=True)
-        self._maps = maps[:, *nearest]
+        self._maps = np.ascontiguousarray(maps[:, *nearest])  # an index of arrays leaves presses last in memory
         self._rough = np.where(self._on_sheet > 0, log_likelihood(self._maps), _OFF_SHEET)
 
     def of(self, presses: Indices) -> "Likeness":
@@ -116,24 +122,50 @@ class Likeness:
         return value
 
     def at(self, places: Array) -> Array:
-        """Log likelihoods (…, n) of each press at its place (…, n, 2), in radii.
+        """Log likelihood of each press at its place (…, n, 2) in radii, with its derivatives: (6, …, n).
 
-        Cosines are cubic between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on
-        a grid would be found on one of the lattice, however far apart they are. Beyond the sheet they fade linearly.
+        These are the value, the slopes along x and y, and the second derivatives by xx, xy and yy. Cosines are cubic
+        between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on a grid would be
+        found on one of the lattice, however far apart they are. Beyond the sheet likelihoods fade over one node.
         """
-        (x, y), node = self._between(places)
-        flat, width = self._maps.ravel(), self._width
-        first = node - width - 1
-        along, across = _cubic(x), _cubic(y)
-        alike = np.zeros_like(x)
-        for m, a in enumerate(along):
-            row = first + m * width
-            alike += a * sum(b * flat.take(row + n) for n, b in enumerate(across))
-        sheet, node = self._on_sheet.ravel(), node % width**2
-        on = (1 - x) * ((1 - y) * sheet.take(node) + y * sheet.take(node + 1))
-        on += x * ((1 - y) * sheet.take(node + width) + y * sheet.take(node + width + 1))
-        value: Array = on * log_likelihood(alike) + (1 - on) * _OFF_SHEET
-        return value
+        between, node = self._between(places)
+        alike, x, y, xx, xy, yy = self._interpolated(self._maps, between, node - self._width - 1, _CUBIC)
+        on, on_x, on_y, on_xx, on_xy, on_yy = self._interpolated(
+            self._on_sheet, between, node % self._width**2, _SMOOTH
+        )
+        more = log_likelihood(alike) - _OFF_SHEET
+        steep, steeper = log_likelihood_slopes(alike)
+        return np.stack(
+            [
+                on * more + _OFF_SHEET,
+                on_x * more + on * steep * x,
+                on_y * more + on * steep * y,
+                on_xx * more + steep * (2 * on_x * x + on * xx) + on * steeper * x**2,
+                on_xy * more + steep * (on_x * y + on_y * x + on * xy) + on * steeper * x * y,
+                on_yy * more + steep * (2 * on_y * y + on * yy) + on * steeper * y**2,
+            ]
+        )
+
+    def _interpolated(self, maps: Array, between: Array, first: Indices, polynomials: Array) -> Array:
+        """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`at`.
+
+        Parameters
+        ----------
+        between : (2, …) how far the point is beyond a node, in steps.
+        first : (…) the number of the first node of a square that counts.
+        polynomials : (p, k) coefficients of the powers of that distance, for the weight of each of the k nodes.
+        """
+        flat, nodes = maps.ravel(), polynomials.shape[1]
+        along, across = (_weights(t, polynomials) for t in between)
+        found = np.zeros((len(_ORDERS), *first.shape))
+        for m in range(nodes):
+            row = [flat.take(first + (m * self._width + n)) for n in range(nodes)]
+            lines = [sum(w * values for w, values in zip(weights, row, strict=True)) for weights in across]
+            for k, (i, j) in enumerate(_ORDERS):
+                found[k] += along[i][m] * lines[j]
+        for k, (i, j) in enumerate(_ORDERS):
+            found[k] /= STEP ** (i + j)
+        return found
 
     def _between(self, places: Array) -> tuple[Array, Indices]:
         """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
@@ -148,11 +180,11 @@ class Likeness:
         return between
 
 
-def _cubic(t: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of four nodes for a point between the inner two, at t (Keys 1981, with a = -1/2)."""
-    return (
-        t * (-0.5 + t * (1 - 0.5 * t)),
-        1 + t**2 * (1.5 * t - 2.5),
-        t * (0.5 + t * (2 - 1.5 * t)),
-        t**2 * (t - 1) / 2,
-    )
+def _weights(t: Array, polynomials: Array) -> Array:
+    """Weights of nodes and their first two derivatives (3, k, …) at t (…)."""
+    order = np.arange(1, len(polynomials))[:, None]
+    first = np.vstack([order * polynomials[1:], np.zeros_like(polynomials[:1])])
+    second = np.vstack([order * first[1:], np.zeros_like(first[:1])])
+    powers = t.ravel() ** np.arange(len(polynomials))[:, None]
+    weights: Array = np.stack([polynomials, first, second]).swapaxes(1, 2) @ powers
+    return weights.reshape(3, -1, *t.shape)

@@ -8,36 +8,19 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from cbsr_qa.calibration.presses.likeness import Likeness, alikeness, answering_side
+from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, evenly_spread, in_plane
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import SheetRegistration
 
-Complex = NDArray[np.complex128]
-
-#: Presses for the search over the lattice of similarities, and for the refinement; evenly spread over all.
-_SEARCHED, _REFINED = 60, 300
+#: Most presses for the search, and for the share of the signal; evenly spread over all.
+_REFINED: Final = 300
 #: Fewer different places do not determine a similarity and its errors.
 FEWEST_PLACES: Final = 4
 #: Smaller second over first singular value of the places: they lie on a line.
 _LINE: Final = 0.02
-#: Relative uncertainty of a stated radius: sheets are stretched when mounted.
-_RADIUS_ERROR: Final = 0.1
-#: Standard error of the logarithm of the scale beside that of a bootstrap: the size of the head is not known, and a
-#: large one seems to press nearer the centre. On a simulated disc of 100 mm, whose model is exact, forty presses
-#: are found 0.4 % too far out with a head of 4 mm, as they are with 8 mm, and 1.4 and 3 % too near with 13 and 18 mm.
-_HEAD_ERROR: Final = 0.02
-#: Lattice of similarities: rotations, sizes of a radius and shifts, both of the presses' own radius.
-_ROTATIONS: Final = np.radians(np.arange(0.0, 360.0, 10.0))
-_SIZES: Final = np.geomspace(0.95, 4.0, 13)
-_SHIFTS: Final = np.array([x + 1j * y for x in (-0.4, -0.2, 0, 0.2, 0.4) for y in (-0.4, -0.2, 0, 0.2, 0.4)])
-#: Candidates of each mirror and sign that are refined, and the size of a first step in (x, y, rotation, log size).
-_CANDIDATES: Final = 3
-_STEP: Final = np.array([0.1, 0.1, 0.15, 0.1])
-_BOOTSTRAPS, _SEED = 40, 22
 #: Shares of the spread of places and of the readings' changes that a trusted modelled sheet must explain, and log
 #: likelihood by which its mirror image must be less likely.
 _LEAST_SHARE: Final = 0.5
@@ -65,26 +48,6 @@ class Registered:
     findings: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pose:
-    """Similarity z ↦ conj?((z − x − iy) e^(−iθ)/size), from the presses' frame to radii of the sheet."""
-
-    mirrored: bool
-    numbers: Array  # x, y [mm], θ [rad], log of the length of a radius [mm]
-
-    def places(self, labelled: Complex) -> Array:
-        """Places (n, 2) on the sheet."""
-        x, y, angle, size = self.numbers
-        z = (labelled - x - 1j * y) * np.exp(-1j * angle - size)
-        return np.stack([z.real, -z.imag if self.mirrored else z.imag], axis=-1)
-
-    def labelled(self, places: Array) -> Complex:
-        """Labels (n,) of places (n, 2) on the sheet."""
-        x, y, angle, size = self.numbers
-        z: Complex = _complex(places * [1, -1] if self.mirrored else places) * np.exp(1j * angle + size) + x + 1j * y
-        return z
-
-
 def register_presses(
     sheet: ModelledSheet, pairs: Indices, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> Registered:
@@ -109,14 +72,14 @@ def register_presses(
     pairs, changes = pairs[side.answers], changes[:, side.answers]
     stated_mm = sheet.radius_mm if radius_stated else None
     chosen = evenly_spread(len(changes), _REFINED)
-    search = _Search(place_mm[chosen], stated_mm)
+    search = PoseSearch(place_mm[chosen], stated_mm)
     likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen]) for sign in (1, -1)}
     cases = [(sign, mirrored) for sign in likeness for mirrored in (False, True)]
     best = {case: search.best(likeness[case[0]], mirrored=case[1]) for case in cases}
     sign, mirrored = max(best, key=lambda case: best[case][1])
     pose, value = best[sign, mirrored]
     seen = pose.labelled(likeness[sign].best_places())
-    places = pose.places(_complex(place_mm))
+    places = pose.places(in_plane(place_mm))
     registration = _registration(
         pose,
         search.errors(likeness[sign], pose),
@@ -137,7 +100,7 @@ def turned_likelihood(
     """
     side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
-    turned = (_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * _ROTATIONS)[:, None]
+    turned = (in_plane(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
     values = []
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
@@ -167,94 +130,8 @@ def check_places(place_mm: Array) -> None:
         )
 
 
-def evenly_spread(count: int, most: int) -> Indices:
-    """Indices of a limited number of presses, spread evenly over all."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
-class _Search:
-    """Search for the most likely pose.
-
-    Parameters
-    ----------
-    place_mm : (n, 2) labels of the presses.
-    stated_mm : the sheet's radius, or None if unknown.
-    """
-
-    def __init__(self, place_mm: Array, stated_mm: float | None) -> None:
-        self.labelled = _complex(place_mm)
-        self._stated_mm = stated_mm
-        self._radius_off = 0.0  # of the logarithm, in a bootstrap: the stated radius is not exact either
-        low, high = place_mm.min(axis=0), place_mm.max(axis=0)
-        self._middle = complex(*((low + high) / 2))
-        self._reach = float(np.abs(self.labelled - self._middle).max())
-        self._steps = np.array([self._reach, self._reach, 1.0, 1.0]) * _STEP
-
-    def best(self, likeness: Likeness, *, mirrored: bool) -> tuple[_Pose, float]:
-        refined = (self._refined(likeness, pose) for pose in self._candidates(likeness, mirrored=mirrored))
-        return max(refined, key=lambda found: found[1])
-
-    def errors(self, likeness: Likeness, pose: _Pose) -> Array:
-        """Standard errors (4,) of a pose's parameters, by bootstrap over places and radius, and for the head's size.
-
-        All presses at one place are drawn together, since they share the sheet's deviation from its model.
-        """
-        _, place = np.unique(self.labelled, return_inverse=True)
-        count, random = int(place.max()) + 1, np.random.default_rng(_SEED)
-        draws = (random.integers(count, size=count) for _ in range(_BOOTSTRAPS))
-        drawn = []
-        for draw in draws:
-            self._radius_off = _RADIUS_ERROR * random.standard_normal()
-            times = np.bincount(draw, minlength=count)[place]
-            drawn.append(self._refined(likeness, pose, times)[0].numbers)
-        low, high = np.quantile(np.array(drawn) - pose.numbers, [0.16, 0.84], axis=0)
-        half: Array = (high - low) / 2
-        half[3] = np.hypot(half[3], _HEAD_ERROR)
-        return half
-
-    def _candidates(self, likeness: Likeness, *, mirrored: bool) -> list[_Pose]:
-        some = evenly_spread(len(self.labelled), _SEARCHED)
-        fewer, labelled = likeness.of(some), self.labelled[some]
-        sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
-        values = np.empty((len(sizes), len(shifts), len(_ROTATIONS)))
-        for i, size in enumerate(sizes):
-            for j, shift in enumerate(shifts):
-                turned = (labelled - shift) * np.exp(-size - 1j * _ROTATIONS)[:, None]
-                places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(size)
-        best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
-        chosen = zip(*np.unravel_index(best, values.shape), strict=True)
-        return [
-            _Pose(mirrored, np.array([shifts[j].real, shifts[j].imag, _ROTATIONS[k], sizes[i]])) for i, j, k in chosen
-        ]
-
-    def _refined(self, likeness: Likeness, pose: _Pose, times: Indices | None = None) -> tuple[_Pose, float]:
-        """Refine a pose; ``times`` (n,) is the weight of each press."""
-        weight = np.ones(len(self.labelled)) if times is None else times
-
-        def unlikely(steps: Array) -> float:
-            numbers = pose.numbers + steps * self._steps
-            places = _Pose(pose.mirrored, numbers).places(self.labelled)
-            return -float(likeness.at(places) @ weight + self._prior(numbers[3]))
-
-        start = np.vstack([np.zeros(4), np.eye(4)])
-        found = minimize(
-            unlikely,
-            np.zeros(4),
-            method="Nelder-Mead",
-            options={"maxiter": 250, "xatol": 1e-2, "fatol": 1e-3, "initial_simplex": start},
-        )
-        return _Pose(pose.mirrored, pose.numbers + found.x * self._steps), -float(found.fun)
-
-    def _prior(self, size: float) -> float:
-        if self._stated_mm is None:
-            return 0.0
-        away = float(size - np.log(self._stated_mm) - self._radius_off) / _RADIUS_ERROR
-        return -2 * float(np.log1p(away**2 / 4))  # Student's t: presses may contradict the stated radius
-
-
 def _registration(
-    pose: _Pose, errors: Array, stated_mm: float | None, *, place_share: float, signal_share: float, evidence: float
+    pose: Pose, errors: Array, stated_mm: float | None, *, place_share: float, signal_share: float, evidence: float
 ) -> SheetRegistration:
     x, y, angle, log_size = pose.numbers.tolist()
     size, size_error = float(np.exp(log_size)), float(np.exp(log_size) * errors[3])
@@ -310,8 +187,3 @@ def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: 
     chosen = np.flatnonzero(inside)[evenly_spread(int(inside.sum()), _REFINED)]
     alike = alikeness(changes[chosen], sheet.loads(places[chosen]).readings(pairs))
     return float(np.median(np.maximum(alike, 0.0) ** 2))
-
-
-def _complex(places: Array) -> Complex:
-    z: Complex = places @ np.array([1, 1j])
-    return z

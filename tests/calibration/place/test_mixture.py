@@ -69,3 +69,14 @@ def test_no_press_is_judged_by_another_at_its_place(places):
         for learned, located in sheet.presses_for_scales():
             assert not set(which[learned]) & set(which[located])
     assert found["pairs"] == pytest.approx(found["rounds"], rel=1e-3)
+
+
+def test_errors_are_stated_where_only_some_presses_were_left_out():
+    """Of more than 800 presses some are not left out."""
+    random = np.random.default_rng(4)
+    places, some = random.uniform(-40, 40, (60, 2)), np.arange(20, 60, 2)
+    errors, none = random.standard_normal((2, 20, 2)), np.zeros(20)
+    out = LeftOut(some, *(places[some] + errors), np.tile(np.eye(2), (20, 1, 1)), none, none)
+    held = coverage_of(out, places)
+    error_mm = np.linalg.norm(held.found_mm - places[some], axis=1)
+    assert (held.mean_mm, held.stderr_mm) == pytest.approx((error_mm.mean(), error_mm.std(ddof=1) / 20**0.5))

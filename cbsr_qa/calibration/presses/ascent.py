@@ -1,0 +1,49 @@
+"""Newton's method towards a maximum, from several starts at once."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, Indices
+
+#: Values (k,), slopes (k, p) and bends (k, p, p) at parameters (k, p) of some of the starts (k,).
+Jet = Callable[[Array, Indices], tuple[Array, Array, Array]]
+
+#: Parameters are of order one: longest step, step that ends an ascent, and most steps.
+_LONGEST, _SHORTEST, _MOST_STEPS = 1.0, 1e-3, 60
+#: Least curvature over the largest, at first, and its factor after a step up and after a failed one.
+_STIFFNESS: Final = 1e-2
+_LESS, _MORE = 0.2, 6.0
+
+
+def ascended(jet: Jet, starts: Array) -> tuple[Array, Array]:
+    """Nearest maxima: parameters (n, p) and values (n,), from starts (n, p).
+
+    Curvatures count by their size, so that steps lead up from saddles too.
+    """
+    at, climbing = starts.copy(), np.arange(len(starts))
+    value, slope, bend = jet(at, climbing)
+    stiffness = np.full(len(at), _STIFFNESS)
+    for _ in range(_MOST_STEPS):
+        step = _steps(slope[climbing], bend[climbing], stiffness[climbing])
+        new = jet(at[climbing] + step, climbing)
+        up = new[0] > value[climbing]
+        risen = climbing[up]
+        at[risen] += step[up]
+        value[risen], slope[risen], bend[risen] = (part[up] for part in new)
+        stiffness[climbing] *= np.where(up, _LESS, _MORE)
+        climbing = climbing[np.linalg.norm(step, axis=1) > _SHORTEST]
+        if not len(climbing):
+            break
+    return at, value
+
+
+def _steps(slope: Array, bend: Array, stiffness: Array) -> Array:
+    curvature, axes = np.linalg.eigh(bend)
+    size = np.abs(curvature)
+    size += stiffness[:, None] * np.maximum(size.max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    along = (slope[:, None, :] @ axes)[:, 0] / size
+    step: Array = (axes @ along[..., None])[..., 0]
+    length = np.linalg.norm(step, axis=1, keepdims=True)
+    return step * np.minimum(1.0, _LONGEST / np.maximum(length, _LONGEST))
