@@ -128,7 +128,14 @@ def test_where_nothing_is_pressed_there_is_no_force(pressed, folder, tmp_path):
 
 def test_places_are_written_as_a_table(folder, tmp_path):
     out = tmp_path / "places.csv"
-    arguments = ["calibration", "apply", folder / "OUT.h5", folder / "readings.csv", "--pattern", folder / "pairs.csv"]
+    arguments = [
+        "calibration",
+        "apply",
+        folder / "OUT.h5",
+        folder / "readings.csv",
+        "--pattern",
+        folder / "pairs.csv",
+    ]
     shown = run(*arguments, "--differences").output
     assert "60 of 60 frames" in " ".join(shown.split())
     assert not run(*arguments, "--differences", "--output", out).exception
