@@ -23,8 +23,13 @@ def record():
     return simulated_run(NINE_LOCATIONS_MM)
 
 
+@pytest.fixture(scope="module")
+def whole(record):
+    return _calibrated(record)
+
+
 def _calibrated(record):
-    observation = observed_run(record, calibrate_phases=("grid",))
+    observation = observed_run(record, over_time=False, calibrate_phases=("grid",))
     conclusion = Conclusion(observation, (), Verdict(Outcome.PASS, "all limits are met"), ())
     return calibrated(conclusion, _RECIPE, calibration="0193-c", issued_at="2026-01-01T00:00:00+00:00")
 
@@ -42,8 +47,8 @@ def _with_force(record, change):
     return _changed(record, samples=(replace(force, values=change(force)),))
 
 
-def test_a_good_run_at_one_strain_says_that_its_intercept_is_assumed(record):
-    issued, why = _calibrated(record)
+def test_a_good_run_at_one_strain_says_that_its_intercept_is_assumed(whole):
+    issued, why = whole
     assert why == ""
     (reason,) = issued.validity.reduced
     assert reason.startswith("all loads were pressed at one strain (20 %): the intercept")
@@ -51,10 +56,10 @@ def test_a_good_run_at_one_strain_says_that_its_intercept_is_assumed(record):
     assert issued.validity.radius_mm == 30.0
 
 
-def test_missing_places_are_a_reason_and_too_few_give_no_force(record):
+def test_missing_places_are_a_reason_and_too_few_give_no_force(record, whole):
     issued, _ = _calibrated(_of_loads(record, range(4)))
     assert any(reason.startswith("force was learned at only 4 places") for reason in issued.validity.reduced)
-    wide, full = issued.force.log_response_stderr, _calibrated(record)[0].force.log_response_stderr
+    wide, full = issued.force.log_response_stderr, whole[0].force.log_response_stderr
     assert np.median(wide) > 1.5 * np.median(full)
     none, _ = _calibrated(_of_loads(record, range(2)))
     assert none.force is None
@@ -87,14 +92,14 @@ def test_loads_of_a_load_cell_that_was_saturated_for_some_are_named(record):
     assert issued.baseline[1].value is None
 
 
-def test_readings_of_a_dead_electrode_are_left_out_and_force_is_still_told(record):
+def test_readings_of_a_dead_electrode_are_left_out_and_force_is_still_told(record, whole):
     pattern = record.sensor_type.pattern
     touching = (np.array(pattern.drive) == _DEAD).any(axis=1)[:, None]
     touching = touching | (np.array(pattern.measure) == _DEAD).any(axis=1)
     frames = record.phases[0].frames
     flags = frames.flags.copy()
     flags[:, touching] |= int(ReadingFlag.SATURATED)
-    whole, _ = _calibrated(record)
+    whole, _ = whole
     issued, why = _calibrated(_changed(record, frames=replace(frames, flags=flags)))
     assert why == ""
     assert any(reason.startswith(f"electrode {_DEAD} is dead") for reason in issued.validity.reduced)

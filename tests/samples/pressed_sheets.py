@@ -4,9 +4,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from made_once import value_made_once
 from scipy.io import loadmat
 
-from cbsr_qa.calibration.presses import DistinctPairs, LabelledPresses, NumberTable, PressReadings, PressTable
+from cbsr_qa.calibration.presses import (
+    DistinctPairs,
+    Identity,
+    LabelledPresses,
+    NumberTable,
+    PressReadings,
+    PressTable,
+    issue_from_presses,
+    learn_presses,
+)
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, ElectrodeLayout, Response, SensorType, adjacent_pattern
 from cbsr_qa.eit.estimate import load_model
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
@@ -148,6 +158,18 @@ def _relief(places, seed):
     random = np.random.default_rng([seed, 20])
     waves, phases = random.standard_normal((80, 2)) / 20, random.uniform(0, 2 * np.pi, 80)
     return np.cos(places @ waves.T + phases).sum(axis=1) / 40**0.5
+
+
+def issued_from_presses():
+    """A calibration of place and force from twelve presses, made once: that takes seconds."""
+
+    def issue():
+        sheet = pressed_sheet(12, noise=0.05)
+        labelled = sheet.labelled()
+        labelled = replace(labelled, presses=replace(labelled.presses, force_N=sheet.force_N))
+        return issue_from_presses(Identity("id", "now", ()), labelled, learn_presses(labelled))
+
+    return value_made_once("issued from presses", issue)
 
 
 def skin(folder, name):

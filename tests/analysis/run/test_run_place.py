@@ -31,16 +31,25 @@ _HELD = {"hold_s": 40.0, "rest_s": 30.0, "find_surface": False}
 
 @cache
 def observed(effects=(), places=39):
-    """A run of so many places and ten random loads on a sheet with effects beside those of the scene ``base``."""
+    """A run of 39 places and ten random loads on a sheet with effects beside those of the scene ``base``.
+
+    The loads of the first ``places`` are kept.
+    """
+    grid, random = recorded(effects).phases
+    record = replace(recorded(effects), phases=(replace(grid, loads=grid.loads[:places]), random))
+    return observed_run(record, over_time=False, calibrate_phases=CALIBRATE, learn_place=True)
+
+
+@cache
+def recorded(effects):
     scene = shipped(DocumentKind.SCENE, "base")
     scene["effects"] = [*scene["effects"], *(dict(effect) for effect in effects)]
-    grid = LocationGridSequence(locations_mm=PLACES_MM[:places], strains_percent=[25.0], **_HELD)
+    grid = LocationGridSequence(locations_mm=PLACES_MM, strains_percent=[25.0], **_HELD)
     phases = (
         PlannedPhase("places", "location-grid", grid),
         PlannedPhase("random", "random-loads", RandomLoadsSequence(count=10, **_HELD)),
     )
-    record = simulated_run((), phases=phases, scene=scene, seed=1)
-    return observed_run(record, over_time=False, calibrate_phases=CALIBRATE, learn_place=True)
+    return simulated_run((), phases=phases, scene=scene, seed=1)
 
 
 def not_as_modelled():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from cbsr_qa.analysis.run.sizes import FLAT, size_response
 from cbsr_qa.config import load_sensor_type
@@ -26,8 +27,10 @@ def blurring():
     )
 
     def method(width_mm: float) -> LinearReconstruction:
-        squared = ((mesh.centroids_mm[:, None] - mesh.centroids_mm) ** 2).sum(axis=2)
-        kernel = np.exp(-squared / 2 / width_mm**2) * mesh.areas_mm2
+        kernel = cdist(mesh.centroids_mm, mesh.centroids_mm, "sqeuclidean")
+        kernel *= -0.5 / width_mm**2
+        np.exp(kernel, out=kernel)
+        kernel *= mesh.areas_mm2
         return LinearReconstruction("blur", problem, kernel, ParameterChoice(0.0, "none", 1.0))
 
     return method
@@ -74,12 +77,10 @@ def test_no_region_is_no_slope_and_flat(blurring):
         assert one.flat
 
 
-def test_a_head_of_no_size_is_refused(blurring):
+def test_a_head_of_no_size_or_too_large_is_refused_and_one_that_fits_the_centre_is_measured_there(blurring):
+    method = blurring(5.0)
     with pytest.raises(NumericsError, match="positive diameter"):
-        size_response(blurring(5.0), head_diameter_mm=0.0)
-
-
-def test_a_head_too_large_for_the_sheet_is_refused_and_one_that_fits_the_centre_is_measured_there(blurring):
+        size_response(method, head_diameter_mm=0.0)
     with pytest.raises(NumericsError, match="fits neither"):
-        size_response(blurring(5.0), head_diameter_mm=80.0)
-    assert [one.place for one in size_response(blurring(5.0), head_diameter_mm=30.0)] == ["centre"]
+        size_response(method, head_diameter_mm=80.0)
+    assert [one.place for one in size_response(method, head_diameter_mm=30.0)] == ["centre"]

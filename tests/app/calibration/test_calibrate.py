@@ -7,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from made_once import made_once
 from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
@@ -36,14 +37,15 @@ def pressed():
 
 
 @pytest.fixture(scope="module")
-def folder(pressed, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("presses")
-    pressed.write(folder, labels={"force_N": pressed.force_N})
-    (folder / "T.toml").write_text(SKIN_TOML)
-    done = calibrated(folder, "--differences", "--output", folder / "page.html")
-    assert not done.exception, done.output
-    (folder / "printed.json").write_text(done.stdout)
-    return folder
+def folder(pressed):
+    def make(folder):
+        pressed.write(folder, labels={"force_N": pressed.force_N})
+        (folder / "T.toml").write_text(SKIN_TOML)
+        done = calibrated(folder, "--differences", "--output", folder / "page.html")
+        assert not done.exception, done.output
+        (folder / "printed.json").write_text(done.stdout)
+
+    return made_once("calibrated from presses", make)
 
 
 def recording(frames):
@@ -118,17 +120,8 @@ def test_places_are_in_the_frame_of_the_presses_whatever_the_order_and_polarity(
 
 def test_where_nothing_is_pressed_there_is_no_force(pressed, folder, tmp_path):
     files = some(replace(pressed, changes=1e-3 * pressed.changes), [0, 1]).write(tmp_path)
-    arguments = [
-        "calibration",
-        "apply",
-        folder / "OUT.h5",
-        files[0],
-        "--pattern",
-        files[2],
-        "--differences",
-        "--json",
-    ]
-    for frame in json.loads(run(*arguments).stdout)["frames"]:
+    done = run("calibration", "apply", folder / "OUT.h5", files[0], "--pattern", files[2], "--differences", "--json")
+    for frame in json.loads(done.stdout)["frames"]:
         assert "not_detected" in frame["flags"]
         assert frame["force_N"] is None
 
@@ -154,7 +147,7 @@ def test_places_are_written_as_a_table(folder, tmp_path):
 
 
 def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path):
-    frames = replace(pressed, changes=pressed.changes + pressed.unloaded)
+    frames = some(replace(pressed, changes=pressed.changes + pressed.unloaded), range(12))
     files = dict(zip(("readings", "presses", "pattern"), frames.write(tmp_path), strict=True))
     rest = tmp_path / "rest.csv"
     noise = 0.01 * np.random.default_rng(0).standard_normal((5, len(pressed.pairs)))
@@ -174,7 +167,8 @@ def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path
 def test_a_sensor_type_without_radius_has_it_estimated(pressed, folder, tmp_path):
     sensor = tmp_path / "unsized.toml"
     sensor.write_text('[sensor_type]\nname = "skin"\n[electrodes]\nkind = "pin"\ncount = 16\n')
-    done = calibrated(folder, "--differences", to=tmp_path / "unsized.h5", sensor=sensor)
+    files = dict(zip(("readings", "presses", "pattern"), some(pressed, range(20)).write(tmp_path), strict=True))
+    done = calibrated(tmp_path, "--differences", sensor=sensor, **files)
     registration = json.loads(done.stdout)["registration"]
     assert registration["scale"] == 1
     assert registration["radius_mm"] == pytest.approx(73, abs=3)
@@ -264,34 +258,13 @@ def test_what_the_readings_are_must_be_stated_and_nothing_is_overwritten(folder)
     assert "exists already" in str(calibrated(folder, "--differences").exception)
 
 
-def test_a_recording_with_a_frame_for_each_press_takes_the_place_of_tables(pressed, folder, tmp_path):
-    sensor_type = load_sensor_type(folder / "T.toml").value
-    pattern = sensor_type.pattern
-    pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
-    sheet = pressed_sheet(40, pairs=pairs, rotation_deg=-60.0)
-    presses = sheet.write(tmp_path)[1]
-    for name, values in (("presses", sheet.changes + sheet.unloaded), ("rest", np.tile(sheet.unloaded, (3, 1)))):
-        voltages = np.zeros((len(values), *pattern.shape))
-        voltages[:, pattern.usable()] = 1e-3 * values
-        time_s, flags = np.arange(len(values), dtype=float), np.zeros(voltages.shape, dtype=np.uint8)
-        frames = FrameBlock(time_s, voltages, flags, VoltageUnit.VOLT, 1e-3)
-        write_recording(tmp_path / f"{name}.h5", recording(frames))
-    arguments = ["--presses", presses, "--sensor-type", folder / "T.toml", "--rest", tmp_path / "rest.h5", "--json"]
-    done = run("calibrate", tmp_path / "presses.h5", "--to", tmp_path / "OUT.h5", *arguments)
-    assert json.loads(done.stdout)["registration"]["rotation_deg"] == pytest.approx(-60, abs=2)
-    fewer = FrameBlock(time_s[:1], voltages[:1, :, :4], flags[:1, :, :4], VoltageUnit.VOLT, 1e-3)
-    write_recording(tmp_path / "fewer.h5", recording(fewer))
-    done = run("calibrate", tmp_path / "fewer.h5", "--to", tmp_path / "other.h5", *arguments)
-    assert "16 × 4 readings" in str(done.exception)
-
-
 @pytest.fixture(scope="module")
 def of_recording(folder, tmp_path_factory):
     """A folder with a calibration learned from a recording of its sensor type, that recording, and its sheet."""
     tmp_path = tmp_path_factory.mktemp("recorded")
     pattern = load_sensor_type(folder / "T.toml").value.pattern
     pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
-    sheet = pressed_sheet(40, pairs=pairs)
+    sheet = pressed_sheet(24, pairs=pairs, rotation_deg=-60.0)
     rest = np.tile(sheet.unloaded, (3, 1))
     every = {"presses": sheet.changes + sheet.unloaded, "rest": rest}
     every["dead"] = sheet.changes + sheet.unloaded
@@ -311,6 +284,7 @@ def of_recording(folder, tmp_path_factory):
         "--rest", files["rest"], "--to", tmp_path / "OUT.h5", "--json",
     )  # fmt: skip
     assert not done.exception, done.output
+    assert json.loads(done.stdout)["registration"]["rotation_deg"] == pytest.approx(-60, abs=2)
     return tmp_path, sheet
 
 
@@ -350,7 +324,7 @@ def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):
     # Against its own first frames, and with a reading flagged in the third press.
     done = run("calibration", "apply", folder / "OUT.h5", folder / "both.h5", "--reference", "3", "--json")
     again = json.loads(done.stdout)["frames"]
-    assert len(again) == 43
+    assert len(again) == 27
     assert "not_detected" in again[0]["flags"]
     assert "missing" in again[5]["flags"]
     found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in again[3:]])
@@ -362,12 +336,18 @@ def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, 
     apply = ("calibration", "apply")
     # Calibrated from a table of other pairs than those of the sensor type's frames.
     assert "192 of the 192 readings" in refused(*apply, folder / "OUT.h5", recorded / "presses.h5", "--differences")
-    assert "--reference 44 of both.h5; it holds 43 frames" in refused(
-        *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "44"
+    assert "--reference 28 of both.h5; it holds 27 frames" in refused(
+        *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "28"
     )
     assert "a reading of the first 6 frames of both.h5 is missing or saturated" in refused(
         *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "6"
     )
+    few = Path(recorded / "few.h5")
+    block = FrameBlock(np.zeros(1), np.ones((1, 16, 4)), np.zeros((1, 16, 4), np.uint8), VoltageUnit.VOLT, 1e-3)
+    write_recording(few, recording(block))
+    sensor_type, rest = ("--sensor-type", folder / "T.toml"), ("--rest", recorded / "rest.h5")
+    presses = ("--presses", recorded / "presses.csv")
+    assert "16 × 4 readings" in refused("calibrate", few, *presses, *sensor_type, *rest, "--to", recorded / "X.h5")
     old = replace(read_issued(recorded / "OUT.h5"), drive=(), measure=())
     write_calibration(recorded / "old.h5", stamped(old))
     assert "does not state the order of the pairs in a frame" in refused(
@@ -383,9 +363,9 @@ def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp
 
 
 def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, tmp_path):
-    pressed = pressed_sheet(60, pairs=adjacent_pairs())
+    pressed = pressed_sheet(20, pairs=adjacent_pairs())
     random = np.random.default_rng(0)
-    places = np.column_stack([pressed.places_mm, pressed.places_mm**2 / 40, np.ones(60)])
+    places = np.column_stack([pressed.places_mm, pressed.places_mm**2 / 40, np.ones(20)])
     strange = replace(pressed, changes=places @ random.standard_normal((5, len(pressed.pairs))))
     files = dict(zip(("readings", "presses", "pattern"), strange.write(tmp_path), strict=True))
     printed = json.loads(calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files).stdout)
@@ -396,6 +376,6 @@ def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, 
 def test_exchanged_electrodes_are_a_warning(folder, tmp_path):
     wired = np.arange(16)
     wired[[2, 9]] = 9, 2
-    files = dict(zip(("readings", "presses", "pattern"), pressed_sheet(60, wired=wired).write(tmp_path), strict=True))
+    files = dict(zip(("readings", "presses", "pattern"), pressed_sheet(20, wired=wired).write(tmp_path), strict=True))
     printed = json.loads(calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files).stdout)
     assert any("electrodes 2 and 9 seem to be exchanged" in words for words in printed["warnings"])

@@ -75,32 +75,34 @@ def test_a_depth_may_be_counted_from_anywhere_and_upwards():
     assert 0.55 < inside(depth[rest], here.within_68) < 0.8
 
 
-def test_strengths_of_a_learned_place_tell_the_force():
+@pytest.fixture(scope="module")
+def learned():
+    """A sheet, and the places and forces learned from its first 60 presses."""
     sheet = pressed_sheet(160, seed=7, noise=0.05, uneven=0.2)
-    some, rest = np.arange(60), np.arange(60, 160)
-    place = learn_place(sheet.changes[some], sheet.labels_mm[some], sheet.pairs, 16)
+    place = learn_place(sheet.changes[:60], sheet.labels_mm[:60], sheet.pairs, 16)
     known = place.found
-    learned = learn_quantity(sheet.force_N[known.presses], known.strength, known.place_mm, place.model.centre_mm)
-    places = PlaceEstimator(place.model)(sheet.changes[rest])
-    found = QuantityEstimator(learned)(places)
-    error = np.abs(found.values - sheet.force_N[rest])
+    quantity = learn_quantity(sheet.force_N[known.presses], known.strength, known.place_mm, place.model.centre_mm)
+    return sheet, place.model, quantity
+
+
+def test_strengths_of_a_learned_place_tell_the_force(learned):
+    sheet, place, quantity = learned
+    found = QuantityEstimator(quantity)(PlaceEstimator(place)(sheet.changes[60:]))
+    error = np.abs(found.values - sheet.force_N[60:])
     assert error.mean() < 0.15
-    assert error.mean() == pytest.approx(learned.error, rel=0.5)
-    assert inside(sheet.force_N[rest], found.within_95) > 0.85
+    assert error.mean() == pytest.approx(quantity.error, rel=0.5)
+    assert inside(sheet.force_N[60:], found.within_95) > 0.85
 
 
 @pytest.mark.parametrize("nothing", [0.0, 1e-300, np.nan])
-def test_frames_without_a_press_have_no_force_and_change_no_other(nothing):
-    sheet = pressed_sheet(100, seed=7, noise=0.05, uneven=0.2)
-    place = learn_place(sheet.changes[:60], sheet.labels_mm[:60], sheet.pairs, 16)
-    known = place.found
-    learned = learn_quantity(sheet.force_N[known.presses], known.strength, known.place_mm, place.model.centre_mm)
-    changes = sheet.changes[60:].copy()
+def test_frames_without_a_press_have_no_force_and_change_no_other(learned, nothing):
+    sheet, place, quantity = learned
+    changes = sheet.changes[60:100].copy()
     untouched = np.arange(len(changes)) % 3 == 0
-    pressed = QuantityEstimator(learned)(PlaceEstimator(place.model)(changes))
+    pressed = QuantityEstimator(quantity)(PlaceEstimator(place)(changes))
     changes[untouched] = nothing
-    places = PlaceEstimator(place.model)(changes)
-    found = QuantityEstimator(learned)(places)
+    places = PlaceEstimator(place)(changes)
+    found = QuantityEstimator(quantity)(places)
     assert ((places.flags[untouched] & (Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0).all()
     assert np.isnan(found.values[untouched]).all()
     assert np.isnan(found.within_95[untouched]).all()

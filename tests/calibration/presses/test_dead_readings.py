@@ -111,7 +111,7 @@ def test_clipped_readings_are_told_from_others(whole):
 
 
 def test_clipped_readings_are_blamed_not_the_radius():
-    pressed = pressed_sheet(40, seed=1, noise=0.05)
+    pressed = pressed_sheet(12, seed=1, noise=0.05)
     most = np.quantile(np.abs(pressed.changes), 0.6)
     found = learn_presses(replace(pressed, changes=np.clip(pressed.changes, -most, most)).labelled()).findings
     assert "of the readings are clipped" in found[0]
@@ -137,7 +137,7 @@ def spoilt_presses(pressed, rows, random):
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(whole):
-    pressed, random = pressed_sheet(160, seed=50, noise=0.05), np.random.default_rng(3)
+    pressed, random = pressed_sheet(100, seed=50, noise=0.05), np.random.default_rng(3)
     spoilt = spoilt_presses(pressed, [7, 21, 33], random)
     spoilt.changes[12] += 30 * np.median(np.abs(pressed.changes))  # an offset: nothing is left of that press
     labelled = some(spoilt, np.arange(60)).labelled()
@@ -152,7 +152,7 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     locate = PlaceEstimator(learned.place.model, pairs=pressed.pairs)
     truth, sound = pressed.labels_mm[60:], locate(pressed.changes[60:])
     assert np.linalg.norm(sound.place_mm - truth, axis=1).mean() < 0.4  # 0.2 mm without these presses
-    faulty = locate(spoilt_presses(pressed, range(60, 160), random).changes[60:])
+    faulty = locate(spoilt_presses(pressed, range(60, 100), random).changes[60:])
     assert (faulty.flags & (Flag.OPEN_ELECTRODE | Flag.DEAD_PAIR) > 0).all()
     error = truth - faulty.place_mm
     assert np.linalg.norm(error, axis=1).mean() < 1.5

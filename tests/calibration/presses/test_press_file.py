@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_sheets import pressed_sheet
+from pressed_sheets import issued_from_presses
 
 from cbsr_qa.calibration.file import (
     decode,
@@ -15,17 +15,13 @@ from cbsr_qa.calibration.file import (
     verify_calibration_file,
     write_calibration,
 )
-from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
 from cbsr_qa.calibration.presses.issue import noise_size
 from cbsr_qa.domain import CalibrationError
 
 
 @pytest.fixture(scope="module")
 def issued():
-    sheet = pressed_sheet(12, noise=0.05)
-    labelled = sheet.labelled()
-    labelled = replace(labelled, presses=replace(labelled.presses, force_N=sheet.force_N))
-    return issue_from_presses(Identity("id", "now", ()), labelled, learn_presses(labelled))
+    return issued_from_presses()
 
 
 def test_what_is_written_is_read(issued, tmp_path):

@@ -96,27 +96,22 @@ def boundary_of(mesh):
     return mesh.edges[counts == 1]
 
 
-@pytest.mark.rest
 @pytest.mark.parametrize(("name", "kind"), MESHED)
-def test_elements_are_well_shaped_and_cover_exactly_the_sheet(name, kind):
-    mesh, outline = mesh_on(name, kind), SHEETS[name]
+def test_elements_cover_exactly_the_sheet_and_electrodes_are_where_they_were_said_to_be(name, kind):
+    mesh, sensor, outline = mesh_on(name, kind), sensor_on(name, kind), SHEETS[name]
     assert smallest_angle_deg(mesh.nodes_mm, mesh.elements).min() > 20
     pins = 16 if kind is ElectrodeKind.PIN else 0
     straight = outline.corner_radius_mm == 0
     exact = outline.curve.area - pins * np.pi * 0.325**2
     assert mesh.areas_mm2.sum() == pytest.approx(exact, rel=1e-10 if straight and not pins else 1e-3)
     assert len(mesh.nodes_mm) - len(mesh.edges) + len(mesh.elements) == 1 - pins  # Euler: one piece, pins as holes
-    edge = mesh.nodes_mm[boundary_of(mesh)].mean(axis=1)
+    boundary = boundary_of(mesh)
+    edge = mesh.nodes_mm[boundary].mean(axis=1)
     off = np.abs(outline.clearance_mm(edge))
     assert (off < 0.1).sum() + pins * 8 <= len(edge)
     if not pins:
         assert off.max() < (1e-9 if straight else 0.2)
-
-
-@pytest.mark.parametrize(("name", "kind"), MESHED)
-def test_electrodes_are_on_the_boundary_where_they_were_said_to_be(name, kind):
-    mesh, sensor = mesh_on(name, kind), sensor_on(name, kind)
-    boundary = {tuple(edge) for edge in boundary_of(mesh).tolist()}
+    boundary = {tuple(edge) for edge in boundary.tolist()}
     for place, edges in zip(sensor.electrodes.positions_mm(), mesh.electrode_edges, strict=True):
         assert {tuple(sorted(edge)) for edge in edges.tolist()} <= boundary
         ends = mesh.nodes_mm[edges]
