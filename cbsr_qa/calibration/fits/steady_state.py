@@ -114,6 +114,8 @@ class HoldsSoFar:
         # All rows and values as the triangle of their QR: sums of squares would keep half of the digits.
         self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
+        #: Of holds, up to the last frame: what :meth:`_of_holds` regressed, whatever the time that is predicted.
+        self._regression: tuple[Array, tuple[Array, Array, Array]] | None = None
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
         """Add one frame of each hold: times [s], values and their standard deviations, (m,) or common.
@@ -134,6 +136,7 @@ class HoldsSoFar:
         row = np.column_stack([self._rows(np.where(counts, time, 0.0)), value]) / stderr[:, None] * counts[:, None]
         self._triangle = _triangle(np.concatenate([self._triangle, row[:, None]], axis=1))
         self._frames += counts
+        self._regression = None
         return self
 
     def predict(
@@ -162,17 +165,21 @@ class HoldsSoFar:
         if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
             raise NumericsError("a released change or its standard error is not a finite number")
         unknown = self._unknown(0.0, change, stderr)
-        return self._predicted(unknown, change, self._rows(np.full(shape, at_s)))
+        return self._predicted(unknown, change, self._rows(np.full(shape, at_s)), self._regressed(unknown, change))
 
     def _of_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so A is predicted iteratively."""
         none = np.zeros(self._frames.shape)
-        level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
-        size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
-        for _ in range(_ROUNDS):
-            unknown = self._unknown(1.0, size, none)
-            size = self._regressed(unknown, none)[1][:, 0]
-        return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)))
+        if self._regression is None:
+            level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
+            size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
+            for _ in range(_ROUNDS):
+                unknown = self._unknown(1.0, size, none)
+                regressed = self._regressed(unknown, none)
+                size = regressed[1][:, 0]
+            self._regression = unknown, regressed
+        unknown, regressed = self._regression
+        return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)), regressed)
 
     def _rows(self, time_s: Array) -> Array:
         """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
@@ -211,8 +218,10 @@ class HoldsSoFar:
         root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
         return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
-    def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
-        root, solution, left = self._regressed(unknown, known)
+    def _predicted(
+        self, unknown: Array, known: Array, wanted: Array, regressed: tuple[Array, Array, Array]
+    ) -> SteadyPrediction:
+        root, solution, left = regressed
         along = (wanted[:, None, :] @ unknown)[:, 0]
         parts = (along[:, None, :] @ root)[:, 0]
         errors = (root @ parts[:, :, None])[:, :, 0]

@@ -91,7 +91,7 @@ class SettlingForces:
         model = self._calibration.model
         if model.loading is None or load.state is not LoadState.STEADY:
             return 0.0
-        return kernel_at(model.loading, held_s) / kernel_at(model.loading, model.steady_s) - 1
+        return float(kernel_at(model.loading, held_s) / kernel_at(model.loading, model.steady_s)) - 1
 
 
 def _presses(load: TrackedLoad) -> bool:

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.fits import HoldsSoFar
 from cbsr_qa.domain import Array
@@ -191,7 +192,7 @@ class Track:
         if changed_s is not None or model.loading is None:
             tocome = _UNKNOWN_CHANGE * np.exp(-after_s / patience_s(model))
         else:
-            at = np.array([kernel_at(model.loading, float(each)) for each in after_s])
+            at = kernel_at(model.loading, after_s)
             tocome = np.abs(at / at[-1] - 1)
         late = np.flatnonzero(tocome > share)
         settled_s = after_s[min(int(late[-1]) + 1, _STEPS - 1)] if len(late) else 0.0
@@ -205,7 +206,7 @@ class Track:
             return max(self.since_s + _PATIENCE_S - self._now_s, 0.0) or float("nan")
         after_s = np.linspace(0.0, _FADED * _slowest_s(model.unloading), _STEPS)
         held_s = self._now_s - self.since_s
-        left = np.array([self._left(model.unloading, held_s + float(each)) for each in after_s])
+        left = _left(model.unloading, held_s + after_s)
         faded = np.flatnonzero(abs(self.strength) * left <= least * left[0])
         return float(after_s[faded[0]]) if len(faded) else float("nan")
 
@@ -280,9 +281,8 @@ class Track:
             return
         if self._first is not None:
             first, self._first = self._first, None
-            expected = kernel_at(model.loading, first[0] - self.since_s) / kernel_at(
-                model.loading, time_s - self.since_s
-            )
+            before, now = kernel_at(model.loading, np.array([first[0], time_s]) - self.since_s)
+            expected = float(before / now)
             self._hold, self._promise = UnsureHold(model.loading, frame_s), UnsureHold(model.loading, frame_s)
             self._last.clear()
             if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
@@ -316,8 +316,9 @@ class Track:
         rate = 1.0
         if model.unloading is not None:
             held_s = time_s - self.since_s
-            rate = self._left(model.unloading, held_s + since_last_s) / self._left(model.unloading, held_s)
-            stays = self._left(model.unloading, held_s) + _STAYS
+            left = float(_left(model.unloading, held_s))
+            rate = float(_left(model.unloading, held_s + since_last_s)) / left
+            stays = left + _STAYS
             if self.sign * self.strength > max(stays * self._released, _CLEAR * self.noise) and held_s > 0:
                 self._lightened(time_s)
                 return
@@ -327,9 +328,6 @@ class Track:
         fresh = time_s - self.since_s < (_FADED * _slowest_s(model.unloading) if model.unloading else _PATIENCE_S)
         self.state = "unloading" if fresh else "residue"
         self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
-
-    def _left(self, kernel: RelaxationKernel, time_s: float) -> float:
-        return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
 
 
 def patience_s(model: ForceModel) -> float:
@@ -341,7 +339,17 @@ def _slowest_s(kernel: RelaxationKernel) -> float:
     return float(kernel.time_constants_s[-1]) if len(kernel.weights) else _PATIENCE_S
 
 
-def kernel_at(kernel: RelaxationKernel, time_s: float) -> float:
+def kernel_at(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
     """K(t), at least a twentieth, so that a strength divided by it remains a strength."""
-    value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
-    return max(value, 0.05)
+    return np.maximum(1 + _transient(kernel.weights, kernel, time_s), 0.05)
+
+
+def _left(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
+    """Share of a released load that is left."""
+    return _RESIDUE + _transient(np.abs(kernel.weights), kernel, time_s)
+
+
+def _transient(weights: Array, kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
+    late = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)
+    total: Array = np.sum(weights * np.exp(-late[..., None] / kernel.time_constants_s), axis=-1)
+    return total

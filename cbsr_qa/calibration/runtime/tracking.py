@@ -1,5 +1,6 @@
 """Loads tracked over a stream of frames: place, force, start, and residues."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -145,9 +146,10 @@ class ForceStream:
         return rows
 
     def _follow(self, rows: Array) -> None:
-        left = self._place_anew(self._explain(rows), rows)
-        while len(self._tracks) < self._most and self._begin(left):
+        left, match = self._place_anew(self._explain(rows), rows)
+        while len(self._tracks) < self._most and self._begin(match):
             left = self._explain(rows)
+            match = self._filter.search(left[None])
         self._place(rows)
         for track in self._tracks:
             track.advance(self._time_s, self._frame_s, self._since_last_s, self._model)
@@ -174,14 +176,15 @@ class ForceStream:
             left -= track.strength * track.template
         return left
 
-    def _place_anew(self, left: Array, rows: Array) -> Array:
-        """Move a load whose first frame, of a moving head, gave another place; return the residual.
+    def _place_anew(self, left: Array, rows: Array) -> tuple[Array, Matches]:
+        """Move a load whose first frame, of a moving head, gave another place; return residual and what is in it.
 
         Otherwise the residual of the wrong place would be a second load. It is moved only if no second load remains,
         so that two successive heads stay two.
         """
-        if not self._another(self._filter.search(left[None])):
-            return left
+        remains = self._filter.search(left[None])
+        if not self._another(remains):
+            return left, remains
         for track in self._tracks:
             if not track.fresh:
                 continue
@@ -191,11 +194,11 @@ class ForceStream:
             if np.isfinite(moved).all():
                 track.move(match.place_mm[0], moved, self._base(moved))
                 rest = self._explain(rows)
-                if not self._another(self._filter.search(rest[None])):
-                    return rest
+                if not self._another(other := self._filter.search(rest[None])):
+                    return rest, other
                 track.move(place, template, self._base(template))
                 self._explain(rows)
-        return left
+        return left, remains
 
     def _another(self, match: Matches) -> bool:
         """Whether the residual of a frame is more than noise, and more than a template's error."""
@@ -209,12 +212,10 @@ class ForceStream:
             return 0.0
         return float(np.mean([template @ last for last in self._last], axis=0) / (template @ template))
 
-    def _begin(self, left: Array) -> bool:
-        """Begin a track if the residual shows another load; return whether it did."""
-        match, sign = self._filter.search(left[None]), self._calibration.sign
-        if not self._another(match):
-            return False
-        if float(match.strength[0]) * sign < 0:
+    def _begin(self, match: Matches) -> bool:
+        """Begin a track if what is in the residual is another load; return whether it did."""
+        sign = self._calibration.sign
+        if not self._another(match) or float(match.strength[0]) * sign < 0:
             return False
         pressing = [track for track in self._tracks if track.pressing]
         near = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
@@ -246,15 +247,18 @@ class ForceStream:
     def _told(self, track: Track, bad: Flag) -> TrackedLoad:
         pressing = track.pressing
         value, variance = track.steady(self._model) if pressing else (track.strength, track.noise**2)
-        match = self._match(track, value, variance)
+        match, alone = self._matches(track, value, (variance, track.noise**2))
         force, stderr = self._calibration.inverse.force(match)
         flags = bad
         if not np.isfinite(force[0]):
             flags |= Flag.OUTSIDE
         if pressing:
             flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
-        alone = self._calibration.inverse.force(self._match(track, value, track.noise**2))[1]
-        share = float(alone[0] / abs(force[0])) if np.isfinite(force[0]) and force[0] else 1.0
+        share = (
+            float(self._calibration.inverse.force(alone)[1][0] / abs(force[0]))
+            if np.isfinite(force[0]) and force[0]
+            else 1.0
+        )
         settled_in_s = track.settled_in_s(self._model, share)
         if settled_in_s != 0:
             flags |= Flag.UNSETTLED
@@ -271,13 +275,14 @@ class ForceStream:
             flags=flags,
         )
 
-    def _match(self, track: Track, value: float, variance: float) -> Matches:
-        """The track's strength and place; a template beside the place is as much too strong or too weak."""
+    def _matches(self, track: Track, value: float, variances: Sequence[float]) -> Iterator[Matches]:
+        """The track's strength, of each variance, and place; a template beside it is as much too strong or weak."""
         slope = self._filter.size_slope(track.place_mm[None])
         shared = -value * track.place_covariance @ slope[0]
-        covariance = np.empty((1, 3, 3))
-        covariance[0, 0, 0] = variance - value * float(shared @ slope[0])
-        covariance[0, 0, 1:] = covariance[0, 1:, 0] = shared
-        covariance[0, 1:, 1:] = track.place_covariance
-        match = Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
-        return scattered(match, slope, self._model.place_scatter_mm)
+        for variance in variances:
+            covariance = np.empty((1, 3, 3))
+            covariance[0, 0, 0] = variance - value * float(shared @ slope[0])
+            covariance[0, 0, 1:] = covariance[0, 1:, 0] = shared
+            covariance[0, 1:, 1:] = track.place_covariance
+            match = Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
+            yield scattered(match, slope, self._model.place_scatter_mm)
