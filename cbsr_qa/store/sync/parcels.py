@@ -153,7 +153,7 @@ def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> P
     links = _links(connection, run, number)
     _check_chain(run, links, number, sha256)
     wanted = defaultdict[str, dict[str, str]](dict)
-    for _, _, kind, document, content, _, _ in links:
+    for _, _, kind, document, content, *_ in links:
         wanted[kind][document] = content.hex()
     rows = dict(_linked_rows(connection, run, wanted, archives))
     ended = _phase_ends(connection, run, wanted)
@@ -217,7 +217,7 @@ def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str
     )
 
 
-def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
+def _links(connection: Connection, run: str, number: int) -> list[Any]:
     """Links that follow a number, as many as make a parcel; what the station stored at once is not divided."""
     query = raw_select(Base.metadata.tables[LinkRow.__tablename__]).where(LinkRow.run == run, LinkRow.number > number)
     links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MOST_AT_ONCE)).all())
@@ -234,7 +234,7 @@ def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
     return links if len(links) < MOST_LINKS + _MOST_AT_ONCE else links[:ends]
 
 
-def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[tuple[str, str], int]:
+def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple[str, str], int]:
     """Bytes of blocks, by kind and document; empty if all of them are few."""
     sizes: dict[tuple[str, str], int] = {}
     of_kind = defaultdict[str, list[str]](list)
@@ -256,7 +256,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[
     return sizes
 
 
-def _check_chain(run: str, links: Sequence[Row[Any]], number: int, before: str) -> None:
+def _check_chain(run: str, links: Sequence[Any], number: int, before: str) -> None:
     for expected_number, (_, found, kind, document, content, own, _) in enumerate(links, start=number + 1):
         if found != expected_number:
             raise AlteredError(f"run {run}: link {expected_number} in run_links is missing")
@@ -301,7 +301,8 @@ def _rows(
 
 def _unarchived(row: Any, names: Sequence[str]) -> Sequence[Any]:
     """Return the row of a block of archived frames as it was stored before."""
-    block = frame_block(SimpleNamespace(**(vars(row) | {"sha256": row.sha256.hex()})))
+    whole: Any = SimpleNamespace(**(vars(row) | {"sha256": row.sha256.hex()}))
+    block = frame_block(whole)
     values = vars(row) | {name: value for name, value in frame_values(block).items() if name in ARRAYS}
     return [values[name] for name in names]
 

@@ -50,7 +50,8 @@ def counts_of(connection: Connection, run: str, names: Sequence[str]) -> dict[st
 
 @cache
 def _counting(names: tuple[str, ...]) -> Select[Any]:
-    metadata, run = Base.metadata.tables, bindparam("of_run")
+    metadata = Base.metadata.tables
+    run: Any = bindparam("of_run")
     counted = [select(func.count()).select_from(metadata[name]).where(of_run(metadata[name], run)) for name in names]
     return select(*(one.scalar_subquery() for one in counted))
 

@@ -18,7 +18,7 @@ from cbsr_qa.domain.run import FramesTaken, RunEnded
 from cbsr_qa.store import HEAD, Repository, archives, reading, writing
 from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.locks import sending_alone
-from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, send_waiting, waiting
+from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, send_waiting, storing, waiting
 from cbsr_qa.system import RealClock
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
@@ -107,7 +107,7 @@ def test_everything_arrives_once(full, centre):
 @pytest.mark.parametrize("at_once", [1, 7])
 def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, monkeypatch):
     monkeypatch.setattr(parcels, "MOST_LINKS", at_once)
-    store = synced.storing.store_parcel
+    store = storing.store_parcel
     seen = []
 
     def checked(engine, parcel):
@@ -262,7 +262,7 @@ def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, cen
     station.store.archive_run(one, tmp_path / "kept", LATER)
     read, parcelled = [], []
     monkeypatch.setattr(archives, "checked_bytes", counted(archives.checked_bytes, read))
-    monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(synced.storing.store_parcel, parcelled))
+    monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(storing.store_parcel, parcelled))
     monkeypatch.setattr(parcels, "MOST_BYTES", 2000)
     sent(station, centre)
     assert content(centre.engine) == before
