@@ -28,6 +28,10 @@ BUSY_TIMEOUT_MS = 10_000
 #: How long it waits before it reports that [ms].
 _PATIENCE_MS = 1_000
 
+#: Size of the log at which it is merged into the file where commits do not wait for the disk [pages of 4 KB]: merging
+#: does wait, and SQLite's 1000 pages are full every 90 frames.
+_LOG_PAGES = 10_000
+
 #: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
 
@@ -244,6 +248,8 @@ def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None
     cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
     cursor.execute("PRAGMA foreign_keys = ON")
     cursor.execute(f"PRAGMA synchronous = {synchronous}")
+    if synchronous == "NORMAL":
+        cursor.execute(f"PRAGMA wal_autocheckpoint = {_LOG_PAGES}")
     cursor.close()
 
 
