@@ -271,7 +271,7 @@ _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
 def measure_run(
     observation: RunObservation, metrics: Mapping[str, LoadMetric | RunMetric]
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Call every metric.
+    """Call every metric; last those that need the run's force, which a helper learns meanwhile.
 
     Parameters
     ----------
@@ -282,14 +282,15 @@ def measure_run(
     The measurements in that order, and a warning for every metric that raised or returned anything but measurements;
     the others are unaffected, and a limit on it finds nothing measured.
     """
-    taken: list[Measurement] = []
-    warnings: list[str] = []
-    for name, metric in metrics.items():
+    taken: dict[str, list[Measurement]] = {}
+    failed: dict[str, str] = {}
+    for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
-            taken += ask(metric, observation)
+            taken[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
-            warnings.append(f"metric {name} failed and measured nothing: {failure(error)}")
-    return tuple(taken), tuple(warnings)
+            failed[name] = f"metric {name} failed and measured nothing: {failure(error)}"
+    measured = tuple(one for name in metrics for one in taken.get(name, ()))
+    return measured, tuple(failed[name] for name in metrics if name in failed)
 
 
 #: Why a limit found nothing to judge: of a measurement that is there for the limit alone.

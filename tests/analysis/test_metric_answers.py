@@ -136,3 +136,19 @@ def test_the_kit_compares_names_and_units():
     metric.measures = {"good": "m"}
     with pytest.raises(AssertionError, match="good in mm"):
         check_metric(metric, _RUN)
+
+
+def test_what_needs_the_force_is_asked_last_and_reported_in_the_order_of_the_recipe():
+    asked = []
+
+    class Patient(_Metric):
+        needs_force = True
+
+    def answers(name):
+        return lambda: asked.append(name) or (Measurement(name, 1.0, "mm"),)
+
+    metrics = {"good": Patient(answers("good")), "x": _Metric(answers("x")), "bad": Patient(answers("bad"))}
+    measured, warnings = measure_run(_RUN, metrics)
+    assert asked == ["x", "good", "bad"]
+    assert [one.name for one in measured] == ["good", "x", "bad"]
+    assert not warnings

@@ -70,6 +70,7 @@ class ForceError:
         "minimum_detectable_force": "N",
         "gauge_factor": "1",
     }
+    needs_force: ClassVar[bool] = True  # it is asked last: a helper learns the force meanwhile
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a force model nothing has a value, and ``how`` says why."""

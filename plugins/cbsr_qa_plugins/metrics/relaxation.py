@@ -286,6 +286,7 @@ class SheetAndStripRelaxation:
         "strip_relaxation_time_ratio": "1",
         "strip_relaxation_time_bound": "1",
     }
+    needs_force: ClassVar[bool] = True
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         return tuple(taken for pair in sheet_against_strip(run) for taken in _measured(pair))
