@@ -12,8 +12,6 @@ from numbers import Integral, Real
 from typing import Any, Final
 
 from cbsr_qa.analysis.run import begin_force, observe_run, run_force, run_place
-from cbsr_qa.analysis.strip_cycles import characterise_run
-from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.calibration import issue_calibration
 from cbsr_qa.domain import CalibrationError, CbsrError, NumericsError, PluginError, with_type
 from cbsr_qa.domain.plan import Recipe
@@ -115,6 +113,9 @@ def _characterised(
     record: RunRecord, settings: CharacterisationSettings, limits: tuple[Limit, ...], stages: Stages
 ) -> Conclusion:
     """Evaluate a run on a strip: from press cycles to its material, without an image."""
+    from cbsr_qa.analysis.strip_cycles import characterise_run  # loads what no other run needs
+    from cbsr_qa.analysis.strip_measurements import measure_characterisation
+
     try:
         with stages.stage("characterising the material"):
             material = characterise_run(record, settings)

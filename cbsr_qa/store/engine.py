@@ -29,7 +29,7 @@ BUSY_TIMEOUT_MS = 10_000
 _PATIENCE_MS = 1_000
 
 #: Size of the log at which it is merged into the file where commits do not wait for the disk [pages of 4 KB]: merging
-#: does wait, and SQLite's 1000 pages are full every 200 frames.
+#: does wait, and SQLite's 1000 pages are full every 90 frames.
 _LOG_PAGES = 10_000
 
 #: Key under which a connection keeps the identity of its file.

@@ -8,10 +8,9 @@ series; only the last changes under load.
 """
 
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
 from cbsr_qa.domain import Array, Indices, NumericsError
@@ -20,6 +19,9 @@ from cbsr_qa.domain.sensor import DrivePattern, SensorType
 from cbsr_qa.eit.forward import ForwardModel, cover
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.mesh import sheet_mesh
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 _SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings are accurate to 5e-4
 _CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # tabulated range of conductance changes
@@ -78,6 +80,8 @@ class StripModel:
         self.squares = float(model.voltages()[0, 0])
         #: part of ``squares`` in the contacts
         self.contact_squares = float((model.contact_jacobian()[0, 0] * contact).sum())
+        from scipy.interpolate import CubicSpline  # no sheet needs it
+
         # In logarithms both relations are nearly straight: a spline through these points is accurate to 1e-6 of a
         # change.
         local, apparent = np.log1p(_CHANGES), np.log(self.squares / np.array(resistance))
@@ -209,8 +213,10 @@ class DeepTank:
         return self._around(self._angles, np.cos), self._around(self._angles, np.sin)
 
     @cached_property
-    def _radials(self) -> CubicSpline:
+    def _radials(self) -> "CubicSpline":
         """Radial function of every order in the electrodes' plane, tabulated."""
+        from scipy.interpolate import CubicSpline
+
         radii = np.linspace(1e-3, 0.97, _RADII)
         table = np.zeros((_RADII, _ORDERS + 1))
         for mode, share in zip(self._modes, self._share, strict=True):
