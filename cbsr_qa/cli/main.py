@@ -6,7 +6,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -102,22 +102,6 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 #: libraries of a run are loaded.
 COLLECTED = (500_000, 20, 20)
 
-#: Places on the stack that :func:`_roomy` claims for itself; as many bytes again are left to what it calls.
-_ROOM = 1 << 14
-
-
-def _roomy(function: Callable[[], int]) -> int:
-    """Call a function with room for the frames of all its calls.
-
-    CPython keeps frames in blocks of 16 KB. A loop whose calls cross the end of a block takes another one from the
-    operating system, and gives it back, at every turn: 38 000 times in the demo. A frame that claims a large block
-    leaves the rest of it to later frames.
-    """
-    return function()
-
-
-_roomy.__code__ = _roomy.__code__.replace(co_stacksize=_ROOM)
-
 
 def entry() -> None:
     """Run the command line: exit code 0 passed or done, 1 failed, 2 refused, 3 aborted, broken or not measured.
@@ -135,7 +119,7 @@ def ended(arguments: list[str]) -> int:
     global _supervising
     _supervising, code = hasattr(os, "fork"), 3
     try:
-        code = _roomy(partial(guarded, arguments))
+        code = guarded(arguments)
     finally:
         end_child(code)
     return code
