@@ -151,10 +151,7 @@ class _Reader:
         return VerifiedLoad(load, measured, float(estimated[0]), float(error[0]))
 
     def _rows(self, voltages: Array) -> Array:
-        rows: Array = (
-            (voltages - self._run.reference)[:, self._used] @ self._calibration.model.merging.T * self._per_A
-        )
-        return rows
+        return (voltages - self._run.reference)[:, self._used] @ self._calibration.model.merging.T * self._per_A
 
     def _held(self, held_s: Array, matches: Matches, base: float, load: LoadObservation) -> tuple[float, float]:
         """Strength at the hold of the calibration and its standard error."""

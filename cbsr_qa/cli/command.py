@@ -4,11 +4,11 @@ Its help shows what is meant (``SERIAL``, ``YYYY-MM-DD``), not types of Python.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
-from functools import reduce
+from functools import reduce, wraps
 from importlib import import_module
-from inspect import getdoc
+from inspect import Parameter, Signature, getdoc, signature
 from operator import or_
 from pathlib import Path
 from pkgutil import walk_packages
@@ -57,7 +57,7 @@ _PRINTED: Final[dict[str, str]] = {}
 
 
 def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_Run], _Run]:
-    """Declare a command.
+    """Declare a command. A parameter that is a dataclass stands for options: one for each of its fields.
 
     Parameters
     ----------
@@ -71,8 +71,9 @@ def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_R
         document(words, prints=prints)
 
     def declare(run: _Run) -> _Run:
-        _name_values(run)
-        _COMMANDS[words] = Command(words, run, live)
+        whole = _spread(run)
+        _name_values(whole)
+        _COMMANDS[words] = Command(words, whole, live)
         return run
 
     return declare
@@ -119,6 +120,33 @@ def _import_all() -> None:
     package = import_module(__package__)
     for module in walk_packages(package.__path__, f"{__package__}."):
         import_module(module.name)
+
+
+def _spread(run: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a command with a parameter for each field of the dataclasses among its parameters."""
+    hints = get_type_hints(run, include_extras=True)
+    shared: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    if not shared:
+        return run
+    spread: list[Parameter] = []
+    for one in signature(run).parameters.values():
+        spread += _options_of(shared[one.name]) if one.name in shared else [one.replace(kind=Parameter.KEYWORD_ONLY)]
+
+    @wraps(run)
+    def whole(**given: Any) -> Any:
+        for name, kind in shared.items():
+            given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+        return run(**given)
+
+    whole.__annotations__ = {one.name: one.annotation for one in spread}
+    vars(whole)["__signature__"] = Signature(spread)
+    return whole
+
+
+def _options_of(kind: Any) -> list[Parameter]:
+    hints = get_type_hints(kind, include_extras=True)
+    keyword = Parameter.KEYWORD_ONLY
+    return [Parameter(one.name, keyword, default=one.default, annotation=hints[one.name]) for one in fields(kind)]
 
 
 def _name_values(run: Callable[..., Any]) -> None:

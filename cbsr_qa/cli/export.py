@@ -1,28 +1,18 @@
 """``cbsr-qa export``: stored runs as files that other programs read."""
 
-from inspect import signature
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, Since, Until, given_options
+from cbsr_qa.cli.options import AsJson, Database, given_options
 from cbsr_qa.cli.output import announce, show
-from cbsr_qa.cli.selecting import (
-    Batch,
-    Checks,
-    Failed,
-    Limit,
-    Operator,
-    Recipe,
-    Station,
-    Today,
-    list_request,
-)
+from cbsr_qa.cli.selecting import EVERY_RUN, Checks, Selecting
 
 #: Parameters that select runs.
-_SELECTING = frozenset(signature(list_request).parameters)
+_SELECTING = {"latest", "checks", *(field.name for field in fields(Selecting))}
 
 
 @command("export", prints="cbsr_qa.app:Exported")
@@ -48,15 +38,7 @@ def export(
     ] = None,
     phase: Annotated[str | None, typer.Option(help="Frames of this phase only.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
-    today: Today = False,
-    since: Since = None,
-    until: Until = None,
-    station: Station = None,
-    batch: Batch = None,
-    operator: Operator = None,
-    recipe: Recipe = None,
-    failed: Failed = False,
-    limit: Limit = "",
+    selecting: Selecting = EVERY_RUN,
     latest: Annotated[int | None, typer.Option(help="Only the latest N.")] = None,
     checks: Checks = False,
     database: Database = None,
@@ -69,20 +51,7 @@ def export(
     """
     from cbsr_qa.app import ExportRequest, export_data
 
-    selected = None
-    if _SELECTING & given_options(context):
-        selected = list_request(
-            today,
-            since,
-            until,
-            station,
-            batch,
-            operator,
-            recipe,
-            failed=failed,
-            limit=limit,
-            latest=latest,
-            checks=checks,
-        )
+    selects = bool(_SELECTING & given_options(context))
+    selected = selecting.request(latest=latest, checks=checks) if selects else None
     request = ExportRequest(to, run, selected, format_, table, phase, force)
     show(export_data(request, database=database, tell=announce), as_json=as_json)

@@ -7,19 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, Since, Until
+from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import note, say, show
-from cbsr_qa.cli.selecting import (
-    Batch,
-    Checks,
-    Failed,
-    Limit,
-    Operator,
-    Recipe,
-    Station,
-    Today,
-    list_request,
-)
+from cbsr_qa.cli.selecting import Checks, Selecting
 from cbsr_qa.domain import RefusedError
 
 if TYPE_CHECKING:
@@ -35,15 +25,7 @@ _Csv = Annotated[Path | None, typer.Option("--csv", help="CSV file to write; - p
 
 @command("runs", prints="cbsr_qa.studies.shift:RunList")
 def runs(
-    today: Today = False,
-    since: Since = None,
-    until: Until = None,
-    station: Station = None,
-    batch: Batch = None,
-    operator: Operator = None,
-    recipe: Recipe = None,
-    failed: Failed = False,
-    limit: Limit = "",
+    selecting: Selecting,
     latest: Annotated[int | None, typer.Option(help="Only the latest N.")] = None,
     checks: Checks = False,
     csv: _Csv = None,
@@ -57,36 +39,15 @@ def runs(
     """
     from cbsr_qa.studies.shift import LATEST_RUNS, list_runs, runs_csv, runs_outcome
 
-    selected = any([today, since, until, station, batch, operator, recipe, failed, limit])
-    if latest is None and not (selected or csv or as_json):
+    if latest is None and not (selecting.given() or csv or as_json):
         latest = LATEST_RUNS
-    request = list_request(
-        today,
-        since,
-        until,
-        station,
-        batch,
-        operator,
-        recipe,
-        failed=failed,
-        limit=limit,
-        latest=latest,
-        checks=checks,
-    )
+    request = selecting.request(latest=latest, checks=checks)
     _list(request, list_runs, runs_outcome, runs_csv, csv, database, as_json=as_json)
 
 
 @command("sensors", prints="cbsr_qa.studies.shift:SensorList")
 def sensors(
-    today: Today = False,
-    since: Since = None,
-    until: Until = None,
-    station: Station = None,
-    batch: Batch = None,
-    operator: Operator = None,
-    recipe: Recipe = None,
-    failed: Failed = False,
-    limit: Limit = "",
+    selecting: Selecting,
     latest: Annotated[int | None, typer.Option(help="Only the last N tested.")] = None,
     csv: _Csv = None,
     database: Database = None,
@@ -98,9 +59,7 @@ def sensors(
     """
     from cbsr_qa.studies.shift import list_sensors, sensors_csv, sensors_outcome
 
-    request = list_request(
-        today, since, until, station, batch, operator, recipe, failed=failed, limit=limit, latest=latest
-    )
+    request = selecting.request(latest=latest)
     _list(request, list_sensors, sensors_outcome, sensors_csv, csv, database, as_json=as_json)
 
 

@@ -1,56 +1,64 @@
 """Options that select runs, of all commands that list or export them."""
 
-from datetime import datetime
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from cbsr_qa.cli.options import to_day
+from cbsr_qa.cli.options import Since, Until, to_day
 
 if TYPE_CHECKING:
     from cbsr_qa.studies.shift import ListRequest
 
-Today = Annotated[
-    bool, typer.Option("--today", help="Runs that began today, by this computer's local time; not with --since.")
-]
-Station = Annotated[list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")]
-Batch = Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")]
-Operator = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")]
-Recipe = Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")]
-Failed = Annotated[bool, typer.Option("--failed", help="Only what failed.")]
-Limit = Annotated[str, typer.Option(metavar="NAME", help="Only failures of this limit, e.g. centre_of_mass_error.")]
 Checks = Annotated[
     bool, typer.Option("--checks", help="Also runs of golden sensors that checked a station; never counted.")
 ]
 
 
-def list_request(
-    today: bool,
-    since: datetime | None,
-    until: datetime | None,
-    station: list[str] | None,
-    batch: str | None,
-    operator: list[str] | None,
-    recipe: str | None,
-    *,
-    failed: bool,
-    limit: str,
-    latest: int | None,
-    checks: bool = False,
-) -> "ListRequest":
-    """Return which runs the options select. RefusedError if two of them exclude each other."""
-    from cbsr_qa.studies.shift import list_request as request
+@dataclass(frozen=True, slots=True)
+class Selecting:
+    """The options that they share."""
 
-    return request(
-        today=today,
-        since=to_day(since),
-        until=to_day(until),
-        failed=failed,
-        limit=limit,
-        latest=latest,
-        checks=checks,
-        recipe=recipe,
-        batch=batch,
-        stations=tuple(station or ()),
-        operators=tuple(operator or ()),
+    today: Annotated[
+        bool, typer.Option("--today", help="Runs that began today, by this computer's local time; not with --since.")
+    ] = False
+    since: Since = None
+    until: Until = None
+    station: Annotated[
+        list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")
+    ] = None
+    batch: Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")] = None
+    operator: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")] = (
+        None
     )
+    recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None
+    failed: Annotated[bool, typer.Option("--failed", help="Only what failed.")] = False
+    limit: Annotated[
+        str, typer.Option(metavar="NAME", help="Only failures of this limit, e.g. centre_of_mass_error.")
+    ] = ""
+
+    def given(self) -> bool:
+        """Whether one of them was given."""
+        return any(asdict(self).values())
+
+    def request(self, *, latest: int | None, checks: bool = False) -> "ListRequest":
+        """Return which runs the options select. RefusedError if two of them exclude each other."""
+        from cbsr_qa.studies.shift import list_request
+
+        return list_request(
+            today=self.today,
+            since=to_day(self.since),
+            until=to_day(self.until),
+            failed=self.failed,
+            limit=self.limit,
+            latest=latest,
+            checks=checks,
+            recipe=self.recipe,
+            batch=self.batch,
+            stations=tuple(self.station or ()),
+            operators=tuple(self.operator or ()),
+        )
+
+
+#: None of the options.
+EVERY_RUN: Final = Selecting()

@@ -13,7 +13,7 @@ from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import RefusedError, real_numbers
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, VoltageUnit
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.interface.extras import notebook_library
+from cbsr_qa.interface.tables import notebook_library
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,10 +1,11 @@
-"""Stored runs and measurements as data frames."""
+"""Stored runs and measurements as data frames, by libraries of the extra ``notebook``, imported when first needed."""
 
 from datetime import datetime
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from cbsr_qa.app.export import ExportTable, whole_table
-from cbsr_qa.interface.extras import notebook_library
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.shift import ListRequest
 
@@ -22,5 +23,19 @@ def table_of(url: str, request: ListRequest, table: ExportTable) -> "pd.DataFram
         columns, rows = whole_table(store, request, table)
     values: dict[str, Any] = {name: [row[n] for row in rows] for n, name in enumerate(columns)}
     made = {name: pandas.Series(values[name], dtype=_KINDS.get(kind, "object")) for name, kind in columns.items()}
-    frame: pd.DataFrame = pandas.DataFrame(made)
-    return frame
+    return pandas.DataFrame(made)
+
+
+def notebook_library(name: str, what: str) -> Any:
+    """Import pandas or xarray. RefusedError with the remedy where it is not installed.
+
+    Parameters
+    ----------
+    what : it is needed for.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise RefusedError(
+            f"{what} needs {name}, which is not installed", remedy="pip install 'cbsr-qa[notebook]'"
+        ) from error

@@ -160,8 +160,7 @@ class Plugins:
             for implementation in self.manager.hook.cbsr_example.get_hookimpls()
             if implementation.plugin_name.startswith(f"{registration.distribution}:")
         )
-        example: Example | None = next((answer for answer in answers if answer is not None), None)
-        return example
+        return next((answer for answer in answers if answer is not None), None)
 
     def load(self, point: EntryPoint, distribution: str, version: str) -> None:
         """Import the module of an entry point and take it in; a failure is kept."""

@@ -62,8 +62,7 @@ class Crossing:
         return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
 
     def first_runs(self) -> IntArray:
-        first: IntArray = np.unique(self.sensor, return_index=True)[1]
-        return first
+        return np.unique(self.sensor, return_index=True)[1]
 
     def columns(self) -> SparseArray:
         """Return the (N, p) model matrix: one column per group, and per station but the first of each part.

@@ -46,8 +46,7 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
     accepted_to = limit - guard
 
     def accepted(true: Array) -> Array:
-        share: Array = special.ndtr((accepted_to - true) / uncertainty)
-        return share
+        return special.ndtr((accepted_to - true) / uncertainty)
 
     bad, bad_weights = _panel(limit, limit + _REACH * uncertainty)
     good, good_weights = _panel(accepted_to - _REACH * uncertainty, limit)

@@ -102,8 +102,7 @@ def _either(test: Callable[[Array], Flags]) -> Callable[[Array], Flags]:
 
 
 def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
-    found: Flags = (z > line) & (_last(z > line, window) >= least)
-    return found
+    return (z > line) & (_last(z > line, window) >= least)
 
 
 #: The tests, each with its probability of a false alarm at a point.

@@ -35,14 +35,12 @@ class WorstOf:
         """Return the probability density at ``x``, any shape."""
         raw = self.raw_mean + self.raw_deviation * x
         power = (self.values - 1) * special.log_ndtr(raw)
-        dense: Array = self.values * self.raw_deviation * stats.norm.pdf(raw) * np.exp(power)
-        return dense
+        return self.values * self.raw_deviation * stats.norm.pdf(raw) * np.exp(power)
 
     def normal_scores(self, x: Array) -> Array:
         """Map ``x`` to standard normal numbers of the same probability; keeps far tails finite."""
         log_share = self.values * special.log_ndtr(self.raw_mean + self.raw_deviation * x)
-        scores: Array = np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
-        return scores
+        return np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
 
 
 @lru_cache(maxsize=64)

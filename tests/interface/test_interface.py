@@ -10,7 +10,7 @@ from stored_runs import journalled, short_run
 
 import cbsr_qa as qa
 from cbsr_qa.app.export import ExportRequest, export_data
-from cbsr_qa.interface import extras
+from cbsr_qa.interface import tables
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.scenes import SceneRunRequest, run_scene
 
@@ -173,4 +173,4 @@ def test_a_notebook_shows_a_refusal_without_a_traceback():
 
 def test_a_missing_library_is_named_with_its_remedy():
     with pytest.raises(qa.CbsrError, match=r"pip install 'cbsr-qa\[notebook\]'"):
-        extras.notebook_library("no_such_library", "a table")
+        tables.notebook_library("no_such_library", "a table")

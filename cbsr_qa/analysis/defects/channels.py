@@ -57,8 +57,7 @@ class ChannelFaults:
     @property
     def bad(self) -> Mask:
         """Readings excluded from imaging."""
-        bad: Mask = self.saturated | self.stuck | self.missing
-        return bad
+        return self.saturated | self.stuck | self.missing
 
     @property
     def all_saturated(self) -> bool:
@@ -146,8 +145,7 @@ def _at_ceiling(voltages: Array) -> Mask:
     if together.mean() < _CEILING_SHARE or float(rows.max()) > top + _CEILING_SIGMA * noise:
         return np.zeros(voltages.shape[1:], dtype=bool)
     # Pairs that have not quite settled at the ceiling (they follow a low reading) are at it as well.
-    at: Mask = (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
-    return at
+    return (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
 
 
 def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
@@ -176,8 +174,7 @@ def _hardly_varying(voltages: Array) -> Mask:
     """
     noise = channel_noise(voltages, counts=True)
     usual = np.minimum(np.median(noise, axis=0)[None], np.median(noise, axis=1)[:, None])
-    hardly: Mask = noise < _HARDLY * np.minimum(usual, np.median(noise))
-    return hardly
+    return noise < _HARDLY * np.minimum(usual, np.median(noise))
 
 
 def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
@@ -188,8 +185,7 @@ def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
     besides = (repeats.sum(axis=0) - longest) / np.maximum(len(repeats) - longest, 1)
     chance = np.maximum(besides, max(float(np.median(repeats.mean(axis=0))), _LEAST_REPEATS))
     needed = np.log(_FALSE_RUNS / repeats.size) / np.log(np.minimum(chance, _SELDOM))
-    least: Array = np.where(chance > _SELDOM, np.inf, np.maximum(needed, _FEWEST_FRAMES))
-    return least
+    return np.where(chance > _SELDOM, np.inf, np.maximum(needed, _FEWEST_FRAMES))
 
 
 def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

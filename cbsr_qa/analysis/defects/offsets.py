@@ -69,5 +69,4 @@ def without_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> 
     added = np.zeros(len(voltages))
     for frame, size in offsets:
         added[frame:] += size
-    clean: Array = voltages - added[:, None, None]
-    return clean
+    return voltages - added[:, None, None]

@@ -74,5 +74,4 @@ def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int
 def off_the_line(readings: Array, time_s: Array) -> Array:
     """Return the deviations of readings (n, m) from their straight lines in time (n,)."""
     q, _ = np.linalg.qr(np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()]))
-    left: Array = readings - q @ (q.T @ readings)
-    return left
+    return readings - q @ (q.T @ readings)

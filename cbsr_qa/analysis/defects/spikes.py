@@ -2,7 +2,7 @@
 
 A converter, a multiplexer or a cable now and then delivers one reading that has nothing to do with the sheet. It
 stands out of its own neighbours in time, as a short press does; what tells them apart is the reciprocal reading
-(:mod:`cbsr_qa.domain.readings.spikes`).
+(:mod:`cbsr_qa.domain.readings.rules`).
 
 Source: Hampel's identifier (distance from the running median over the noise); F. R. Hampel, "The influence curve and
 its role in robust estimation", J. Am. Stat. Assoc. 69 (1974) 383–393. Departure: the scale is the channel's noise

@@ -198,8 +198,7 @@ def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array,
 
 def _scaled(difference: Array) -> Array:
     noise = MAD_TO_SIGMA * np.median(np.abs(difference - np.median(difference, axis=0)), axis=0)
-    scaled: Array = difference / np.maximum(noise, max(float(np.median(noise)), 1e-12))
-    return scaled
+    return difference / np.maximum(noise, max(float(np.median(noise)), 1e-12))
 
 
 def _frames_between(earlier: Change, other: Change) -> int:

@@ -136,8 +136,7 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
 def _running_median(places: Array) -> Array:
     """Running median of places (n, 2), with shorter windows at the ends."""
     window = max(3, len(places) // _SMOOTHED)
-    median: Array = np.median(sliding_window_view(places, window, axis=0), axis=-1)
-    return median
+    return np.median(sliding_window_view(places, window, axis=0), axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,8 +129,7 @@ class UnitModel:
 
     def changes(self, readings: Array) -> Array:
         """Changes of used readings (n, m) relative to the reference, in the unit model's volts."""
-        changed: Array = (readings - self.reference) * self.gain
-        return changed
+        return (readings - self.reference) * self.gain
 
 
 def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> UnitModel:
@@ -185,5 +184,4 @@ def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:
     size = np.abs(reference)
     least = 1e-3 * float(np.median(size[used])) if used.any() else 0.0
     floor = np.maximum(5 * noise, least) if noise is not None else np.full_like(size, least)
-    usable: Mask = used & (size > floor)
-    return usable
+    return used & (size > floor)

@@ -74,8 +74,7 @@ class Matcher:
     def whiten(self, changes: Array) -> Array:
         """Divide by the noise and project the nuisance out: (n, m) → (n, m)."""
         white = changes / self.sigma
-        cleaned: Array = white - (white @ self.nuisance)[..., None] * self.nuisance
-        return cleaned
+        return white - (white @ self.nuisance)[..., None] * self.nuisance
 
 
 def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Matcher:

@@ -58,8 +58,7 @@ def smooth(along: Array, window: int = 2) -> Array:
     half = window // 2
     if len(along) < 2 * half + 1:
         return along
-    smoothed: Array = median_filter(along, 2 * half + 1, mode="nearest")
-    return smoothed
+    return median_filter(along, 2 * half + 1, mode="nearest")
 
 
 def rise(along: Array, first: Change, end: int) -> tuple[float, int]:

@@ -166,8 +166,7 @@ def _by_the_line(run: RunObservation, force: RunForce, used: list[LoadObservatio
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
     given, own = run.record.material.against_stress, force.learned.line
     nominal = given.slope.value * stress + given.intercept.value
-    ratio: Array = np.log(nominal / (own.slope.value * stress + own.intercept.value))
-    return ratio
+    return np.log(nominal / (own.slope.value * stress + own.intercept.value))
 
 
 def _rms(squares: Array) -> float:

@@ -224,8 +224,7 @@ class _RunForce:
         return replace(data, place_mm=pose.places_mm(data.place_mm)), pose
 
     def _rows(self, voltages: Array) -> Array:
-        rows: Array = (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
-        return rows
+        return (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
 
     def result(self) -> RunForce:
         calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])

@@ -122,8 +122,7 @@ class StrengthTraces:
     @staticmethod
     def fading(time_s: Array) -> Array:
         """Share of earlier loads' residue that remains this long after the press."""
-        share: Array = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
-        return share
+        return RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
 
     def left(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
@@ -134,8 +133,7 @@ class StrengthTraces:
         return self._filter.at(self._rows(frames), self._places_mm[key_of(load)])
 
     def _rows(self, frames: FrameBlock) -> Array:
-        rows: Array = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
-        return rows
+        return (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
 
 
 def ramp_s(load: LoadObservation) -> float:

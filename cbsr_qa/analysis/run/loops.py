@@ -142,8 +142,7 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
         drawn = np.einsum("hi,hr,hr->ri", design, weights, values)
         fit = np.linalg.solve(normal + 1e-12 * np.eye(3), drawn[:, :, None])[:, :, 0]
         weights = _huber(values - design @ fit.T, axis=0)
-    slope: Array = fit[:, 0]
-    return slope
+    return fit[:, 0]
 
 
 def _amplitudes(rows: Array, pattern: Array) -> Array:
@@ -159,8 +158,7 @@ def _huber(residual: Array, *, axis: int) -> Array:
     """Huber weights of residuals, relative to their median size along an axis: 1, but less for outliers."""
     size = np.median(np.abs(residual), axis=axis, keepdims=True) / _NORMAL_MEDIAN
     reach = _HUBER * np.maximum(size, np.finfo(np.float64).tiny)
-    weights: Array = np.minimum(1.0, reach / np.maximum(np.abs(residual), np.finfo(np.float64).tiny))
-    return weights
+    return np.minimum(1.0, reach / np.maximum(np.abs(residual), np.finfo(np.float64).tiny))
 
 
 def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:

@@ -6,19 +6,24 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from cbsr_qa.analysis.recording import PressFiles, read_labelled_presses
 from cbsr_qa.app.calibration.file import check_free
-from cbsr_qa.app.calibration.press_sections import press_sections
 from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
+from cbsr_qa.calibration.presses import Identity, LabelledPresses, PressesLearned, issue_from_presses, learn_presses
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import (
     PRESS_QUANTITIES,
     CommandOutcome,
+    Figure,
     LearnedQuantity,
     LeftOutPress,
     PressCalibration,
+    Section,
     SheetRegistration,
 )
+from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report import answer, fixed, plural, with_uncertainty
 from cbsr_qa.store import IdSource
 
@@ -124,7 +129,7 @@ def calibrate_from_presses(
     learned = learn_presses(labelled, tell=tell)
     issued = issue_from_presses(identity, labelled, learned)
     write_calibration(to, issued)
-    return replace(_outcome(issued, to), sections=press_sections(labelled, learned))
+    return replace(_outcome(issued, to), sections=_sections(labelled, learned))
 
 
 def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCalibrated]:
@@ -180,3 +185,37 @@ def _pose_words(pose: SheetRegistration) -> str:
 
 def _with(value: float, stderr: float | None, digits: int) -> str:
     return fixed(value, digits) if not stderr else f"{fixed(value, digits)} ± {fixed(stderr, digits)}"
+
+
+_MAP = (
+    "Left: presses in the frame of their labels, each with a line to where it was found when it was left out; the"
+    " sheet is drawn where it is registered. Right: share of these presses inside regions that state to hold so many,"
+    " which were sized by the other presses; dots on the line state what they hold, dots outside the band do not."
+)
+
+
+def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Section, ...]:
+    """Lay out the errors of presses left out, and the coverage of their regions."""
+    registration, out = learned.registration, learned.place.held_out
+    places_mm = labelled.presses.place_mm[learned.used][out.presses]
+
+    def draw() -> str:
+        from cbsr_qa.report.draw import left_out_figure  # loads matplotlib
+
+        sheet = _sheet_mm(labelled.sensor_type, registration) if registration.trusted else {}
+        return left_out_figure(places_mm, out.found_mm, out.levels, out.held, **sheet)
+
+    low, high = out.coverage
+    alternative = (
+        f"{out.count} presses left out, missed by {fixed(out.mean_mm, 2)} mm in the mean; regions of 68 and 95 % hold"
+        f" {low:.0%} and {high:.0%} of them."
+    )
+    return (Section("Presses left out", (Figure(_MAP, alternative, draw),), page_only=True),)
+
+
+def _sheet_mm(sensor_type: SensorType, pose: SheetRegistration) -> dict[str, Array]:
+    angle = np.linspace(0, 2 * np.pi, 181)
+    edge = pose.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    electrodes = sensor_type.electrodes.positions_mm()
+    beyond = 1.09 * pose.radius_mm * electrodes / np.linalg.norm(electrodes, axis=1, keepdims=True)
+    return {"edge_mm": pose.labelled_mm(edge), "numbers_mm": pose.labelled_mm(beyond)}

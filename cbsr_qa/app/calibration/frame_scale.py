@@ -36,8 +36,7 @@ class FrameScale:
 
     def voltages(self, frames: FrameBlock) -> Array:
         """Return (n, drives, measures) voltages at the calibration's current [V], NaN where flagged."""
-        voltages: Array = (whole_readings(frames) - self.own) * self.ratio + self.reference
-        return voltages
+        return (whole_readings(frames) - self.own) * self.ratio + self.reference
 
     @classmethod
     def of(cls, calibration: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:

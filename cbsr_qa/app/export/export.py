@@ -10,10 +10,9 @@ from typing import BinaryIO, Final
 from cbsr_qa.analysis import write_recording
 from cbsr_qa.app.export.eidors import write_eidors
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable, check_target, format_of
-from cbsr_qa.app.export.frames import joined_samples, run_frames
+from cbsr_qa.app.export.frames import as_recording, joined_samples, run_frames
 from cbsr_qa.app.export.junit import suite, suites
 from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
-from cbsr_qa.app.export.recording import as_recording
 from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import RefusedError, did_you_mean

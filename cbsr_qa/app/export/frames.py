@@ -1,16 +1,25 @@
-"""Frames of a run with what was going on at each: phase, press, place, strain."""
+"""Frames of a run with what was going on at each: phase, press, place, strain; or as a recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
+from cbsr_qa.domain.readings import (
+    FrameBlock,
+    ReadingFlag,
+    Recording,
+    SampleBlock,
+    ScanKind,
+    join_frames,
+    join_samples,
+)
+from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord, VerdictOverride
 
 
 class LoadStage(IntEnum):
@@ -161,3 +170,33 @@ def _loaded(
         stage[during] = stages[between][during]
         strain[during] = strains[between][during]
     return number, stage, strain
+
+
+def as_recording(
+    record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...], overrides: tuple[VerdictOverride, ...] = ()
+) -> Recording:
+    """Join phases of a run into one recording. RefusedError if they hold no frame."""
+    blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
+    if not blocks:
+        raise no_frames(record, phases)
+    notes = [f"run {record.identity.run} of sensor {record.identity.sensor.serial}"]
+    if loops := sum(len(phase.loops) for phase in phases):
+        notes.append(f"not among its presses, which are of one strain each: loops through several strains ({loops})")
+    notes += [f"the verdict was {override.words}" for override in overrides]
+    return Recording(
+        path=path,
+        format="cbsr-recording",
+        dataset="",
+        scan=ScanKind.FULL,
+        frames=join_frames(blocks),
+        reference=None,
+        still=False,
+        magnitudes_only=False,
+        clock="computer",
+        samples=joined_samples(phases),
+        loads=tuple(load for phase in phases for load in phase.loads),
+        layout=record.sensor_type.electrodes,
+        sensor_type=record.sensor_type.name,
+        notes=tuple(notes),
+        simulated=record.identity.simulated,
+    )

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
         asked_again as asked_again,
         gate_refusal as gate_refusal,
     )
-    from .instrument_dates import past_due as past_due
     from .people import asks_pin as asks_pin, is_pin_of as is_pin_of
     from .release_list import ReleaseList as ReleaseList, list_releases as list_releases
     from .releases import Released as Released, ReleaseRequest as ReleaseRequest, release_file as release_file
     from .request import GateRequest as GateRequest, Override as Override
     from .shown import GateShown as GateShown, gate_outcome as gate_outcome
+    from .station_state import past_due as past_due
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -4,14 +4,17 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import nullcontext
 from typing import Final
 
-from cbsr_qa.app.gate.backlog import backlog_sent
 from cbsr_qa.app.gate.disk import enough_disk
-from cbsr_qa.app.gate.files import files_released
-from cbsr_qa.app.gate.instrument_dates import instruments_in_date
 from cbsr_qa.app.gate.people import operator_known
 from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
 from cbsr_qa.app.gate.sensor import retest_allowed, serial_fits
-from cbsr_qa.app.gate.station_state import charts_in_control, golden_measured
+from cbsr_qa.app.gate.station_state import (
+    backlog_sent,
+    charts_in_control,
+    files_released,
+    golden_measured,
+    instruments_in_date,
+)
 from cbsr_qa.app.gate.vetoes import no_veto
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, RefusedError

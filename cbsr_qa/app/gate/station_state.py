@@ -1,10 +1,12 @@
-"""The station: its latest golden sensor, and its control charts."""
+"""The station: its golden sensor, control charts, dates of instruments, released files, and what waits to be sent."""
 
-from datetime import timedelta
+from datetime import date, timedelta
 from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
+from cbsr_qa.config import FileContent, configured_files
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck, worst_check
+from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts import charts_now
 
 #: How far ahead the clock of another computer may be.
@@ -57,3 +59,62 @@ def charts_in_control(asked: Asked) -> Finding:
         return Finding(False, words, "measure a golden sensor, and look at the charts", command)
     notes = f" ({'; '.join(charts.notes)})" if charts.notes else ""
     return Finding(True, f"none of {charts.charts} control charts signals{notes}")
+
+
+def instruments_in_date(asked: Asked) -> Finding:
+    """Look for instruments whose date in the station file has passed."""
+    today = asked.now.date()
+    dated = [spec for spec in asked.configuration.station.instruments if spec.calibration_due]
+    late = [
+        f"{one.role} ({one.driver}) was due on {one.calibration_due}"
+        for one in dated
+        if past_due(one.calibration_due, today)
+    ]
+    if late:
+        remedy = "have it calibrated and give the new calibration_due in the station file"
+        return Finding(False, f"the calibration of {', '.join(late)}", remedy)
+    if not dated:
+        return Finding(True, "no instrument states a calibration_due")
+    first = min(str(spec.calibration_due) for spec in dated)
+    return Finding(True, f"no instrument is due before {first}")
+
+
+def past_due(calibration_due: str | None, today: date) -> bool:
+    """Whether an instrument is past its calibration date; the day itself is not."""
+    return calibration_due is not None and date.fromisoformat(calibration_due) < today
+
+
+def files_released(asked: Asked) -> Finding:
+    """Look for files whose content nobody released, or whose release was withdrawn."""
+    files = configured_files(asked.configuration)
+    missing = [one for one in files if not _is_released(asked.store, one)]
+    if not missing:
+        return Finding(True, f"all {len(files)} files are released")
+    named = ", ".join(
+        f"{one.kind} {one.name} ({_state(asked.store, one)}, SHA-256 {one.sha256[:12]})" for one in missing
+    )
+    return Finding(False, named, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
+
+
+def _is_released(store: Repository | None, file: FileContent) -> bool:
+    found = None if store is None else store.latest_release(file.kind, file.sha256)
+    return found is not None and found.action == "released"
+
+
+def _state(store: Repository | None, file: FileContent) -> str:
+    found = None if store is None else store.latest_release(file.kind, file.sha256)
+    return "not released" if found is None else f"withdrawn by {found.by}"
+
+
+def backlog_sent(asked: Asked) -> Finding:
+    """Compare the age of the oldest item that the central database has not confirmed with the station's limit."""
+    limit_h = asked.configuration.station.sync.backlog_hours
+    if limit_h is None:
+        return Finding(None, "the station states no backlog_hours in [sync]")
+    if asked.store is None:
+        return Finding(True, "nothing waits")
+    backlog = asked.store.backlog()
+    words = f"{backlog.words}; the station allows {limit_h:g} h"
+    if not backlog.late(limit_h):
+        return Finding(True, words)
+    return Finding(False, words, "send it to the central database", "cbsr-qa db sync")

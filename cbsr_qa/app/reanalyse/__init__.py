@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
-    from .reanalysis import ReanalyseRequest as ReanalyseRequest, reanalyse as reanalyse
+    from .reanalysis import reanalyse as reanalyse
     from .report import Reanalysed as Reanalysed, reanalysed_outcome as reanalysed_outcome
+    from .request import ReanalyseRequest as ReanalyseRequest
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

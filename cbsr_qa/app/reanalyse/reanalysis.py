@@ -14,6 +14,7 @@ from typing import Any, Final
 from cbsr_qa.app.reanalyse.changes import Changes, Flip, NamedRun
 from cbsr_qa.app.reanalyse.judging import judged_again
 from cbsr_qa.app.reanalyse.report import Reanalysed
+from cbsr_qa.app.reanalyse.request import ReanalyseRequest
 from cbsr_qa.app.reanalyse.work import Job, Worked, analyse_again
 from cbsr_qa.app.reanalyse.workers import Workers, cluster_workers, local_workers
 from cbsr_qa.app.run import check_recipe
@@ -22,12 +23,10 @@ from cbsr_qa.config import (
     database_url,
     load_recipe,
     restore,
-    validate_operator,
-    validate_reason,
 )
-from cbsr_qa.domain import CbsrError, ConfigError, RefusedError, StoreError, filled
+from cbsr_qa.domain import CbsrError, RefusedError, StoreError, filled
 from cbsr_qa.domain.plan import PhaseSpec
-from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine, RunSelection
+from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.report import duration, plural
 from cbsr_qa.store import Repository, open_store, parsed_url, sqlite_file
@@ -43,30 +42,6 @@ _PATIENCE_S: Final = 1.0
 Tell = Callable[[str], None]
 #: Enters workers that do the work of jobs.
 Begin = Callable[[], AbstractContextManager[Workers[Job, Worked]]]
-
-
-@dataclass(frozen=True, slots=True)
-class ReanalyseRequest:
-    """What to analyse again, how, and whether to adopt it.
-
-    Parameters
-    ----------
-    recipe : file or name of a shipped one; None for each run's own.
-    workers : processes on this computer; None for one for each processor.
-    scheduler : address of a Dask scheduler, in place of processes; None without one.
-    adopt, by, why : make the results the valid analyses; who decides, for what reason.
-    fresh : compute again what is stored already.
-    """
-
-    selection: RunSelection
-    recipe: str | None = None
-    workers: int | None = None
-    scheduler: str | None = None
-    adopt: bool = False
-    by: str = ""
-    why: str = ""
-    fresh: bool = False
-    database: str | None = None
 
 
 @dataclass(slots=True)
@@ -270,7 +245,7 @@ def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begi
     BrokenError
         If the workers were lost. What was stored stays, and the same request continues.
     """
-    request = _checked(request)
+    request.check()
     with open_store(database_url(request.database), create=False) as store:
         session = _Session(request, store, discover(), tell)
         jobs = session.select()
@@ -291,23 +266,6 @@ def _beginning(request: ReanalyseRequest, count: int) -> Begin:
     if scheduler is None:
         return lambda: nullcontext(local_workers(count, analyse_again))
     return lambda: cluster_workers(scheduler, analyse_again)
-
-
-def _checked(request: ReanalyseRequest) -> ReanalyseRequest:
-    if request.workers is not None and request.workers < 1:
-        raise RefusedError(f"--workers {request.workers} is not a number of processes", remedy="give 1 or more")
-    if request.workers is not None and request.scheduler is not None:
-        raise RefusedError("--workers with --scheduler", remedy="a cluster has its own workers: give one of them")
-    if not request.adopt:
-        if request.by or request.why:
-            raise RefusedError("--by and --why say who adopts, and why", remedy="give --adopt too, or leave them out")
-        return request
-    for option, words, what in (("--by", request.by, "who decides"), ("--why", request.why, "for what reason")):
-        if not words.strip():
-            raise ConfigError(f"--adopt needs {option}", remedy=f"say {what}")
-    validate_operator(request.by)
-    validate_reason(request.why)
-    return request
 
 
 def shared_url(option: str | None) -> str:

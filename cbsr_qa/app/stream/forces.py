@@ -162,8 +162,7 @@ class _OfPresses:
         return [self._estimate(row) for row in self._rows(frames)]
 
     def _rows(self, frames: FrameBlock) -> Array:
-        rows: Array = whole_readings(frames)[:, self._usable]
-        return rows
+        return whole_readings(frames)[:, self._usable]
 
     def _located(self, rows: Array) -> Any:
         return self._places(rows if self._rest is None else rows - self._rest, relative=self._rest is not None)

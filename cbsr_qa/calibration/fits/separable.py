@@ -95,8 +95,7 @@ def fit_exponentials(
     def jacobian(log_tau: Array) -> Array:
         basis, q, r = factors(log_tau)
         slope = _centred(_slopes(time_s, basis, log_tau)) * _back_substitute(r, q.T @ y)
-        kaufman: Array = q @ (q.T @ slope) - slope
-        return kaufman
+        return q @ (q.T @ slope) - slope
 
     best = best_fit(residual, jacobian, _starts(time_s, y, count, (lowest, highest)), (lowest, highest))
     return _assembled(time_s, values, np.sort(best), rounding)
@@ -202,8 +201,7 @@ def _centred(columns: Array) -> Array:
 
 def _slopes(time_s: Array, basis: Array, log_tau: Array) -> Array:
     """Derivatives of the exponentials with respect to log τ."""
-    slopes: Array = basis * (time_s[:, None] / np.exp(log_tau))
-    return slopes
+    return basis * (time_s[:, None] / np.exp(log_tau))
 
 
 def _back_substitute(r: Array, right: Array) -> Array:

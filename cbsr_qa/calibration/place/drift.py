@@ -177,8 +177,7 @@ class _Walk:
     def fitted(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
         """Coefficients (2, k, m) of offset and gain."""
         means = self._solved(self._problem(scaled, relative), variances)[1]
-        coefficients: Array = means.T.reshape(2, len(self.variances) + 1, -1)[:, 1:]
-        return coefficients
+        return means.T.reshape(2, len(self.variances) + 1, -1)[:, 1:]
 
     def _problem(self, scaled: Array, relative: Array) -> tuple[Array, Array, Array]:
         """Normal equations of every reading: (m, 2 k + 2, 2 k + 2) and (m, 2 k + 2), and the squared errors (m,)."""

@@ -112,8 +112,7 @@ class PlaceEstimator:
         model = self._model
         about = (place_mm - model.centre_mm) @ model.axes.T
         nearest = np.sqrt(squared_distances(about, model.process.places_mm).min(axis=1, initial=np.inf))
-        outside: Mask = np.asarray(nearest > model.reach_mm)
-        return outside
+        return np.asarray(nearest > model.reach_mm)
 
     def _located(
         self, changes: Array, left_out: Mask, faults: Indices

@@ -81,8 +81,7 @@ def _offset(changes: Array, ceiling: Array) -> Mask:
     if not (ceiling > 0).any():
         return np.zeros(len(changes), dtype=np.bool_)
     relative = changes[:, ceiling > 0] / ceiling[ceiling > 0]
-    off: Mask = np.asarray(np.abs(np.median(relative, axis=1)) > 1)
-    return off
+    return np.asarray(np.abs(np.median(relative, axis=1)) > 1)
 
 
 #: Readings of an electrode are noise in a press if they miss what other presses let expect by so many times as much

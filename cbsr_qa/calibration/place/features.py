@@ -33,8 +33,7 @@ def ceilings_of(changes: Array) -> Array:
 
 def _ceilings(changes: Array, level: float, times: float) -> Array:
     sizes = np.quantile(np.abs(changes), level, axis=0)
-    ceiling: Array = times * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
-    return ceiling
+    return times * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
 
 
 def spikes_among(changes: Array) -> Mask:
@@ -49,8 +48,7 @@ def spikes_among(changes: Array) -> Mask:
 def spikes_in(changes: Array, ceiling: Array) -> Mask:
     """Which readings (n, m) are spikes: far larger than in other presses, and than most of the same press."""
     sizes = np.abs(changes) / np.where(ceiling > 0, ceiling, np.inf)
-    spikes: Mask = sizes > _SPIKE * np.maximum(np.quantile(sizes, 0.9, axis=1, keepdims=True), 1.0)
-    return spikes
+    return sizes > _SPIKE * np.maximum(np.quantile(sizes, 0.9, axis=1, keepdims=True), 1.0)
 
 
 def features_of(readings: Array, scaling: FeatureScaling) -> Array:
@@ -61,8 +59,7 @@ def features_of(readings: Array, scaling: FeatureScaling) -> Array:
     """
     roots = _roots(readings, scaling)
     size = np.linalg.norm(roots, axis=1, keepdims=True)
-    features: Array = roots / np.where(size > 0, size, 1.0) ** scaling.damping
-    return features
+    return roots / np.where(size > 0, size, 1.0) ** scaling.damping
 
 
 def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Array:
@@ -79,8 +76,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
 
 def more_than_spikes(lost: Mask, used: Mask) -> Mask:
     """Which frames (n,) lost so many of the used readings (m,) that their size tells less; ``lost`` is (n, m)."""
-    more: Mask = np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
-    return more
+    return np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
 
 
 def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
@@ -94,13 +90,11 @@ def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
     """
     before, after = (np.linalg.norm(features, axis=1) for features in (known, whole))
     some = (before > 0) & (after > 0)
-    factors: Array = (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
-    return factors
+    return (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
 
 
 def _roots(readings: Array, scaling: FeatureScaling) -> Array:
-    roots: Array = np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
-    return roots
+    return np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
 
 
 def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:

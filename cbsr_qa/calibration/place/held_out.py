@@ -196,8 +196,7 @@ def visits_of(places_mm: Array) -> Indices:
     """Index of the first press at its place, for each press (n,) at places (n, 2) about their centre."""
     cells = np.round(places_mm / (_ONE_PLACE * np.linalg.norm(places_mm, axis=1).max()))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    visits: Indices = first[cell.ravel()]
-    return visits
+    return first[cell.ravel()]
 
 
 def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:

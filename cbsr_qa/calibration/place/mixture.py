@@ -89,8 +89,7 @@ def few_presses_tell(count: int) -> Array:
     """Factors (2,) by which regions of normal errors grow where their variance is told by few presses."""
     levels = np.array(LEVELS)
     # Quantiles of F, and of chi-squared per degree of freedom. Loading scipy.stats for them would slow every run.
-    factors: Array = np.asarray(fdtri(2, 2 * count, levels) / gammaincinv(1, levels))
-    return factors
+    return np.asarray(fdtri(2, 2 * count, levels) / gammaincinv(1, levels))
 
 
 def _share(first: Array, second: Array, places_mm: Array) -> float:

@@ -110,8 +110,7 @@ def unit_rows(rows: Array) -> Array:
 def log_likelihood(alike: Array) -> Array:
     """Log likelihood of presses by the cosines of their readings and a template, up to a constant."""
     positive = np.clip(alike, 0.0, _MOST_ALIKE)
-    value: Array = -_INDEPENDENT / 2 * np.log1p(-(positive**2))
-    return value
+    return -_INDEPENDENT / 2 * np.log1p(-(positive**2))
 
 
 def log_likelihood_slopes(alike: Array) -> tuple[Array, Array]:

@@ -283,8 +283,7 @@ def _covariance(scales: QuantityScales, u: Array, about: Array, v: Array, others
 
 
 def _noise(scales: QuantityScales, u: Array) -> Array:
-    variance: Array = _LEAST_NOISE + scales.noise + scales.weak_noise * np.exp(-2 * u)
-    return variance
+    return _LEAST_NOISE + scales.noise + scales.weak_noise * np.exp(-2 * u)
 
 
 def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:

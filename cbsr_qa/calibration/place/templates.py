@@ -79,8 +79,7 @@ def _posterior(templates: PlaceTemplates, features: Array) -> tuple[Array, Array
 
 def expected_features(templates: PlaceTemplates) -> Array:
     """Expected features (k, m) over the grid."""
-    expected: Array = solve_triangular(templates.whitening, templates.templates.T, trans="T", lower=True).T
-    return expected
+    return solve_triangular(templates.whitening, templates.templates.T, trans="T", lower=True).T
 
 
 def likeness(expected: Array, features: Array) -> Array:
@@ -253,8 +252,7 @@ class _Nodes:
     def basis(self, places_mm: Array) -> Array:
         """Values (n, nodes) at places (n, 2) of functions that are independent of one another, of variance one."""
         near = _between(self._nodes_mm, places_mm, self._length_mm)
-        values: Array = solve_triangular(self._factor, near, lower=True, check_finite=False).T
-        return values
+        return solve_triangular(self._factor, near, lower=True, check_finite=False).T
 
 
 def _ridge(squares: Array, along: Array, total: Array, count: int, presses: int) -> Array:

@@ -143,8 +143,7 @@ def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
 
 def _swapped(pairs: Indices, exchange: tuple[int, int]) -> Indices:
     first, second = exchange
-    swapped: Indices = np.where(pairs == first, second, np.where(pairs == second, first, pairs))
-    return swapped
+    return np.where(pairs == first, second, np.where(pairs == second, first, pairs))
 
 
 class _Evidence:

@@ -176,8 +176,7 @@ class Likeness:
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""
-        between: Array = STEP * most_alike(self._node, self._alike)
-        return between
+        return STEP * most_alike(self._node, self._alike)
 
 
 def _weights(t: Array, polynomials: Array) -> Array:

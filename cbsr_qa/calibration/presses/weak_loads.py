@@ -38,8 +38,7 @@ class WeakLoads:
     @property
     def node(self) -> Indices:
         """Columns and rows (k, 2) of places on the lattice."""
-        node: Indices = np.round(self.places / STEP).astype(np.int64)
-        return node
+        return np.round(self.places / STEP).astype(np.int64)
 
     def readings(self, pairs: Indices) -> Array:
         """Changes (k, m) of readings of pairs (m, 4): source, sink, plus, minus."""
@@ -89,8 +88,7 @@ class ModelledSheet:
     def clear(self, places: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which places (k, 2) in radii are clear of edge and electrodes."""
         room = self._model.surroundings.clearance_mm(places * self.radius_mm)
-        enough: np.ndarray[tuple[int], np.dtype[np.bool_]] = room > _CLEAR * self.radius_mm
-        return enough
+        return room > _CLEAR * self.radius_mm
 
 
 def _with_earth(changes: Array) -> Array:

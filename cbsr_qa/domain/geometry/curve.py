@@ -123,8 +123,7 @@ class ClosedCurve:
         ) * np.sign(curvature)
         turned, whole = angle % (2 * np.pi), abs(curvature) * length
         beyond = np.where(2 * np.pi - turned < turned - whole, 0.0, length)
-        bent: Array = np.where(turned <= whole, turned / abs(curvature), beyond)
-        return bent
+        return np.where(turned <= whole, turned / abs(curvature), beyond)
 
 
 def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:

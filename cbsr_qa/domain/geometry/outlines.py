@@ -43,8 +43,7 @@ class Disc:
     def clearance_mm(self, points_mm: Points) -> Array:
         """Distance of (n, 2) points to the edge, (n,), negative outside."""
         points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
-        clearance: Array = self.radius_mm - np.hypot(points[:, 0], points[:, 1])
-        return clearance
+        return self.radius_mm - np.hypot(points[:, 0], points[:, 1])
 
     def words(self) -> str:
         """Describe where it ends; follows "the sheet"."""
@@ -285,8 +284,7 @@ def thinned_ring(points: Points, tolerance: float) -> Points:
     furthest = int(np.hypot(*(points - points[0]).T).argmax())
     closed = np.vstack([points, points[:1]])
     kept = _thinned(closed, 0, furthest, tolerance) | _thinned(closed, furthest, len(points), tolerance)
-    thinned: Points = points[sorted(kept - {len(points)})]
-    return thinned
+    return points[sorted(kept - {len(points)})]
 
 
 def _thinned(points: Points, first: int, last: int, tolerance: float) -> set[int]:

@@ -60,8 +60,7 @@ def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
     before = np.where(first > 0, np.arctan2(first * across, _dot(start, enters)), 0.0)
     after = np.where(last < 1, np.arctan2((1 - last) * across, _dot(leaves, end)), 0.0)
-    area: Array = (radius**2 * (before + after) + (last - first) * across) / 2
-    return area
+    return (radius**2 * (before + after) + (last - first) * across) / 2
 
 
 def squared_deviation_integral(start: Points, end: Points, radius: float) -> Array:
@@ -78,10 +77,9 @@ def squared_deviation_integral(start: Points, end: Points, radius: float) -> Arr
     height = np.abs(_cross(start, along)) / length
     beside = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
     short = length <= np.hypot(height, beside)
-    integral: Array = np.where(
+    return np.where(
         short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
     )
-    return integral
 
 
 def _deviation_at_points(start: Points, along: Points, length: Values, radius: float) -> Values:
@@ -96,11 +94,9 @@ def _deviation_primitive(first: Values, last: Values, height: Values, radius: fl
     def primitive(u: Array) -> Array:
         # h² asinh(u/h) vanishes with h; the floor keeps the quotient finite.
         bent = height**2 * np.arcsinh(u / np.maximum(height, 1e-150))
-        value: Array = u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
-        return value
+        return u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
 
-    integral: Values = np.maximum(primitive(last) - primitive(first), 0.0)
-    return integral
+    return np.maximum(primitive(last) - primitive(first), 0.0)
 
 
 def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
@@ -109,13 +105,11 @@ def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
 
 
 def _dot(a: Points, b: Points) -> Array:
-    dot: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
-    return dot
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
 def _cross(a: Points, b: Points) -> Array:
-    cross: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return cross
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 #: Difference of a stretch's two Simpson's rules, of the polygon's area and of the whole edge's length, that is small.
@@ -256,8 +250,7 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
     away = points - start
     share = np.clip(_dot(away, along) / _dot(along, along), 0.0, 1.0)
     off = away - share[..., None] * along
-    distance: Values = np.sqrt(_dot(off, off))
-    return distance
+    return np.sqrt(_dot(off, off))
 
 
 def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:

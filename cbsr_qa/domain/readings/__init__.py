@@ -14,13 +14,6 @@ if TYPE_CHECKING:
         reciprocity_error as reciprocity_error,
         scan_order as scan_order,
     )
-    from .dead_pairs import (
-        DEAD_SLOPE as DEAD_SLOPE,
-        DEAD_SPREAD as DEAD_SPREAD,
-        FEWEST_OF_PAIR as FEWEST_OF_PAIR,
-        SILENT_SPREAD as SILENT_SPREAD,
-        SOUND_SLOPE as SOUND_SLOPE,
-    )
     from .findings import (
         ChannelReport as ChannelReport,
         EventImaging as EventImaging,
@@ -44,6 +37,15 @@ if TYPE_CHECKING:
         join_frames as join_frames,
         join_samples as join_samples,
     )
-    from .spikes import MOST_SPIKES as MOST_SPIKES, SPIKE_SIGMA as SPIKE_SIGMA, left_alone as left_alone
+    from .rules import (
+        DEAD_SLOPE as DEAD_SLOPE,
+        DEAD_SPREAD as DEAD_SPREAD,
+        FEWEST_OF_PAIR as FEWEST_OF_PAIR,
+        MOST_SPIKES as MOST_SPIKES,
+        SILENT_SPREAD as SILENT_SPREAD,
+        SOUND_SLOPE as SOUND_SLOPE,
+        SPIKE_SIGMA as SPIKE_SIGMA,
+        left_alone as left_alone,
+    )
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -83,8 +83,7 @@ class Blob:
 
     def centre_mm(self) -> Array:
         """Centre of mass M, area- and value-weighted: (2,) [mm]."""
-        centre: Array = self._weights @ self.image.mesh.centroids_mm[self.elements] / self.weight
-        return centre
+        return self._weights @ self.image.mesh.centroids_mm[self.elements] / self.weight
 
     @cached_property
     def rim(self) -> NDArray[np.int64]:
@@ -93,8 +92,7 @@ class Blob:
         edges = mesh.element_edges[self.elements]
         alone = np.bincount(edges.ravel())[edges] == 1
         corners = mesh.elements[self.elements]
-        rim: NDArray[np.int64] = np.column_stack([corners[alone], corners[:, [1, 2, 0]][alone]])
-        return rim
+        return np.column_stack([corners[alone], corners[:, [1, 2, 0]][alone]])
 
     def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the rim's edges."""
@@ -103,8 +101,7 @@ class Blob:
 
     @cached_property
     def _weights(self) -> Array:
-        weights: Array = self.image.values[self.elements] * self.image.mesh.areas_mm2[self.elements]
-        return weights
+        return self.image.values[self.elements] * self.image.mesh.areas_mm2[self.elements]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,8 +265,7 @@ class LinearReconstruction:
         RefusedError
             As :func:`checked_readings`.
         """
-        images: Array = checked_readings(changes, self.problem) @ self.matrix.T
-        return images
+        return checked_readings(changes, self.problem) @ self.matrix.T
 
     def in_single_precision(self) -> Self:
         """Return a copy with matrix and Jacobian rounded to single precision, as calibrations store them.

@@ -63,8 +63,7 @@ class PatternTurns:
 
     def orbits(self) -> Indices:
         """Number of the set (m,) of readings that become each other; sets are numbered from 0."""
-        first: Indices = np.unique(self.permuted.min(axis=0), return_inverse=True)[1].astype(np.int64)
-        return first
+        return np.unique(self.permuted.min(axis=0), return_inverse=True)[1].astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -67,8 +67,7 @@ class ElectrodeLayout:
         (count,) float64 [rad].
         """
         first_rad = float(np.deg2rad(self.first_angle_deg))
-        angles: Array = first_rad + self.step_rad * np.arange(self.count, dtype=np.float64)
-        return angles
+        return first_rad + self.step_rad * np.arange(self.count, dtype=np.float64)
 
     def positions_mm(self) -> Array:
         """Centres of the electrodes.

@@ -169,8 +169,7 @@ def stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
     level = float(variance.mean()) - slope * float(square.mean())
     if level < 0:
         level, slope = 0.0, float(square @ variance) / float(square @ square)
-    found: Array = np.sqrt(level + slope * force_N**2)
-    return found
+    return np.sqrt(level + slope * force_N**2)
 
 
 def _draw_ratios(axes: Axes, points: RatioPoints) -> None:

@@ -166,8 +166,7 @@ def round_levels(least: float, most: float) -> Array:
     series = np.array([step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)])
     first = int(np.searchsorted(series, least, side="right")) - 1
     last = int(np.searchsorted(series, most, side="left"))
-    found: Array = np.concatenate([[0.0], series[first : last + 1]])
-    return found
+    return np.concatenate([[0.0], series[first : last + 1]])
 
 
 def _draw_field(axes: Axes, field: SheetField, sensor: SensorType, levels: Array, colours: Colormap) -> None:

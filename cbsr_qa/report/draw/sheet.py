@@ -176,8 +176,7 @@ def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
         half = layout.width_mm / layout.ring_radius_mm / 2
         arcs = [_arc(angle - half, angle + half, radius_mm) for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
-    places: Array = direction * radius_mm * 1.075
-    return places
+    return direction * radius_mm * 1.075
 
 
 def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Array:
@@ -194,8 +193,7 @@ def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Arr
     ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
     inner = (away > 4 * size)[:, None]
-    places: Array = np.where(inner, centres + size / 2, curve.at(along) + size * outward)
-    return places
+    return np.where(inner, centres + size / 2, curve.at(along) + size * outward)
 
 
 def draw_circles(

@@ -200,8 +200,7 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
         return _gauge_share(study.shape, drawn)
 
     def categories(drawn: Array) -> Array:
-        count: Array = CATEGORY_FACTOR * np.sqrt(1 / gauge_share(drawn) - 1)
-        return count
+        return CATEGORY_FACTOR * np.sqrt(1 / gauge_share(drawn) - 1)
 
     found = _variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser)
     return GaugeAnova(

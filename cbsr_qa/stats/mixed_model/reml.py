@@ -66,8 +66,7 @@ class RandomEffectSums:
         ``times``: number of factors ZZᵀ, the sensors' covariance, in the product.
         """
         h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
-        summed: Array = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
-        return summed
+        return np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
 
     def trace(self, ratio: float, power: int, times: int) -> float:
         """Return Σ_n q_n n^times h_n^power, the between part of a trace of powers of H⁻¹ and ZZᵀ."""
@@ -168,8 +167,7 @@ class Likelihood:
     def _logs(self, ratio: Array) -> Array:
         """Logarithms of the Cholesky factor's diagonal: of A, and √R last."""
         factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
-        logs: Array = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
-        return logs
+        return np.log(np.diagonal(factor, axis1=-2, axis2=-1))
 
     def _blocks(self, count: int) -> int:
         """Number of blocks in which θ are tried: hundreds of groups at once would exhaust the memory."""

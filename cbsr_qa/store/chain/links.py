@@ -109,8 +109,7 @@ _ALONE: Final = select(func.pg_advisory_xact_lock(bindparam("number")))
 
 def signing_key(connection: Connection) -> SigningKey | None:
     """Return the configured key, or None."""
-    key: SigningKey | None = connection.get_execution_options().get(KEY_OPTION)
-    return key
+    return connection.get_execution_options().get(KEY_OPTION)
 
 
 def new_chain(connection: Connection) -> str:

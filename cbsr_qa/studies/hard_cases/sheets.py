@@ -125,8 +125,7 @@ def islands(parted: float) -> Array:
 def scattered(decades: float, seed: int = 20261121) -> Array:
     """Conductances (e,) whose logarithms are scattered evenly over some decades."""
     random = np.random.default_rng(seed)
-    values: Array = 10 ** random.uniform(-decades / 2, decades / 2, len(small_model().mesh.elements))
-    return values
+    return 10 ** random.uniform(-decades / 2, decades / 2, len(small_model().mesh.elements))
 
 
 def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> float:

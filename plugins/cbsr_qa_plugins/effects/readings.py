@@ -222,5 +222,4 @@ def _behind(moment: Moment, voltages: Array, measure_ohm: Array) -> Array:
     limited = (moment.current_A < moment.setting.current_A) & (moment.drive_ohm > 0)
     mutual_ohm = voltages / moment.current_A  # nothing but the source has come before
     behind = measure_ohm - np.divide(mutual_ohm**2, moment.drive_ohm, out=np.zeros_like(voltages), where=limited)
-    never_negative: Array = np.maximum(behind, 0.0)
-    return never_negative
+    return np.maximum(behind, 0.0)

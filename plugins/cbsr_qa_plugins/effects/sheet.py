@@ -49,8 +49,7 @@ def places_on(outline: SheetOutline) -> Array:
     low_x, high_x, low_y, high_y = outline.extent_mm
     x, y = (np.linspace(low, high, _LATTICE) for low, high in ((low_x, high_x), (low_y, high_y)))
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    on_sheet: Array = places[outline.clearance_mm(places) >= 0]
-    return on_sheet
+    return places[outline.clearance_mm(places) >= 0]
 
 
 class UnevenSheet(SceneEffect):

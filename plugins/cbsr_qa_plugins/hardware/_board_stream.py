@@ -134,8 +134,7 @@ def _fits(data: bytearray, at: int) -> bool:
 
 def _counts(data: bytearray, at: int = 0) -> Counts:
     records = np.frombuffer(bytes(data[at : at + _RECORD * _READINGS]), np.uint8).reshape(_READINGS, _RECORD)
-    counts: Counts = (records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)).reshape(PAIRS, PAIRS)
-    return counts
+    return (records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)).reshape(PAIRS, PAIRS)
 
 
 class TextStream:

@@ -92,8 +92,7 @@ def scale_of(voltages_V: Array) -> float:
 def _away() -> NDArray[np.bool_]:
     """Readings that touch no driven electrode, (16, 16)."""
     apart = np.subtract.outer(np.arange(16), np.arange(16)) % 16
-    away: NDArray[np.bool_] = (apart > 1) & (apart < 15)
-    return away
+    return (apart > 1) & (apart < 15)
 
 
 def counts_per_volt(largest_V: float) -> float:

@@ -10,8 +10,8 @@ from contextlib import closing
 import pytest
 
 from cbsr_qa.app.stream import EndMessage, HeaderMessage, Outlets
+from cbsr_qa.app.stream.clients import LARGEST_QUEUE, MOST_CLIENTS
 from cbsr_qa.app.stream.messages import SCHEMA_VERSION, FrameMessage, json_line
-from cbsr_qa.app.stream.outlets import LARGEST_QUEUE, MOST_CLIENTS
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.plugin import discover
 

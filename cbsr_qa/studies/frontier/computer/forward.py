@@ -199,5 +199,4 @@ def _exact_loads() -> Array:
     """Changes of the used readings under each of the nine loads alone, (9, m)."""
     pattern, count = _disc().pattern, len(NINE_LOCATIONS_MM)
     loads = RoundLoads.of_contrast(np.array(NINE_LOCATIONS_MM), np.full(count, _HEAD_MM), np.full(count, _CONTRAST))
-    used: Array = RoundLoadModel(_pinned(), pattern).readings(loads).change[:, pattern.usable()]
-    return used
+    return RoundLoadModel(_pinned(), pattern).readings(loads).change[:, pattern.usable()]

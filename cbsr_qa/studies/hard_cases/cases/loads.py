@@ -39,8 +39,7 @@ def changes_of(x_mm: float, y_mm: float, contrast: float = 0.1) -> Array:
     """Changes (1, m) of the used readings under one head."""
     model, readings = disc()
     load = RoundLoads.of_contrast(np.array([[x_mm, y_mm]]), np.array([_RADIUS_MM]), np.array([contrast]))
-    changes: Array = model.readings(load).change[:, readings.used]
-    return changes
+    return model.readings(load).change[:, readings.used]
 
 
 def estimated(changes: Array) -> LoadEstimate:

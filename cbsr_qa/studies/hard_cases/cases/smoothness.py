@@ -58,8 +58,7 @@ def _differences(mesh: Mesh) -> Array:
 def _sizes(jacobian: Array, differences: Array) -> Array:
     """Singular values of the readings that no constant image explains, over the prior's root."""
     rest = linalg.null_space(jacobian.sum(axis=1)[None]).T
-    sizes: Array = linalg.svdvals(rest @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
-    return sizes
+    return linalg.svdvals(rest @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
 
 
 def _exact(jacobian: Array, differences: Array, value: float, readings: Array) -> Array:
