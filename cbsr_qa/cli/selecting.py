@@ -28,9 +28,9 @@ class Selecting:
         list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")
     ] = None
     batch: Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")] = None
-    operator: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")] = (
-        None
-    )
+    operator: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")
+    ] = None
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None
     failed: Annotated[bool, typer.Option("--failed", help="Only what failed.")] = False
     limit: Annotated[
