@@ -35,5 +35,5 @@ if TYPE_CHECKING:
         simulate_scene as simulate_scene,
         stream as stream,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -1,38 +1,35 @@
 """Doors of packages: names that are loaded when they are first used."""
 
 import ast
-from collections.abc import Callable
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 
-def door(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def door(package: str, file: str) -> None:
     """Make importable what a package's file imports for type checkers alone, each name loaded when it is first used.
 
-    As ``lazy_loader.attach_stub``, which a robot does not have: there numpy, scipy and h5py are all there is.
+    As ``lazy_loader.attach_stub``, which a robot does not have: there numpy, scipy and h5py are all there is. The
+    package gets its ``__getattr__``, ``__dir__`` and ``__all__``.
 
     Parameters
     ----------
     package, file : ``__name__`` and ``__file__`` of the package.
-
-    Returns
-    -------
-    ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
     """
-    own = listed(Path(file).read_text(encoding="utf-8"))
-    modules = {alias.name: node.module for node in own for alias in node.names}
-    names = sorted(modules)
+    modules = {
+        alias.name: node.module for node in listed(Path(file).read_text(encoding="utf-8")) for alias in node.names
+    }
+    names, own = sorted(modules), vars(sys.modules[package])
 
     def load(name: str) -> Any:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = import_module(f"{package}.{modules[name] or name}")
-        value = getattr(module, name) if modules[name] else module
-        vars(import_module(package))[name] = value  # found without this function from now on
-        return value
+        own[name] = getattr(module, name) if modules[name] else module  # found without this function from now on
+        return own[name]
 
-    return load, lambda: names, names
+    own.update(__getattr__=load, __dir__=lambda: names, __all__=names)
 
 
 def listed(source: str) -> list[ast.ImportFrom]:

@@ -24,5 +24,5 @@ if TYPE_CHECKING:
     from .strip_cycles import characterise_run as characterise_run
     from .strip_measurements import measure_characterisation as measure_characterisation
     from .verification import Verification as Verification, verify_calibration as verify_calibration
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -38,5 +38,5 @@ if TYPE_CHECKING:
         sync_status as sync_status,
         synchronise as synchronise,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -7,5 +7,5 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .issue import issue_calibration as issue_calibration
     from .runtime import Calibration as Calibration, Flag as Flag, ForceStream as ForceStream
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

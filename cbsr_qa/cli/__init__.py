@@ -9,5 +9,5 @@ if TYPE_CHECKING:
     from .main import app as app, ended as ended, guarded as guarded
     from .options import plugin_options as plugin_options
     from .output import ask_operator as ask_operator, operator_at_terminal as operator_at_terminal
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -59,5 +59,5 @@ if TYPE_CHECKING:
         line_of as line_of,
         toml_document as toml_document,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -58,5 +58,5 @@ if TYPE_CHECKING:
         real_numbers as real_numbers,
         with_type as with_type,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

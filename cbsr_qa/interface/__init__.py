@@ -22,5 +22,5 @@ if TYPE_CHECKING:
     from .scenes import Scene as Scene, simulate_scene as simulate_scene
     from .stored_run import Run as Run
     from .streaming import stream as stream
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

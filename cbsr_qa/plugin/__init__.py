@@ -68,5 +68,5 @@ if TYPE_CHECKING:
     )
     from .software import kind_named as kind_named, software_versions as software_versions
     from .words import KeyPath as KeyPath, dotted as dotted, echo as echo, printable as printable, shown as shown
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

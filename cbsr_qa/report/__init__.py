@@ -74,5 +74,5 @@ if TYPE_CHECKING:
         with_uncertainty as with_uncertainty,
     )
     from .terminal import terminal_lines as terminal_lines
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

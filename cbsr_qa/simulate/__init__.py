@@ -38,5 +38,5 @@ if TYPE_CHECKING:
     from .sheet import SimulatedSheet as SimulatedSheet, finest_mesh_mm as finest_mesh_mm
     from .streams import RandomStream as RandomStream, StepAddresses as StepAddresses
     from .world import SimulatedWorld as SimulatedWorld
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -44,5 +44,5 @@ if TYPE_CHECKING:
         plan_of as plan_of,
         station_clock as station_clock,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

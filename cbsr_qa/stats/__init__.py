@@ -72,5 +72,5 @@ if TYPE_CHECKING:
     )
     from .variance_components import FEWEST_REPEATS as FEWEST_REPEATS, components as components
     from .worst_value import worst_of as worst_of
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

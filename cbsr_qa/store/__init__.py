@@ -37,5 +37,5 @@ if TYPE_CHECKING:
         restored as restored,
     )
     from .views import create_views as create_views, drop_views as drop_views
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -14,5 +14,5 @@ if TYPE_CHECKING:
     )
     from .selection import check_names as check_names, measuring_digest as measuring_digest
     from .simulated import configuration_of as configuration_of, shipped as shipped, simulated_run as simulated_run
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

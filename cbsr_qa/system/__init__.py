@@ -38,5 +38,5 @@ if TYPE_CHECKING:
         read_untrusted as read_untrusted,
     )
     from .workers import heard_later as heard_later, worker_pool as worker_pool
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

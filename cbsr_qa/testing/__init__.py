@@ -43,5 +43,5 @@ if TYPE_CHECKING:
     )
     from .sinks import check_sink as check_sink, example_messages as example_messages
     from .targets import example_problem as example_problem, images_elsewhere as images_elsewhere
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -6,5 +6,5 @@ from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
     from .server import ServeRequest as ServeRequest, serve as serve
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

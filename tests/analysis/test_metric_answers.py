@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from observation_samples import sample_run
 
-from cbsr_qa.analysis.evaluate import LONGEST_TEXT, MOST_ANSWERS, judge, measure_run
+from cbsr_qa.analysis.answers import LONGEST_TEXT, MOST_ANSWERS
+from cbsr_qa.analysis.evaluate import judge, measure_run
 from cbsr_qa.domain import PluginError
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, decide
 from cbsr_qa.testing import check_metric

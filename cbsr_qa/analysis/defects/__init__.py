@@ -34,5 +34,5 @@ if TYPE_CHECKING:
     )
     from .rectifying import answering_levels as answering_levels
     from .spikes import despiked as despiked
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

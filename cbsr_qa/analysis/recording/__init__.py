@@ -27,5 +27,5 @@ if TYPE_CHECKING:
     from .reading import guarded as guarded, read_recording_file as read_recording_file, recognised as recognised
     from .ready import ReadyReadings as ReadyReadings, make_ready as make_ready
     from .tank import fitted_tank as fitted_tank
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

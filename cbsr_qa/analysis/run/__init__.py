@@ -49,5 +49,5 @@ if TYPE_CHECKING:
         size_response as size_response,
         size_response_of as size_response_of,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

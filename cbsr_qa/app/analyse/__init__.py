@@ -16,5 +16,5 @@ if TYPE_CHECKING:
         ChosenParameter as ChosenParameter,
         analyse_outcome as analyse_outcome,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -41,5 +41,5 @@ if TYPE_CHECKING:
         sign_file as sign_file,
         verify_file as verify_file,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

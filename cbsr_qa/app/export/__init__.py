@@ -15,5 +15,5 @@ if TYPE_CHECKING:
     from .frames import frames_of as frames_of, joined_samples as joined_samples, run_frames as run_frames
     from .netcdf import Variable as Variable, frame_variables as frame_variables
     from .tables import whole_table as whole_table
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -18,5 +18,5 @@ if TYPE_CHECKING:
     from .request import GateRequest as GateRequest, Override as Override
     from .shown import GateShown as GateShown, gate_outcome as gate_outcome
     from .station_state import past_due as past_due
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from .reanalysis import reanalyse as reanalyse
     from .report import Reanalysed as Reanalysed, reanalysed_outcome as reanalysed_outcome
     from .request import ReanalyseRequest as ReanalyseRequest
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -32,5 +32,5 @@ if TYPE_CHECKING:
     )
     from .session import Session as Session
     from .stopping import stoppable as stoppable
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

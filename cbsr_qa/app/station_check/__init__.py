@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from .bench import BenchFindings as BenchFindings
     from .check import CheckRequest as CheckRequest, check_station as check_station
     from .outcome import CheckedStation as CheckedStation
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -18,5 +18,5 @@ if TYPE_CHECKING:
     from .outlets import Outlets as Outlets
     from .source import FramesFrom as FramesFrom
     from .stream import StreamRequest as StreamRequest, stream_messages as stream_messages
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

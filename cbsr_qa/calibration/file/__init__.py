@@ -34,5 +34,5 @@ if TYPE_CHECKING:
         signing_key as signing_key,
     )
     from .signing import check_signed_file as check_signed_file
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -63,5 +63,5 @@ if TYPE_CHECKING:
         separated_with as separated_with,
         shifted_constants as shifted_constants,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

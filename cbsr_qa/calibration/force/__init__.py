@@ -27,5 +27,5 @@ if TYPE_CHECKING:
         tried_beyond as tried_beyond,
         unmeasured as unmeasured,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -30,5 +30,5 @@ if TYPE_CHECKING:
         QuantityEstimator as QuantityEstimator,
         learn_quantity as learn_quantity,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

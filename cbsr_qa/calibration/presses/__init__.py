@@ -27,5 +27,5 @@ if TYPE_CHECKING:
         source_file as source_file,
     )
     from .weak_loads import ModelledSheet as ModelledSheet
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

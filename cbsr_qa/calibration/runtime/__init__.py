@@ -25,5 +25,5 @@ if TYPE_CHECKING:
         scattered as scattered,
     )
     from .tracking import ForceStream as ForceStream
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

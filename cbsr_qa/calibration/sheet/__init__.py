@@ -44,5 +44,5 @@ if TYPE_CHECKING:
         sheet_places as sheet_places,
     )
     from .sheet_pose import AS_PLACED as AS_PLACED, SheetPose as SheetPose, sheet_pose_of as sheet_pose_of
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -13,5 +13,5 @@ if TYPE_CHECKING:
         separate_with_residue as separate_with_residue,
         without_residue as without_residue,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -33,5 +33,5 @@ if TYPE_CHECKING:
         inside_polygon as inside_polygon,
         signed_area as signed_area,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -72,5 +72,5 @@ if TYPE_CHECKING:
         StrainRamp as StrainRamp,
         Transcript as Transcript,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -47,5 +47,5 @@ if TYPE_CHECKING:
         SPIKE_SIGMA as SPIKE_SIGMA,
         left_alone as left_alone,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -119,5 +119,5 @@ if TYPE_CHECKING:
         Table as Table,
     )
     from .signature import Signature as Signature, fingerprint as fingerprint
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -79,5 +79,5 @@ if TYPE_CHECKING:
         StationCheck as StationCheck,
         worst_check as worst_check,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

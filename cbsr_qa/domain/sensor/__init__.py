@@ -49,5 +49,5 @@ if TYPE_CHECKING:
         StripRelaxation as StripRelaxation,
         polygon_sensor as polygon_sensor,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

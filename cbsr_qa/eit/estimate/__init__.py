@@ -17,5 +17,5 @@ if TYPE_CHECKING:
         load_model as load_model,
         merged_readings as merged_readings,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

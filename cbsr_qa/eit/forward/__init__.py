@@ -30,5 +30,5 @@ if TYPE_CHECKING:
         check_values as check_values,
         conducts as conducts,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -39,5 +39,5 @@ if TYPE_CHECKING:
         shape_deviation_mm2 as shape_deviation_mm2,
         spatial_figures as spatial_figures,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -50,5 +50,5 @@ if TYPE_CHECKING:
     )
     from .truncation import Truncation as Truncation
     from .uncertainty import masking_effect as masking_effect
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -12,5 +12,5 @@ if TYPE_CHECKING:
     from .pinned_disc import PinnedDisc as PinnedDisc
     from .round_load import LoadReadings as LoadReadings, RoundLoadModel as RoundLoadModel, RoundLoads as RoundLoads
     from .sheet import LoadedSheet as LoadedSheet
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -9,5 +9,5 @@ if TYPE_CHECKING:
     from .imported import ElectrodeAt as ElectrodeAt, imported_mesh as imported_mesh
     from .sheet import image_mesh as image_mesh, sheet_mesh as sheet_mesh
     from .triangulate import smallest_angle_deg as smallest_angle_deg
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

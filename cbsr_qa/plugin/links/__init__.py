@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from .locks import AddressLock as AddressLock
     from .serial_link import SerialLink as SerialLink
     from .visa_link import VisaLink as VisaLink
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

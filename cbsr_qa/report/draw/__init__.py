@@ -107,5 +107,5 @@ if TYPE_CHECKING:
         draw_timeline as draw_timeline,
         timeline_figure as timeline_figure,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -7,5 +7,5 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .rig import EmulatedRig as EmulatedRig, Emulation as Emulation
     from .streams import Fault as Fault, PtyPort as PtyPort, TcpPort as TcpPort, WatchedClock as WatchedClock
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

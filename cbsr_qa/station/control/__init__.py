@@ -21,5 +21,5 @@ if TYPE_CHECKING:
         RunServer as RunServer,
     )
     from .status import RunStatus as RunStatus
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -22,5 +22,5 @@ if TYPE_CHECKING:
         stability as stability,
         straight_line as straight_line,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -6,5 +6,5 @@ from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
     from .model import Fit as Fit, fit as fit
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -53,5 +53,5 @@ if TYPE_CHECKING:
         tables as tables,
         words as words,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -17,5 +17,5 @@ if TYPE_CHECKING:
         as_measurement as as_measurement,
     )
     from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

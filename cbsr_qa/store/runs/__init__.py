@@ -47,5 +47,5 @@ if TYPE_CHECKING:
         latest_id as latest_id,
         runs_without_result as runs_without_result,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -16,5 +16,5 @@ if TYPE_CHECKING:
         waiting as waiting,
     )
     from .send import Sent as Sent, send_waiting as send_waiting
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

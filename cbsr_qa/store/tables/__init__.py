@@ -54,5 +54,5 @@ if TYPE_CHECKING:
         SyncAcceptsRow as SyncAcceptsRow,
         SyncRefusalRow as SyncRefusalRow,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -16,5 +16,5 @@ if TYPE_CHECKING:
     from .charts import Charts as Charts, control_charts as control_charts
     from .report import charts_outcome as charts_outcome
     from .request import ChartsRequest as ChartsRequest, ReferencePeriod as ReferencePeriod
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -17,5 +17,5 @@ if TYPE_CHECKING:
         read_amounts as read_amounts,
         read_groups as read_groups,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

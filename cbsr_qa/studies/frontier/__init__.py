@@ -28,5 +28,5 @@ if TYPE_CHECKING:
         tried_on_paper as tried_on_paper,
     )
     from .study import Frontier as Frontier, frontier as frontier
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

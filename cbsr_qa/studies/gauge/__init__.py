@@ -14,5 +14,5 @@ if TYPE_CHECKING:
         read_study as read_study,
     )
     from .study import GaugeStudy as GaugeStudy, gauge as gauge
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

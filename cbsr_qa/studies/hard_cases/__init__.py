@@ -7,5 +7,5 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .report import stability_outcome as stability_outcome
     from .stability import Stability as Stability, examine_cases as examine_cases
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

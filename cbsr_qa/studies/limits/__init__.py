@@ -9,5 +9,5 @@ if TYPE_CHECKING:
     from .proposals import Terms as Terms
     from .propose import ProposedLimits as ProposedLimits, propose_limits as propose_limits, write_new as write_new
     from .report import limits_outcome as limits_outcome
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from .compare import deviations_agree as deviations_agree
     from .report import reproduction_outcome as reproduction_outcome
     from .reproduce import Reproduction as Reproduction, published as published, reproduce_paper as reproduce_paper
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -20,5 +20,5 @@ if TYPE_CHECKING:
         made_world as made_world,
         set_up as set_up,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

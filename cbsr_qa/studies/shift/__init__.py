@@ -31,5 +31,5 @@ if TYPE_CHECKING:
         local_day as local_day,
         shift_summary as shift_summary,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -13,5 +13,5 @@ if TYPE_CHECKING:
     from .new import NewPackage as NewPackage, make_package as make_package
     from .package import targets_of as targets_of
     from .report import checks_outcome as checks_outcome
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -7,5 +7,5 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .matrix import greit_matrix as greit_matrix, hyperparameter_for as hyperparameter_for
     from .targets import TargetDesign as TargetDesign
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

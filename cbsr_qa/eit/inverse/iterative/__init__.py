@@ -8,5 +8,5 @@ if TYPE_CHECKING:
     from .absolute_images import AbsoluteImages as AbsoluteImages, Expected as Expected
     from .total_variation import MOST_STEPS as MOST_STEPS, TOLERANCE as TOLERANCE
     from .total_variation_images import TotalVariationImages as TotalVariationImages, choose_alpha as choose_alpha
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -6,5 +6,5 @@ from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
     from .sweeps import computer_tasks as computer_tasks, worth_their_time as worth_their_time
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

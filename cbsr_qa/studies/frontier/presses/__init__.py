@@ -9,5 +9,5 @@ if TYPE_CHECKING:
     from .report import press_outcome as press_outcome
     from .study import press_frontier as press_frontier
     from .trial import Trial as Trial, try_presses as try_presses
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)

@@ -20,5 +20,5 @@ if TYPE_CHECKING:
         statistics as statistics,
         time as time,
     )
-else:
-    __getattr__, __dir__, __all__ = door(__name__, __file__)
+
+door(__name__, __file__)
