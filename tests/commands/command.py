@@ -16,7 +16,7 @@ import pytest
 
 PROGRAM = Path(sys.executable).with_name("cbsr-qa")
 #: Commands that end with signals, children or instruments of their own.
-_DRIVING = {"run", "serve", "stream", "station", "control", "--watch", "plugins"}
+_DRIVING = {"run", "serve", "stream", "station", "control", "--watch"}
 
 
 #: Numerical libraries are held to one thread, as the program does before it loads them.
@@ -45,7 +45,7 @@ def cbsr_qa(folder, *arguments, check=True, fresh=False, limit_s=300, **environm
     process, which takes a tenth of the time; ``fresh`` starts the installed program itself.
     """
     arguments = [str(argument) for argument in arguments]
-    forked = _DRIVING & set(arguments) or environment
+    forked = environment or (_DRIVING & set(arguments) and "--dry-run" not in arguments)
     environment = {"CBSR_QA_VAR": "var", **environment}
     run = _fresh if fresh else _forked if forked else _inside
     done = run(folder, arguments, environment, limit_s)
