@@ -41,11 +41,6 @@ def test_effects_that_are_on_come_in_order_of_stage():
     assert names[3] == ["source", "e-0"]
 
 
-@pytest.mark.parametrize(("cost_ms", "shown"), [(0.000061, "< 0.001"), (0.0012, "0.001"), (0.506, "0.506")])
-def test_costs_have_three_decimals(cost_ms, shown):
-    assert f"  {shown}" in _row(_explained(_effect("noise", "voltages", each_ms=cost_ms)), "noise")
-
-
 def test_the_largest_costs_have_bars_as_long_as_their_share():
     shares = {"none": 0.0, "fifth": 0.2, "half": 0.6, "all": 1.0, "more": 1.7}
     explained = _explained(*(_effect(name, "voltages", each_ms=4 * share) for name, share in shares.items()))
@@ -67,12 +62,6 @@ def test_costs_that_are_not_measured_are_not_printed():
     printed = _printed(_explained(_effect("noise", "voltages"), _effect("seat", "geometry"), frame_ms=None))
     assert "costs not measured" in printed[0]
     assert not any("once" in line or "0.001" in line or "#" in line for line in printed)
-
-
-def test_a_scene_without_effects_has_no_empty_table():
-    printed = _printed(_explained(_effect("noise", "voltages", on=False)))
-    assert "0 of 1 effect on" in printed[0]
-    assert "On" not in printed
 
 
 def test_words_of_strangers_do_not_reach_the_terminal_as_commands():
