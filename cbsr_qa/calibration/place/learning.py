@@ -117,8 +117,8 @@ def learn_place(
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
     electrodes : how many there are around the sheet, evenly spaced.
     centre_mm : (2,) the sheet's centre in the frame of the presses; by default their middle.
-    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
-        not known.
+    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`, where they are known; those
+        used are the likeliest.
     time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
     missing : (n, m) readings that are zero because they are not known; spikes are found here.
     tell : receives the progress in words.
@@ -245,13 +245,14 @@ def _frame(
     """Find the most likely damping, and axes and centre of the electrodes.
 
     First with the initial scales of a search, then with the likeliest in that frame. A sheet rotated with its
-    electrodes looks the same after half a turn, so half a turn of axes is tried if none are known.
+    electrodes looks the same after half a turn, so half a turn of axes is tried, after those beside known ones: on a
+    sheet that is not as modelled, readings may be symmetric about others (28° off on a real one).
     """
     some = evenly(len(changes), _FOR_FRAME)
     centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
     about = places_mm[some] - centre
     stderr_mm = float(np.linalg.norm(about, axis=1).max()) * (_CENTRE if centre_mm is None else _KNOWN_CENTRE)
-    tried = _half_turn() if axes is None else _beside(axes)
+    tried = _half_turn() if axes is None else np.concatenate([_beside(axes), _half_turn()])
     found = []
     for damping in _DAMPINGS:
         scaling = FeatureScaling(_EXPONENT, damping, ceilings_of(changes))

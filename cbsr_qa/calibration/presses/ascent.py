@@ -46,4 +46,5 @@ def _steps(slope: Array, bend: Array, stiffness: Array) -> Array:
     along = (slope[:, None, :] @ axes)[:, 0] / size
     step: Array = (axes @ along[..., None])[..., 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
-    return step * np.minimum(1.0, _LONGEST / np.maximum(length, _LONGEST))
+    shortened: Array = step * (_LONGEST / np.maximum(length, _LONGEST))
+    return shortened

@@ -102,14 +102,14 @@ class PoseSearch:
         fewer, labelled = likeness.of(some), self.labelled[some]
         sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
         values = np.empty((len(sizes), len(shifts), len(ROTATIONS)))
-        for i, size in enumerate(sizes):
-            for j, shift in enumerate(shifts):
-                turned = (labelled - shift) * np.exp(-size - 1j * ROTATIONS)[:, None]
+        for i, length in enumerate(sizes):
+            for j, centre in enumerate(shifts):
+                turned = (labelled - centre) * np.exp(-length - 1j * ROTATIONS)[:, None]
                 places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(size)[0]
+                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(length)[0]
         best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
-        i, j, k = np.unravel_index(best, values.shape)
-        starts: Array = np.column_stack([shifts[j].real, shifts[j].imag, ROTATIONS[k], sizes[i]])
+        size, shift, rotation = np.unravel_index(best, values.shape)
+        starts: Array = np.column_stack([shifts[shift].real, shifts[shift].imag, ROTATIONS[rotation], sizes[size]])
         return starts
 
     def _refined(
