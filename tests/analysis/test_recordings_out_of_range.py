@@ -47,10 +47,7 @@ def current(value):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (
-            put("frames/voltages", (2, 3, 5), 1e308),
-            "frame 2, drive pair 3, measure pair 5 (all from 0) reads 1e+308",
-        ),
+        (put("frames/voltages", (2, 3, 5), 1e308), "frame 2, drive pair 3, measure pair 5 (all from 0) reads 1e+308"),
         (put("frames/voltages", (2, 3, 5), -1e16), "reads -1e+16 V; readings are at most 1e+15 V"),
         (put("reference/voltages", (1, 0, 0), 1e200), "frame 1, drive pair 0, measure pair 0"),
         (put("samples/00/values", 4, 1e308), "channel force: the value of sample 4 (from 0) is 1e+308 N"),
@@ -84,11 +81,7 @@ def test_a_recording_is_refused_by_file_and_place(tmp_path, capsys, change, said
             ["--dataset", "v"],
             "a.mat: v holds complex voltages",
         ),
-        (
-            {"v": np.full((256, 3), 1e308)},
-            [],
-            "a.mat: frame 0, drive pair 0, measure pair 2",
-        ),
+        ({"v": np.full((256, 3), 1e308)}, [], "a.mat: frame 0, drive pair 0, measure pair 2"),
         ({"v": np.full((256, 3), np.nan), "w": np.ones((256, 3))}, ["--dataset", "v"], "a.mat: v holds values that"),
     ],
 )

@@ -66,9 +66,7 @@ def test_sensitivity_is_found_from_holds_of_fifteen_seconds(calibration, checked
 def test_a_sheet_that_conducts_more_is_said_to_and_weighs_as_before(calibration, checked):
     run = checked[1.0]
     louder = replace(
-        run,
-        reference=run.reference * 1.001,
-        unloaded=replace(run.unloaded, voltages=run.unloaded.voltages * 1.001),
+        run, reference=run.reference * 1.001, unloaded=replace(run.unloaded, voltages=run.unloaded.voltages * 1.001)
     )
     assert verify_calibration(louder, calibration).reference_change == pytest.approx(1e-3, rel=0.5)
 

@@ -13,12 +13,7 @@ from stored_runs import journalled, short_run
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store import Repository, open_engine, parsed_url, reading, schema, views, writing
-from cbsr_qa.store.tables import (
-    AnalysisRow,
-    AttendanceRow,
-    Base,
-    records,
-)
+from cbsr_qa.store.tables import AnalysisRow, AttendanceRow, Base, records
 
 pytestmark = pytest.mark.rest
 

@@ -197,12 +197,7 @@ def _line(slope, intercept, correlation):
 LINES = st.builds(_line, *2 * [st.builds(Parameter, NUMBERS, ERRORS, TEXTS)], st.none() | st.floats(-1, 1))
 
 
-@given(
-    st.builds(Parameter, st.floats(1e-6, 1e6), ERRORS, TEXTS),
-    LINES,
-    KERNELS,
-    TEXTS,
-)
+@given(st.builds(Parameter, st.floats(1e-6, 1e6), ERRORS, TEXTS), LINES, KERNELS, TEXTS)
 def test_a_written_material_is_read_back_as_it_was(tmp_path_factory, parameter, line, kernel, name):
     material = replace(
         load_material("cbsr-8wt").value,

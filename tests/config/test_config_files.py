@@ -232,10 +232,7 @@ def test_an_effect_is_on_once_or_not_at_all(spoilt):
 def test_roles_are_filled_once(spoilt):
     more = '\n[instruments.second]\ndriver = "x"\nprovides = ["force"]\n'
     said = spoilt(
-        DocumentKind.STATION,
-        "simulated",
-        ('scene = "base"', f'scene = "base"\n{more}'),
-        ('"frame_source", ', ""),
+        DocumentKind.STATION, "simulated", ('scene = "base"', f'scene = "base"\n{more}'), ('"frame_source", ', "")
     )
     assert "instruments.second.provides names 'force', which instruments.bench already provides" in said
     assert "has nothing that provides 'frame_source'" in said

@@ -74,10 +74,7 @@ def test_rules_and_lists_of_pairs_mean_the_same(write, rule):
             "sensor_type.outline_mm crosses itself: the edges after corners 1 and 3 meet",
         ),
         ('outline_mm = [[0, 0], [1, "x"], [3, 4]]', "sensor_type.outline_mm[2][2] is 'x'; it must be a number"),
-        (
-            "outline_mm = [[0, 0, 0], [1, 0], [3, 4]]",
-            "sensor_type.outline_mm[1] is [0, 0, 0]; it must have",
-        ),
+        ("outline_mm = [[0, 0, 0], [1, 0], [3, 4]]", "sensor_type.outline_mm[1] is [0, 0, 0]; it must have"),
         ("outline_mm = [[0, 0], [nan, 0], [3, 4]]", "sensor_type.outline_mm[2][1] is not a finite number"),
         (OUTLINE + "\nradius_mm = 60.0", "line 5: sensor_type.radius_mm does not apply where outline_mm is given"),
         ("", "sensor_type.radius_mm is missing; a sheet that is no disc needs outline_mm"),

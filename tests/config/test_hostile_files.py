@@ -73,21 +73,13 @@ def test_only_line_feeds_end_lines():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            "frame_period_s = 2.5",
-            "frame_period_s = 601",
-            "scene.frame_period_s is 601; it must be a number",
-        ),
+        ("frame_period_s = 2.5", "frame_period_s = 601", "scene.frame_period_s is 601; it must be a number"),
         ("frame_period_s = 2.5", "frame_period_s = 1e-7", "scene.frame_period_s is 1e-07; it must be a number"),
         ("duration_s = 100.0", "duration_s = 1e300", "recording.duration_s is 1e+300; it must be a number"),
         ("duration_s = 100.0", "duration_s = 250000.1", "is 250000.1, 100000.04 frames of 2.5 s; at most 100000"),
         ("frame_period_s = 2.5", "frame_period_s = 600.0", "recording.duration_s is 100; one frame takes 600 s"),
         ("current_mA = 0.4", "current_mA = 1e300", "scene.current_mA is 1e+300; it must be a number"),
-        (
-            "current_mA = 0.4",
-            "current_mA = 1e-300",
-            "scene.current_mA is 1e-300; it must be a number",
-        ),
+        ("current_mA = 0.4", "current_mA = 1e-300", "scene.current_mA is 1e-300; it must be a number"),
         ("[sensor]", "[head]\ndiameter_mm = 0.2\n[sensor]", "head.diameter_mm is 0.2; it must be a number"),
         ("[sensor]", "[head]\ndiameter_mm = 1e6\n[sensor]", "head.diameter_mm is 1000000.0; it must be a number"),
         ("size_mm = 8.0", "size_mm = 0.9", "scene.sheet_mesh_size_mm is 0.9; on this sheet it must be at least 1"),

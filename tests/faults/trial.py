@@ -41,10 +41,7 @@ OF_INSTRUMENTS = {
 }
 
 #: Faults beside the instruments.
-OF_THE_COMPUTER = {
-    "store": ("disk full",),
-    "plugin": ("listener raises", "frame source raises", "applicator raises"),
-}
+OF_THE_COMPUTER = {"store": ("disk full",), "plugin": ("listener raises", "frame source raises", "applicator raises")}
 
 #: Faults that are over once they were met: one run can be struck with them at one step after the other.
 PASSING = frozenset({"garble", "delay", "stale", "resend", "busy", "listener raises"})

@@ -337,9 +337,7 @@ def _zip(data):
     return struct.pack("<II", 15, len(data)) + data
 
 
-def test_a_packed_matrix_is_unpacked_as_far_as_it_claims_and_may(
-    tmp_path,
-):
+def test_a_packed_matrix_is_unpacked_as_far_as_it_claims_and_may(tmp_path):
     zeros = bytes(2**23)
     shape, claimed = (256, 2**21), 2**32 - 8
     head = _element(6, struct.pack("<II", 6, 0)) + _element(5, struct.pack("<2i", *shape)) + _element(1, b"vv")

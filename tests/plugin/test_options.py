@@ -63,11 +63,7 @@ class Probe(WithOptions):
         ({"form_s": 3}, "form_s is not a known key", "did you mean 'from_s'? allowed here: count, every, from_s"),
         ({"from": 3}, "from is not a known key", "did you mean 'from_s'?"),
         ({"highest": 2.0}, "highest is 2, below count", "it must be at least 3"),
-        (
-            {"every": 1, "highest": 2.0},
-            "every is 1; highest is 2, below count",
-            "every: it must be true or false",
-        ),
+        ({"every": 1, "highest": 2.0}, "every is 1; highest is 2, below count", "every: it must be true or false"),
     ],
 )
 def test_a_wrong_option_is_refused_with_what_is_allowed(given, reason, remedy):

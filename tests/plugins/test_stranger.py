@@ -94,11 +94,7 @@ def test_it_is_listed_with_its_distribution(environment, tmp_path):
     done = _cbsr_qa(environment, tmp_path, "plugins", "list", "--json")
     listed = json.loads(done.stdout)["plugins"]
     theirs = [(row["kind"], row["name"]) for row in listed if row["from"] == "lab-thermometer"]
-    assert theirs == [
-        ("effect", "room-draught"),
-        ("instrument", "lab-thermometer"),
-        ("metric", "temperature-span"),
-    ]
+    assert theirs == [("effect", "room-draught"), ("instrument", "lab-thermometer"), ("metric", "temperature-span")]
 
 
 def test_it_appears_in_a_run_and_its_report(environment, tmp_path):

@@ -36,12 +36,7 @@ def test_the_worst_outcome_of_a_place_is_its_verdict(run):
     ]
     found = {one.label: one for one in location_verdicts(run, judged)}
     outcomes = {label: one.outcome for label, one in found.items()}
-    assert outcomes == {
-        "L0": Outcome.FAIL,
-        "L1": Outcome.MARGINAL,
-        "L2": Outcome.PASS,
-        "L3": Outcome.NOT_MEASURED,
-    }
+    assert outcomes == {"L0": Outcome.FAIL, "L1": Outcome.MARGINAL, "L2": Outcome.PASS, "L3": Outcome.NOT_MEASURED}
     assert (found["L0"].deciding.value, found["L0"].judged) == (9.0, 3)
 
 

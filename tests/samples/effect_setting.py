@@ -32,13 +32,7 @@ def with_line(slope: float, intercept: float) -> Material:
 
 def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int = 0) -> Moment:
     return Moment(
-        of,
-        time_s,
-        index,
-        list(presses),
-        [0.0] * len(presses),
-        [0.0] * len(presses),
-        reading_scale_V=READING_SCALE_V,
+        of, time_s, index, list(presses), [0.0] * len(presses), [0.0] * len(presses), reading_scale_V=READING_SCALE_V
     )
 
 

@@ -49,10 +49,7 @@ def model_of() -> MakeModel:
     def make(sensor: SensorType, *, size_mm: float, conductance: float = 1.0, contact: float = 0.05) -> ForwardModel:
         mesh = mesh_of(sensor, size_mm)
         return ForwardModel(
-            mesh,
-            sensor.pattern,
-            np.full(len(mesh.elements), conductance),
-            np.full(sensor.electrodes.count, contact),
+            mesh, sensor.pattern, np.full(len(mesh.elements), conductance), np.full(sensor.electrodes.count, contact)
         )
 
     return make

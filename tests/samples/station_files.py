@@ -17,13 +17,7 @@ hover_mm = 25.0
 
 [safety]
 """
-_SAFETY = {
-    "force_N": 20.0,
-    "strain_percent": 35.0,
-    "travel_radius_mm": 41.0,
-    "duration_h": 12.0,
-    "stale_s": 2.0,
-}
+_SAFETY = {"force_N": 20.0, "strain_percent": 35.0, "travel_radius_mm": 41.0, "duration_h": 12.0, "stale_s": 2.0}
 
 
 def station_file(name: str, instruments: str, *, clock: str = "virtual", **safety: float) -> str:

@@ -6,18 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_setting import (
-    HEAD,
-    base_scene,
-    held,
-    installed,
-    material,
-    pressed,
-    scene,
-    sensor_type,
-    truth,
-    world,
-)
+from simulated_setting import HEAD, base_scene, held, installed, material, pressed, scene, sensor_type, truth, world
 
 from cbsr_qa.domain import ConfigError, NumericsError, PluginError, RefusedError
 from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Moment, PluginChoice, SceneSetting, SheetDesign
@@ -75,10 +64,7 @@ def test_modules_of_effects_that_are_off_are_not_imported():
         "print(*sorted(m for m in sys.modules if m.startswith('cbsr_qa_plugins.effects.')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [
-        "cbsr_qa_plugins.effects.readings",
-        "cbsr_qa_plugins.effects.sheet",
-    ]
+    assert done.stdout.split() == ["cbsr_qa_plugins.effects.readings", "cbsr_qa_plugins.effects.sheet"]
 
 
 @pytest.mark.parametrize(

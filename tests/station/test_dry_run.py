@@ -214,8 +214,7 @@ def test_done_loads_cost_nothing():
 
 def test_every_violation_is_listed_before_anything_moves():
     plan = example_plan(
-        (*cycle(strain=0.36), *cycle(x_mm=42.1)),
-        (FindSurface(0, 43.6), Hold(13 * 3600, acquire=False), *cycle()),
+        (*cycle(strain=0.36), *cycle(x_mm=42.1)), (FindSurface(0, 43.6), Hold(13 * 3600, acquire=False), *cycle())
     )
     dry = dry_run(plan, 2.5)
     said = "\n".join(dry.violations)

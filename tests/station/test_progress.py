@@ -87,8 +87,7 @@ def test_on_a_terminal_phase_and_doing_are_plain_text_and_the_bar_goes_away(caps
 
 
 @pytest.mark.parametrize(
-    ("clock", "said"),
-    [(VirtualClock(), "50 %"), (RealClock(), "3 min left"), (VirtualClock(speed=50.0), "4 s left")],
+    ("clock", "said"), [(VirtualClock(), "50 %"), (RealClock(), "3 min left"), (VirtualClock(speed=50.0), "4 s left")]
 )
 def test_time_left_is_in_real_time_and_percent_of_a_clock_that_does_not_wait(clock, said):
     stream = Terminal()

@@ -131,10 +131,7 @@ def test_phases_say_what_they_are_for():
         def steps(self, context):
             yield from cycle(0)
 
-    planned = (
-        PlannedPhase("a", "fixed", FixedSequence(cycle(0), Role.GRID)),
-        PlannedPhase("b", "silent", Silent()),
-    )
+    planned = (PlannedPhase("a", "fixed", FixedSequence(cycle(0), Role.GRID)), PlannedPhase("b", "silent", Silent()))
     _, documents, _ = run(*planned)
     assert [d.role for d in kinds(documents, PhaseStarted)] == [Role.GRID, Role.OTHER]
 

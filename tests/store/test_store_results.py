@@ -11,15 +11,7 @@ from stored_runs import calibration, journalled, short_run
 
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.domain import CalibrationError, StoreError
-from cbsr_qa.domain.results import (
-    BaselineConductance,
-    Bound,
-    Limit,
-    Measurement,
-    Outcome,
-    RunResult,
-    Verdict,
-)
+from cbsr_qa.domain.results import BaselineConductance, Bound, Limit, Measurement, Outcome, RunResult, Verdict
 from cbsr_qa.store import open_store
 
 MEASURED = (

@@ -93,9 +93,7 @@ def _killed_elsewhere(here):
 
 
 @pytest.mark.parametrize(
-    "task",
-    [_killed_elsewhere, lambda here: lambda: "made here"],
-    ids=["a killed helper", "what cannot be pickled"],
+    "task", [_killed_elsewhere, lambda here: lambda: "made here"], ids=["a killed helper", "what cannot be pickled"]
 )
 def test_what_a_helper_does_not_return_is_made_here(processors, task):
     here = os.getpid()

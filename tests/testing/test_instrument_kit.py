@@ -245,10 +245,7 @@ def test_an_applicator_that_breaks_a_promise_is_told_which(said):
     [
         ({"safe_state": lambda self, own: None}, "mm above the sheet after being made safe while it was down"),
         ({"release": lambda self, own: None}, "mm above the sheet after being released"),
-        (
-            {"press": lambda self, own, depth_mm, speed: own(depth_mm + 0.3, speed)},
-            "mm deep when told to press 0.4",
-        ),
+        ({"press": lambda self, own, depth_mm, speed: own(depth_mm + 0.3, speed)}, "mm deep when told to press 0.4"),
     ],
 )
 def test_where_the_head_is_seen_it_is_held_against_what_it_was_told(station, broken, said):

@@ -170,10 +170,7 @@ def test_bimodal_noise_is_told_apart(board):
     assert min(step["after"] for step in noise["steps"]) == pytest.approx(5, rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("dataset", "places"),
-    [("vvAvg1", [None]), ("vvAvg2", [4.0]), ("vvAvg3", [0.0, 4.0])],
-)
+@pytest.mark.parametrize(("dataset", "places"), [("vvAvg1", [None]), ("vvAvg2", [4.0]), ("vvAvg3", [0.0, 4.0])])
 def test_phantom_b(tank, dataset, places):
     """Balls 7 cm from the centre of a pail with 26 cm of water, said to be 30 cm wide.
 

@@ -57,15 +57,7 @@ def analysed(voltages, unit=VoltageUnit.COUNT, sensor_type=None):
 
 def made(frames):
     return Recording(
-        Path("made.csv"),
-        "made",
-        "",
-        ScanKind.FULL,
-        frames,
-        None,
-        still=False,
-        magnitudes_only=False,
-        clock="board",
+        Path("made.csv"), "made", "", ScanKind.FULL, frames, None, still=False, magnitudes_only=False, clock="board"
     )
 
 

@@ -20,10 +20,7 @@ def a_run(places_mm, force_N, seed=1, deviation=0.2, response=None, hold_s=30.0)
     data = pressed(np.random.default_rng(seed), told, places_mm, force_N, frames=400)
     loads = [
         SimpleNamespace(
-            phase="grid",
-            force_N=float(force),
-            place_mm=(float(x), float(y)),
-            record=SimpleNamespace(index=k),
+            phase="grid", force_N=float(force), place_mm=(float(x), float(y)), record=SimpleNamespace(index=k)
         )
         for k, ((x, y), force) in enumerate(zip(places_mm, force_N, strict=True))
     ]

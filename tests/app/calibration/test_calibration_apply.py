@@ -33,11 +33,7 @@ def calibration():
 def _recording(voltages=None, *, flags=None, unit=VoltageUnit.VOLT, current_A=4e-4, **changes):
     seen = frames(np.tile(_PLACE, (len(_FORCE), 1)), _FORCE) if voltages is None else voltages
     block = FrameBlock(
-        2.5 * np.arange(len(seen)),
-        seen,
-        np.zeros(seen.shape, np.uint8) if flags is None else flags,
-        unit,
-        current_A,
+        2.5 * np.arange(len(seen)), seen, np.zeros(seen.shape, np.uint8) if flags is None else flags, unit, current_A
     )
     values = {
         "path": Path("press.h5"),

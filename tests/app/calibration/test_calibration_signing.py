@@ -164,12 +164,7 @@ def test_an_unsigned_file_is_signed_in_its_place(run, folder):
     done = _document(run, "sign", "sensor.h5", "--key", "a.key")
     assert (done["digest"], done["replaced"]) == (before["digest"], None)
     after = _document(run, "verify", "sensor.h5", "--public-key", "a.key.pub")
-    assert after["signature"] == {
-        "key": done["key"],
-        "signed_at": done["signed_at"],
-        "checked": True,
-        "pinned": True,
-    }
+    assert after["signature"] == {"key": done["key"], "signed_at": done["signed_at"], "checked": True, "pinned": True}
     assert after | {"signature": None} == before
 
 
@@ -257,10 +252,7 @@ def test_without_the_library_a_robot_loads_the_file_and_a_check_says_what_to_ins
     for name in [name for name in sys.modules if name.split(".")[0] == "cryptography"]:
         monkeypatch.setitem(sys.modules, name, None)
     qa.load_calibration("force.h5")
-    for call in (
-        lambda: qa.load_calibration("force.h5", public_key="a.key.pub"),
-        lambda: signing_key(sensor),
-    ):
+    for call in (lambda: qa.load_calibration("force.h5", public_key="a.key.pub"), lambda: signing_key(sensor)):
         with pytest.raises(RefusedError, match="need cryptography, which is not installed") as error:
             call()
         assert error.value.remedy == "pip install 'cbsr-qa[sign]'"

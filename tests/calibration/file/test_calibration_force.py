@@ -6,14 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import (
-    edited,
-    forged,
-    old_calibration,
-    sample_calibration,
-    sample_force,
-    sparse_calibration,
-)
+from calibration_samples import edited, forged, old_calibration, sample_calibration, sample_force, sparse_calibration
 
 from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration

@@ -134,10 +134,7 @@ def test_signals_of_loads_agree_with_the_exact_ones(pin_sensor):
                 RoundLoads.of_contrast(np.array([[x, y]]), np.array([6.5]), np.array([0.5]))
             ).change[0][usable]
             load = cover(model.elements, RoundFootprint(x, y, 6.5))
-            for change, bound in (
-                (load.change(model.conductance, 0.5), allowed),
-                (0.5 * load.share, 0.1),
-            ):
+            for change, bound in ((load.change(model.conductance, 0.5), allowed), (0.5 * load.share, 0.1)):
                 found = (local.voltages(load.elements, change) - model.voltages())[usable]
                 assert np.linalg.norm(found - exact) < bound * np.linalg.norm(exact)
 

@@ -10,11 +10,7 @@ from cbsr_qa.domain.results import Blob, Image
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward import disc_coverage
 from cbsr_qa.eit.imaging.blobs import find_blobs, floored, percentage_mask
-from cbsr_qa.eit.imaging.shape import (
-    area_overlap_percent,
-    centre_of_mass_error_mm,
-    shape_deviation_mm2,
-)
+from cbsr_qa.eit.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
 
 CELLS = 5
 coordinate = st.floats(-20, 20, allow_nan=False)

@@ -4,12 +4,7 @@ import pytest
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_matrix, dual_spectrum
-from cbsr_qa.eit.inverse.noise_figures import (
-    NoiseFigureForm,
-    hyperparameter_for,
-    noise_figure,
-    noise_figure_of,
-)
+from cbsr_qa.eit.inverse.noise_figures import NoiseFigureForm, hyperparameter_for, noise_figure, noise_figure_of
 from cbsr_qa.eit.inverse.priors import noser
 from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
 

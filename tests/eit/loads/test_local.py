@@ -34,12 +34,7 @@ def worst(found: np.ndarray, exact: np.ndarray) -> float:
     return float(np.abs(found / exact - 1).max())
 
 
-@given(
-    x=st.floats(-45, 45),
-    y=st.floats(-45, 45),
-    radius=st.floats(3, 15),
-    log_factor=st.floats(-3, 3),
-)
+@given(x=st.floats(-45, 45), y=st.floats(-45, 45), radius=st.floats(3, 15), log_factor=st.floats(-3, 3))
 @drawn(25)
 def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
     elements, fraction = disc_coverage(model.mesh, x, y, radius)

@@ -164,11 +164,7 @@ def test_electrodes_with_the_least_room_and_width_are_meshed_with_few_elements(p
 
 @pytest.mark.parametrize(
     ("width_mm", "reason"),
-    [
-        (3.9999, "clear of its edge"),
-        (1e-9, "must be at least 0.05 mm"),
-        (18.5, "at most 17.8"),
-    ],
+    [(3.9999, "clear of its edge"), (1e-9, "must be at least 0.05 mm"), (18.5, "at most 17.8")],
 )
 def test_electrodes_too_small_or_without_room_are_refused_before_they_are_meshed(pin_sensor, width_mm, reason):
     sensor = pin_sensor()

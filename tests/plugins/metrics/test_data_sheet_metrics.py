@@ -114,11 +114,7 @@ def test_the_scatter_of_trials_is_the_nonlinearitys_uncertainty():
 
 @pytest.mark.parametrize(
     ("strains", "kPa", "said"),
-    [
-        ((0.2,), 132.5, "there are 1"),
-        ((0.1, 0.2), 132.5, "there are 2"),
-        (STRAINS, None, "no force was recorded"),
-    ],
+    [((0.2,), 132.5, "there are 1"), ((0.1, 0.2), 132.5, "there are 2"), (STRAINS, None, "no force was recorded")],
 )
 def test_without_strains_or_force_there_is_no_nonlinearity(strains, kPa, said):
     loads = tuple(pressed("L0", s, s, kPa=kPa, index=k) for k, s in enumerate(strains))

@@ -58,9 +58,7 @@ def problem():
         sensor(first_angle_deg=33.0, counterclockwise=False),
         sensor(
             pattern=DrivePattern(
-                16,
-                tuple((k, (k + 8) % 16) for k in range(16)),
-                tuple(((k + 1) % 16, k) for k in range(16)),
+                16, tuple((k, (k + 8) % 16) for k in range(16)), tuple(((k + 1) % 16, k) for k in range(16))
             )
         ),
     ],

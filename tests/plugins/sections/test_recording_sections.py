@@ -54,8 +54,7 @@ def test_channels_say_noise_and_reciprocity(result):
 
 
 @pytest.mark.parametrize(
-    ("saturated", "said"),
-    [((), "Saturated: none; stuck: none."), (((0, 0), (1, 1)), "Saturated: 2; stuck: none.")],
+    ("saturated", "said"), [((), "Saturated: none; stuck: none."), (((0, 0), (1, 1)), "Saturated: 2; stuck: none.")]
 )
 def test_the_map_counts_what_is_marked_on_it(result, saturated, said):
     marked = replace(result, channels=replace(result.channels, saturated=saturated, stuck=()))

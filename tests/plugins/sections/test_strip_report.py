@@ -12,15 +12,7 @@ from strip_bench import strip_run
 from cbsr_qa.analysis import characterise_run, judge, measure_characterisation
 from cbsr_qa.app.run import material_of, why_no_material
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import (
-    CharacterisationSettings,
-    Figure,
-    Limit,
-    Outcome,
-    Paragraph,
-    RunResult,
-    Verdict,
-)
+from cbsr_qa.domain.results import CharacterisationSettings, Figure, Limit, Outcome, Paragraph, RunResult, Verdict
 from cbsr_qa.report import run_page
 from cbsr_qa_plugins.sections.characterisation import MaterialCharacterisation
 

@@ -257,11 +257,7 @@ def test_fleets_of_known_truth(on_all):
 @pytest.mark.parametrize(
     ("rows", "values", "reason"),
     [
-        (
-            [(0, 0, 0), (0, 1, 0), (0, 0, 0)],
-            [1.0, 2.0, 4.0],
-            "1 sensors are too few to judge 2",
-        ),
+        ([(0, 0, 0), (0, 1, 0), (0, 0, 0)], [1.0, 2.0, 4.0], "1 sensors are too few to judge 2"),
         # One sensor a batch: its values do differ, and nothing is left to judge them by.
         ([(0, 0, 0), (1, 0, 1)], [1.0, 2.0], "2 sensors are too few to judge 2"),
         ([(0, 0, 0), (0, 0, 1), (1, 0, 2)], [1.0, 1.0, 2.0], "values do not differ within groups"),

@@ -178,10 +178,7 @@ EDITS = {
         "update run_links set number = 5 where number = 99",
         "link 4 in run_links.* does not follow",
     ),
-    "a link's content": (
-        "update run_links set content_sha256 = sha256",
-        "link .* in run_links.* does not follow",
-    ),
+    "a link's content": ("update run_links set content_sha256 = sha256", "link .* in run_links.* does not follow"),
     "text for a number": ("update loads set x_mm = 'far'", r"loads\.x_mm \("),
     "bytes for a number": ("update loads set x_mm = cast(x_mm as blob)", r"loads\.x_mm \("),
     "a part of a whole number": ("update warnings set number = number + 0.25", r"warnings\.number \("),
@@ -283,10 +280,7 @@ READERS = {
     "configuration": (RUN, lambda store, run, _: store.configuration(run)),
     "identity": (RUN, lambda store, run, _: store.identity(run)),
     "analyses": (VALUE, lambda store, run, _: store.analyses(run)),
-    "calibration": (
-        "update calibrations set scale = 1",
-        lambda store, _, issued: store.calibration_file(issued),
-    ),
+    "calibration": ("update calibrations set scale = 1", lambda store, _, issued: store.calibration_file(issued)),
     "override": (VALUE, lambda store, run, _: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")),
     "fleet of a sensor": (VALUE, lambda store, *_: store.fleet(RunSelection(serials=("S-1",)))),
     "fleet": (RUN, lambda store, *_: store.fleet()),

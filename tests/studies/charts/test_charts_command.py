@@ -257,14 +257,8 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
         (("--station", STATION, *NEW, "--rules", "one"), "numbers from 1 to 8"),
         (("--station", STATION, *NEW, "--subgroup", 4), "none with another chart"),
         (("--station", STATION, *NEW, "--chart", "ewma", "--rules", "1,2"), "--rules with --chart ewma"),
-        (
-            ("--station", STATION, "--chart", "ewma", "--rules", "1,2,5"),
-            "--chart, --rules can only be given",
-        ),
-        (
-            ("--station", STATION, "--operator", "Zoë", "--dry-run"),
-            "--operator, --dry-run can only be given",
-        ),
+        (("--station", STATION, "--chart", "ewma", "--rules", "1,2,5"), "--chart, --rules can only be given"),
+        (("--station", STATION, "--operator", "Zoë", "--dry-run"), "--operator, --dry-run can only be given"),
         (("--station", STATION, "--reference-runs", 12, "--operator", "Zoë", "--chart", "xbar-r"), "give 15\n"),
         (("--station", STATION, "--reference-runs", 22, "--operator", "Zoë", "--chart", "xbar-r"), "give 20 or 25"),
         (("--station", STATION, *NEW, "--golden", "G-7"), "no analysed run of sensor 'G-7'"),

@@ -10,8 +10,7 @@ _SLOW = ("smooth-image-of-a-small-parameter", "smooth-image-of-next-to-no-parame
 
 
 @pytest.mark.parametrize(
-    "case",
-    [pytest.param(case, id=case.name, marks=[pytest.mark.rest] * (case.name in _SLOW)) for case in CASES],
+    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.rest] * (case.name in _SLOW)) for case in CASES]
 )
 def test_hard_case(case):
     result = examine(case)

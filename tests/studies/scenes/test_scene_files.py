@@ -190,11 +190,7 @@ def test_a_scene_that_cannot_be_recorded_says_which_lines_to_add(tmp_path):
 @pytest.mark.parametrize(
     ("effects", "reason", "remedy"),
     [
-        (
-            'name = "piezoresistive"',
-            "no effect plugin named 'piezoresistive'",
-            "did you mean 'piezoresistivity'",
-        ),
+        ('name = "piezoresistive"', "no effect plugin named 'piezoresistive'", "did you mean 'piezoresistivity'"),
         ('name = "load-cell-noise"\nrms_mN = 1.0', "rms_mN is not a known key", "did you mean 'rms_N'"),
         ('name = "residue"\nshare = 0.1\ndecay_ms = 9.0', "decay_ms is not a known key", "did you mean 'decay_s'"),
         ('name = "load-cell-noise"', "rms_N is missing", "it must be a number"),
