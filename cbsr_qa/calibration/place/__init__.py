@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         safe_ceilings as safe_ceilings,
         spikes_among as spikes_among,
     )
-    from .held_out import mean_by_place as mean_by_place, visits_of as visits_of
+    from .held_out import evenly as evenly, mean_by_place as mean_by_place, visits_of as visits_of
     from .learning import FEWEST_PRESSES as FEWEST_PRESSES, PlaceLearned as PlaceLearned, learn_place as learn_place
     from .mixture import mahalanobis as mahalanobis
     from .modelled import (

@@ -11,10 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import log_likelihood
+from cbsr_qa.calibration.place import evenly, log_likelihood
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
-from cbsr_qa.calibration.presses.pose import evenly_spread
 from cbsr_qa.calibration.presses.registration import Registered, register_presses, turned_likelihood
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices
@@ -76,7 +75,7 @@ def _exchanged(
     chosen = np.flatnonzero(sheet.clear(order.registered.places))
     if count > _MOST_ELECTRODES or not len(chosen):
         return None
-    chosen = chosen[evenly_spread(len(chosen), _TRIED)]
+    chosen = chosen[evenly(len(chosen), _TRIED)]
     evidence_of = _Evidence(sheet, order.registered, changes, chosen)
     before = evidence_of(order.pairs).sum()
     exchanges = list(combinations(np.unique(order.pairs).tolist(), 2))  # one that is in no pair shows in no reading
@@ -104,7 +103,7 @@ def _other_numbering(
     """
     if _leaves_out_driven(order.pairs):
         return None
-    few, near = evenly_spread(len(changes), _FEW), order.registered.registration
+    few, near = evenly(len(changes), _FEW), order.registered.registration
     before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
     values = [turned_likelihood(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
@@ -167,7 +166,7 @@ def _clearly_better(
     if not after.trusted or 1 - after.signal_share > _LESS_LEFT * (1 - before.signal_share):
         return False
     inside = sheet.clear(order.registered.places) & sheet.clear(other.places)
-    chosen = np.flatnonzero(inside)[evenly_spread(int(inside.sum()), _TRIED)]
+    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _TRIED)]
     gain = _Evidence(sheet, other, changes, chosen)(pairs)
     gain = gain - _Evidence(sheet, order.registered, changes, chosen)(order.pairs)
     spread = float(gain.std(ddof=1)) if len(gain) > 1 else np.inf

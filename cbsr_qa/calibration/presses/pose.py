@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.calibration.place import evenly
 from cbsr_qa.calibration.presses.ascent import ascended
 from cbsr_qa.calibration.presses.likeness import Likeness
 from cbsr_qa.domain import Array, Indices
@@ -98,7 +99,7 @@ class PoseSearch:
 
     def _candidates(self, likeness: Likeness, *, mirrored: bool) -> Array:
         """Numbers (k, 4) of the poses on the lattice to begin from."""
-        some = evenly_spread(len(self.labelled), _SEARCHED)
+        some = evenly(len(self.labelled), _SEARCHED)
         fewer, labelled = likeness.of(some), self.labelled[some]
         sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
         values = np.empty((len(sizes), len(shifts), len(ROTATIONS)))
@@ -175,11 +176,6 @@ class PoseSearch:
         spread = 1 + away**2 / 4
         slope = -away / spread / _RADIUS_ERROR
         return -2 * np.log(spread), slope, (away**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
-
-
-def evenly_spread(count: int, most: int) -> Indices:
-    """Indices of a limited number of presses, spread evenly over all."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 def in_plane(places: Array) -> Complex:

@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place import evenly
 from cbsr_qa.calibration.presses.likeness import Likeness, alikeness, answering_side
-from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, evenly_spread, in_plane
+from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, in_plane
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import SheetRegistration
@@ -71,7 +72,7 @@ def register_presses(
     side = answering_side(sheet, pairs, changes)
     pairs, changes = pairs[side.answers], changes[:, side.answers]
     stated_mm = sheet.radius_mm if radius_stated else None
-    chosen = evenly_spread(len(changes), _REFINED)
+    chosen = evenly(len(changes), _REFINED)
     search = PoseSearch(place_mm[chosen], stated_mm)
     likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen]) for sign in (1, -1)}
     cases = [(sign, mirrored) for sign in likeness for mirrored in (False, True)]
@@ -184,6 +185,6 @@ def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: 
     inside = sheet.clear(places)
     if not inside.any():
         return 0.0
-    chosen = np.flatnonzero(inside)[evenly_spread(int(inside.sum()), _REFINED)]
+    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _REFINED)]
     alike = alikeness(changes[chosen], sheet.loads(places[chosen]).readings(pairs))
     return float(np.median(np.maximum(alike, 0.0) ** 2))
