@@ -4,11 +4,9 @@ from datetime import date, datetime, time
 
 import pytest
 
-from cbsr_qa.config import DocumentKind, shipped_names
 from cbsr_qa.report import json_document, terminal_lines
-from cbsr_qa.studies.scenes import Explained, explain_scene, explained_outcome
+from cbsr_qa.studies.scenes import Explained, explained_outcome
 from cbsr_qa.studies.scenes.explain import ExplainedEffect
-from cbsr_qa.studies.scenes.report import plainly
 
 
 def _effect(name, perturbs, *, on=True, needs=(), each_ms=0.0, once_ms=0.0, does="It does something.", **parameters):
@@ -39,12 +37,6 @@ def test_effects_that_are_on_come_in_order_of_stage():
     assert names[:2] == [["sheet", "e-2"], ["impedance", "e-1"]]
     assert names[2][0] == "e-3"  # of the stage above
     assert names[3] == ["source", "e-0"]
-
-
-def test_the_largest_costs_have_bars_as_long_as_their_share():
-    shares = {"none": 0.0, "fifth": 0.2, "half": 0.6, "all": 1.0, "more": 1.7}
-    explained = _explained(*(_effect(name, "voltages", each_ms=4 * share) for name, share in shares.items()))
-    assert [_row(explained, name).count("#") for name in shares] == [0, 1, 3, 5, 5]
 
 
 @pytest.mark.parametrize("stage", ["sheet", "position", "geometry", "recording"])
@@ -79,32 +71,3 @@ def test_parameters_of_any_kind_that_toml_has_are_json():
         "inner": {"when": "2026-01-02T03:04:00"},
         "n": 1,
     }
-
-
-@pytest.mark.parametrize("name", shipped_names(DocumentKind.SCENE))
-def test_shipped_scenes_fit_a_hundred_columns(name):
-    assert max(map(len, _printed(explain_scene(name, measure=False)))) <= 100
-
-
-@pytest.mark.parametrize(
-    ("value", "shown"),
-    [
-        (0.05, "0.05"),
-        (5e6, "5e6"),
-        (1e10, "1e10"),
-        (1e-12, "1e-12"),
-        (1234567.0, "1234567.0"),
-        (100.0, "100"),
-        (0.123456789, "0.123456789"),
-        (True, "true"),
-        ("punch", '"punch"'),
-        ("größer", '"größer"'),
-        ("a\x1b[31m\nb", r'"a\u001b[31m\nb"'),
-        (date(2026, 11, 21), "2026-11-21"),
-        ([9, 10], "[9, 10]"),
-        ([0.5, 1e-6], "[0.5, 1e-6]"),
-        ({"a": 1.0}, "{a = 1}"),
-    ],
-)
-def test_parameters_are_printed_as_people_write_them(value, shown):
-    assert plainly(value) == shown
