@@ -1,5 +1,7 @@
 """The documentation as a site: built once, strictly, and then read."""
 
+import inspect
+import json
 import os
 import re
 import subprocess
@@ -10,10 +12,14 @@ from urllib.parse import unquote
 import pytest
 from pages import TOP
 
+import cbsr_qa
 from cbsr_qa.cli import commands, documents
 from cbsr_qa.plugin import hooks
 
 pytestmark = pytest.mark.rest
+
+_PRESENTED = re.compile(r"<article.*?</article>", re.S)
+_CODE = re.compile(r"<(pre|code|svg)\b.*?</\1>", re.S)
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +82,22 @@ def test_nothing_is_fetched_from_elsewhere(site):
         assert not re.search(r"url\(.?https?:|@import", style.read_text(encoding="utf-8")), style
 
 
+def test_no_markdown_is_left(site):
+    left = r"\|[ -]*---|^\s*- \w.*|^\d+\. .*|```|\]\([^)]*\)|\*\*|^#+ .*"
+    for page in _pages(site):
+        (article,) = _PRESENTED.findall(_read(page)) or [""]
+        text = re.sub(r"<h\d.*?</h\d>", "", _CODE.sub("", article))
+        found = re.findall(left, re.sub(r"<[^>]+>", "", text), re.M)
+        assert not found, (page, found)
+
+
+def test_the_search_knows_every_page(site):
+    index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
+    found = {(site / entry["location"].partition("#")[0]).resolve() for entry in index["docs"]}
+    assert set(_pages(site)) <= found
+    assert (site / "search" / "search_index.js").exists(), "pages opened from disk search this one"
+
+
 def test_what_is_written_from_the_code_is_complete(site):
     reference = site / "reference"
     assert {command.words for command in commands()} == set(
@@ -84,3 +106,22 @@ def test_what_is_written_from_the_code_is_complete(site):
     assert {words.replace(" ", "-") for words in documents()} < _places(reference / "schemas.html")
     assert {name for name in vars(hooks) if name.startswith("cbsr_")} < _places(reference / "hooks.html")
     assert {"sequencecontext", "measurement", "check_metric"} < _places(reference / "plugin-interface.html")
+
+
+def test_the_page_on_python_has_signatures_members_flags_and_results_of_every_name(site):
+    page = _read(site / "reference" / "python.html")
+    names = [name for name in dir(cbsr_qa) if not name.startswith("_") and name != "door"]
+    assert {name.lower() for name in names} < {place.lower() for place in _places(site / "reference" / "python.html")}
+    words = re.sub(r"<[^>]+>", "", page)
+    functions = [name for name in names if inspect.isfunction(getattr(cbsr_qa, name))]
+    assert len(functions) > 6
+    for name in functions:
+        for parameter in inspect.signature(getattr(cbsr_qa, name)).parameters:
+            assert re.search(rf"\b{parameter}\b", words[words.index(f"{name}(") :]), (name, parameter)
+    assert all(flag.name in words for flag in cbsr_qa.Flag)
+    assert {"forces", "severalforces", "trackedload", "places", "quantities"} < _places(
+        site / "reference" / "python.html"
+    )
+    assert "place_stderr_mm" in words
+    assert "Forces.interval_N(" in words
+    assert 'href="schemas.html#run"' in page
