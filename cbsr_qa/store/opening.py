@@ -9,7 +9,7 @@ from sqlalchemy import URL, Engine
 
 from cbsr_qa.store import schema
 from cbsr_qa.store.chain import KEY_OPTION, SigningKey
-from cbsr_qa.store.engine import open_engine, parsed_url, sqlite_file
+from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system import RealClock
 
@@ -79,8 +79,6 @@ def _opened(
 def check_usable(url: str) -> None:
     """Refuse a database that could not store a run; anything written to find out is removed.
 
-    The connection to a server stays open for what opens the database next.
-
     Raises
     ------
     StoreError
@@ -92,10 +90,7 @@ def check_usable(url: str) -> None:
         if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
             raise schema.refusal(engine, version)
         schema.check_writable(engine, version)
-    except BaseException:
-        engine.dispose()
-        raise
-    if sqlite_file(engine.url) is not None:
+    finally:
         engine.dispose()
 
 
