@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 PROGRAM = Path(sys.executable).with_name("cbsr-qa")
-#: Commands that end with signals, children or instruments of their own.
-_DRIVING = {"run", "serve", "stream", "station", "control", "--watch"}
+#: Commands with signals, children, instruments or plugins of their own.
+_DRIVING = {"run", "serve", "stream", "station", "control", "plugins", "--watch"}
 
 
 #: Numerical libraries are held to one thread, as the program does before it loads them.
