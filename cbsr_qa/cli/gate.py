@@ -65,7 +65,7 @@ def release(
 
 @command("releases", prints="cbsr_qa.app.gate:ReleaseList")
 def releases(database: Database = None, as_json: AsJson = False) -> None:
-    """List which files were released or withdrawn, by whom, when and why; the latest line of a content is valid."""
+    """List which files were released or withdrawn, by whom, when and why; the latest entry for a content counts."""
     from cbsr_qa.app.gate import list_releases
 
     show(list_releases(database), as_json=as_json)

@@ -43,9 +43,9 @@ def _installed() -> tuple[tuple[str, str], ...]:
 
 
 def _version(name: str) -> str:
-    """Return the version of an installed distribution; to parse all that is said of it takes ten times as long."""
-    said = re.search(r"^Version: (\S+)\s*$", distribution(name).read_text("METADATA") or "", re.MULTILINE)
-    return version(name) if said is None else said[1]
+    """Return the version of an installed distribution, ten times as fast as parsing all of its metadata."""
+    stated = re.search(r"^Version: (\S+)\s*$", distribution(name).read_text("METADATA") or "", re.MULTILINE)
+    return version(name) if stated is None else stated[1]
 
 
 def kind_named(name: str | None) -> Kind | None:

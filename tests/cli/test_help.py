@@ -59,6 +59,17 @@ def test_a_run_and_a_check_name_their_station_alike(capsys):
     assert "Missing option '--station'" in capsys.readouterr().err
 
 
+def test_help_on_benchmarks_lists_its_parts():
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "--help"], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert re.search(r"^  fleet +Batches compared", done.stdout, re.M)
+    assert "python -m benchmarks.chart_alarms" in done.stdout
+
+
 def test_help_and_version_load_no_heavy_library():
     """Each takes longer than all of the command line: help and version answer at once."""
     loaded = "import sys, cbsr_qa.cli.main; print(*sys.modules)"

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -150,6 +151,17 @@ def test_the_same_scene_and_seed_give_the_same_bytes(folder):
     other = document(cbsr_qa(folder, "scene", "run", "short.toml", "--seed", "8", "--json"))
     assert other["files"][0]["path"] == "var/scenes/short-one-seed8.h5"
     assert _sha(folder / "var/scenes/short-one-seed8.h5") != _sha(folder / "one.h5")
+
+
+@pytest.mark.rest
+def test_what_a_run_prints_ends_with_what_to_try(folder):
+    done = cbsr_qa(folder, "scene", "run", "short.toml", "--format", "ert-board-csv", fresh=True)
+    printed = " ".join(done.stdout.split())
+    assert "short one, seed 7" in printed
+    assert "ert-board-csv var/scenes/short-one-seed7.ert-board-csv.csv" in printed
+    assert "loads[2]: the head (13 mm diameter) at (-44, 0) mm is partly over the sheet's edge" in printed
+    assert done.stdout.splitlines()[-1] == "try: cbsr-qa analyse var/scenes/short-one-seed7.h5"
+    assert "simulating 20 frames" in done.stderr
 
 
 @pytest.mark.rest
@@ -303,6 +315,17 @@ def test_explain_measures_what_effects_cost(folder):
     assert said["compute_s"] > 0
     skew = next(effect for effect in said["effects"] if effect["name"] == "mains-hum")
     assert (skew["needs"], skew["perturbs"], skew["on"]) == (["time-skew"], "voltages", False)
+
+
+@pytest.mark.rest
+def test_explain_prints_parameters_costs_and_what_is_off(folder):
+    lines = cbsr_qa(folder, "scene", "explain", "short.toml").stdout.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert re.match(r"– 7 of \d+ effects on: a frame takes [\d.]+ ms; 20 frames of the recording about ", lines[0])
+    assert any(re.fullmatch(r" *geometry +sheet-seat +[\d.< ]+ once +error_mm = 0.05", line) for line in lines)
+    assert any(re.fullmatch(r" *voltages +measurement-noise +[\d.< ]+#*", line) for line in lines)
+    off, not_modelled = lines.index("Off"), lines.index("Not modelled")
+    assert any(line.strip().startswith("mains-hum ") for line in lines[off:not_modelled])
 
 
 def test_a_wrong_scene_is_refused_by_both_commands(folder):

@@ -3,17 +3,19 @@
 import json
 import re
 import signal
+from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.app.station_check import BenchFindings, CheckRequest, check as station_check, check_station
+from cbsr_qa.app.station_check import BenchFindings, CheckRequest, check as station_check, check_station, outcome
 from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_scene, load_station
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.report import terminal_lines
 from cbsr_qa.store import open_store
 
 
@@ -146,6 +148,35 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
     amplitude = lines_of("golden sensor G-1", document)["amplitude response"]
     assert amplitude["allowed"].endswith(" (simulated)")
     assert amplitude["outcome"] == "ok"
+
+
+def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
+    assert guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "✗ FAILED: reference ring: offset"
+    assert any("What to do: zero the meter" in line for line in said)
+    assert max(map(len, said)) <= 130
+
+
+def test_long_allowances_and_findings_are_wrapped_and_nothing_is_lost():
+    line = CheckResult(
+        "force",
+        CheckOutcome.FAILED,
+        3.9,
+        "N",
+        "3.5474 to 3.6827 N (here); 3.5111 to 3.7001 N (bench-2, bench-3, bench-with-a-long-name)",
+        "measure it again",
+        "here 3.615 ± 0.009 in 6 earlier runs; bench-3, bench-with-a-long-name 3.606 ± 0.012 in 9 earlier runs",
+        "golden sensor G-1",
+    )
+    found = outcome.check_outcome(replace(CHECK, results=(line,)), None, None, None)
+    lines = list(terminal_lines(found.page, found.sections))
+    rows = [text for text in lines if text.startswith("    ")]
+    said = " ".join(rows)
+    for word in (*line.allowed.split(), *line.said.split(), "What", *line.remedy.split()):
+        assert word in said or word in " ".join(lines)
+    assert max(map(len, rows)) <= 140
+    assert found.exit_code == 3  # no instrument answered
 
 
 CHECK = StationCheck("1", "simulated", "", datetime(2026, 11, 22, tzinfo=UTC), "disc-100mm", 64 * "a", (), (), ())

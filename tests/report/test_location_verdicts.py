@@ -53,6 +53,15 @@ def test_what_is_not_about_one_load_is_no_places(run):
     assert location_verdicts(run, [lost]) == ()
 
 
+def test_words_name_the_worst_first_and_count_the_rest(run):
+    judged = [measured(run, "nine", k, 1.9 if k == 1 else 4.0 if k == 4 else 0.2) for k in range(9)]
+    words = verdicts_in_words(location_verdicts(run, judged))
+    assert words.startswith("By location, 2 do not simply pass: L4 (nine) fail, error 4")
+    assert "L1 (nine) marginal" in words
+    assert words.endswith("The other 7 pass.")
+    assert verdicts_in_words(location_verdicts(run, judged[5:])) == "By location: all 4 pass."
+
+
 def test_a_value_that_is_lacking_is_named_with_its_reason(run):
     words = verdicts_in_words(location_verdicts(run, [measured(run, "nine", 3, None)]))
     assert "L3 (nine) not measured, error: lost" in words

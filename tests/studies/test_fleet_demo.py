@@ -1,9 +1,13 @@
 """The fleet of the demonstration: its designs, its truth, and that it says what it is."""
 
 import json
+import os
+import shutil
 import sqlite3
+import subprocess
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,8 @@ from cbsr_qa.domain.results import Outcome, RunSelection
 from cbsr_qa.store import open_store
 from cbsr_qa.studies import fleet_demo
 from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, designed
+
+TOP = Path(__file__).parents[2]
 
 pytestmark = pytest.mark.rest
 
@@ -39,6 +45,10 @@ def test_the_first_design_has_each_sensor_at_one_station_the_second_a_third_at_a
         once = [(batch, *found) for (batch, _), found in stations.items() if len(found) == 1]
         at_home = sum(batch == station for batch, station in once)
         assert 0.5 < at_home / len(once) < 0.7
+
+
+def test_progress_is_told_run_by_run(built):
+    assert built[1] == [(done, 198) for done in range(1, 199)]
 
 
 def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
@@ -83,6 +93,34 @@ def test_everything_says_that_nothing_was_measured(built, tmp_path):
     page = render_stored(runs[0].run, database=str(built[0]), folder=tmp_path).report.read_text()
     assert SAID in page
     assert "the run holds no frames" in page
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize(("system", "display", "opened"), [("Linux", "", 0), ("Linux", ":0", 2), ("Darwin", "", 2)])
+def test_make_fleet_demo_opens_the_pages_where_there_is_a_screen_and_needs_no_browser(
+    tmp_path, system, display, opened
+):
+    """The commands it runs are stand-ins that note how they were called; the one that opens pages fails."""
+    called, binaries, var = tmp_path / "called", tmp_path / "venv" / "bin", tmp_path / "a folder"
+    binaries.mkdir(parents=True), var.mkdir()
+    for name, line in (
+        ("python", f'echo "$@" >> "{called}"; [ "$2" != webbrowser ]'),
+        ("cbsr-qa", f'echo "$@" >> "{called}"'),
+        ("uname", f"echo {system}"),
+    ):
+        (binaries / name).write_text(f"#!/bin/sh\n{line}\n")
+        (binaries / name).chmod(0o755)
+    (tmp_path / "venv" / ".run-stamp").touch()
+    environment = {"PATH": f"{binaries}:{os.environ['PATH']}", "CBSR_QA_VAR": str(var), "DISPLAY": display}
+    command = ["make", "-C", str(TOP), "fleet-demo", f"VENV={binaries.parent}"]
+    made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    lines = called.read_text().splitlines()
+    assert lines[0] == "-m cbsr_qa.cli.studies.fleet_demo"
+    pages = [f"{var}/fleet-demo-{design}.html" for design in (ONE_STATION, THIRD_ON_ALL)]
+    assert [line.split(" --output ")[1] for line in lines if line.startswith("compare")] == pages
+    shown = [f"-m webbrowser file://{Path(page).resolve()}" for page in pages]
+    assert [line for line in lines if "webbrowser" in line] == shown[:opened]
 
 
 def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path, monkeypatch):

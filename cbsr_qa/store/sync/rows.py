@@ -87,8 +87,8 @@ def columns_of(table: Table, rows: Sequence[Sequence[Any]]) -> dict[str, Sequenc
 
 
 def _digits(cells: Sequence[Any]) -> Sequence[str | None]:
-    """Return digests as digits; TypeError for a cell that is none."""
+    """Return digests as hexadecimal digits. TypeError if a cell is not 32 bytes."""
     foreign = [cell for cell in cells if cell is not None and (type(cell) is not bytes or len(cell) != 32)]
     if foreign:
-        raise TypeError("a cell holds no digest")
+        raise TypeError("a cell is not a digest of 32 bytes")
     return [None if cell is None else cell.hex() for cell in cells]

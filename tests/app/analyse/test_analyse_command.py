@@ -1,6 +1,7 @@
 """``cbsr-qa analyse`` from the command line, on files made here."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,17 @@ def test_an_unknown_stated_sensor_type_is_a_warning_an_unknown_named_one_a_refus
     assert "disc-99mm" in refused(capsys, path, "--sensor-type", "disc-99mm")["refused"]["reason"]
 
 
+@pytest.mark.rest
+def test_words_and_json_say_the_same_and_progress_goes_to_stderr(tmp_path, capsys):
+    path = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=-0.1))
+    code, out, err = run(capsys, path)
+    assert code == 0
+    assert "conducts less" in out
+    assert re.search(r"frames +80\n", out)
+    assert "analysing" in err
+    assert "analysing" not in out
+
+
 def test_a_reference_recording_turns_presses_into_objects(tmp_path, capsys):
     empty = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=0.0, seed=2), name="empty.h5")
     held = exported(tmp_path, pressed_frames(-0.3, 0.5, contrast=0.2, start=10, end=70), name="held.h5")
@@ -80,6 +92,22 @@ def test_a_reference_recording_turns_presses_into_objects(tmp_path, capsys):
     (event,) = found["events"]
     assert (event["x_over_R"], event["y_over_R"]) == pytest.approx((-0.3, 0.5), abs=0.05)
     assert (event["start_s"], event["end_s"]) == pytest.approx((25.0, 172.5))
+
+
+@pytest.mark.rest
+def test_a_rounded_zero_has_no_sign_and_one_frame_is_one(tmp_path, capsys):
+    path = exported(tmp_path, pressed_frames(-4e-4, 0.5, contrast=-0.1), sensor_type="disc-100mm")
+    out = run(capsys, path, "--no-report")[1]
+    (x_mm,) = re.findall(r"E1 .*electrode \S+ r/R \S+ +(\S+) ", out)
+    (event,) = json.loads(run(capsys, path, "--no-report", "--json")[1])["events"]
+    assert -0.05 < event["x_mm"] < 0
+    assert x_mm == "0.0"
+    tank = tmp_path / "tank.mat"
+    frames = np.abs(pressed_frames(0.4, 0.3, contrast=0.3, n=2, start=1, end=2))
+    scipy.io.savemat(tank, {"vv": frames[1:].reshape(1, 256).T, "vvRef": frames[:1].reshape(1, 256).T})
+    out = run(capsys, tank, "--dataset", "vv", "--reference", f"{tank}:vvRef", "--no-report")[1]
+    for fact in ("data set +vv", "frames +1", "frame rate +none: still images"):
+        assert re.search(rf"^{fact}$", out, re.M)
 
 
 def test_a_refusal_names_its_file_once(tmp_path, capsys):

@@ -344,6 +344,26 @@ def test_objects_of_a_still_image_are_named_without_a_time():
     assert [warning.split(" by ")[0] for warning in said] == ["the image of E1", "the image of E2"]
 
 
+@pytest.mark.rest
+def test_the_report_names_the_method_its_options_and_why(pressed, capsys):
+    names = []
+    for arguments in (
+        (),
+        ("--reconstruction", "greit"),
+        ("--reconstruction", "greit", "--option", "noise_figure=0.7"),
+    ):
+        code, out, _ = run(capsys, pressed, "--json", *arguments)
+        assert code == 0
+        names.append(json.loads(out)["report"])
+    assert len(set(names)) == 3
+    usual, _, html = (Path(name).read_text(encoding="utf-8") for name in names)
+    assert "gauss-newton-noser" in usual
+    assert "as by default" in usual
+    for said in ("How the images were made", "greit", "noise_figure = 0.7", "noise figure 0.70 (Adler et al. 2009)"):
+        assert said in html
+    assert "Where the images show the events" in html
+
+
 def test_where_nothing_is_found_nothing_is_imaged(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0))
     code, out, _ = run(capsys, path, "--json", "--reconstruction", "absolute-gauss-newton")

@@ -1,5 +1,6 @@
 """Section of the data sheet: what was measured, what was not and why, and figures where a picture says more."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +97,25 @@ def test_what_could_not_be_determined_says_why(result):
     lost = Measurement("creep", None, "%", how="no force was recorded under a hold")
     found = rows(DataSheet().render(replace(result, measurements=(*result.measurements, lost))))
     assert found["Creep"] == ["not determined", "no force was recorded under a hold"]
+
+
+def test_repeatability_by_strain_is_one_row(result):
+    _, table = blocks(DataSheet().render(result), Table)
+    assert table.columns == ("Strain", "10 %", "20 %", "30 %")
+    assert len(table.rows) == 1
+
+
+def test_the_figures_show_every_place(result):
+    characteristic, maps = blocks(DataSheet().render(result), Figure)
+    for figure in (characteristic, maps):
+        checked_svg(figure.svg)
+    measured = next(m for m in result.measurements if m.name == "nonlinearity" and not m.qualifier and not m.location)
+    said = float(re.search(r"by at most ([\d.]+) %", characteristic.alternative)[1])
+    assert said == pytest.approx(measured.value, rel=0.02)
+    assert "3 locations" in characteristic.alternative
+    for label in ("L0", "L1", "L2"):
+        assert f">{label}<" in maps.svg
+    assert "apparent modulus 132 to 132 kPa" in maps.alternative
 
 
 def test_one_strain_has_no_curve_but_a_map(result):

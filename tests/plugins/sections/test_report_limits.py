@@ -4,9 +4,35 @@ from dataclasses import replace
 
 from section_texts import tables, texts
 
-from cbsr_qa.domain.results import Bound, Limit, Measurement
+from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome
 from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.relaxation import RelaxationFits
+
+
+def test_of_many_limits_the_closest_are_shown_and_the_others_folded(result):
+    limit = Limit("e", "mm", None, 5.0)
+    judged = tuple(
+        Measurement("e", 0.05 * k, "mm", phase="nine", location="L0", load=k, strain=0.05 * (1 + k % 6)).judged(limit)
+        for k in range(110)
+    )
+    closest, others = tables(Limits().render(replace(result, measurements=judged)))
+    assert (closest.folded, others.folded) == (False, True)
+    assert len(closest.rows) + len(others.rows) == 110
+    failed = sum(m.outcome is Outcome.FAIL for m in judged)
+    assert failed == 9
+    assert [row[-1].outcome for row in closest.rows].count(Outcome.FAIL) == failed
+    assert len(closest.rows) == 24
+    assert texts(closest)[0][0] == "e (L0) at 10 % strain"  # the name alone would not say which press
+
+
+def test_more_phases_than_fit_a_page_are_told_in_several_tables(result):
+    measured = tuple(Measurement("e", float(k), "mm", phase=f"phase {k}") for k in range(9))
+    parts = tables(Limits().render(replace(result, measurements=measured)))
+    assert [part.columns[1:] for part in parts] == [
+        tuple(f"phase {k}" for k in range(0, 3)),
+        tuple(f"phase {k}" for k in range(3, 6)),
+        tuple(f"phase {k}" for k in range(6, 9)),
+    ]
 
 
 def test_a_lower_bound_is_marked_wherever_it_is_written(result):

@@ -200,6 +200,22 @@ def test_a_sensor_with_bad_channels_keeps_its_types_curve_and_says_its_own_noise
     assert f"The matrix of this sensor, from {int(used.sum())} readings, has noise figure {figure}." in words[1]
 
 
+def test_weights_of_the_readings_are_said(problem, section_of):
+    noise = np.random.default_rng(2).uniform(0.3, 3.0, len(problem.reference))
+    weighted = imaging_problem(SENSOR, noise_variance=noise**2, image_size_mm=6.0)
+    prepared = GaussNewtonNoser().prepare(weighted)
+    words = blocks(section_of(prepared), Paragraph)[0].text
+    assert f"weighted by their noise, has noise figure {number(prepared.choice.noise_figure)}." in words
+
+
+def test_counts_are_written_as_such(problem, section_of):
+    prepared = TruncatedSvd().prepare(problem)
+    section = section_of(prepared)
+    (words,) = blocks(section, Paragraph)
+    assert f"components kept = {prepared.choice.value:.0f}, chosen by" in words.text
+    assert tables(section)[0].columns[1] == "Components kept"
+
+
 @pytest.mark.parametrize(
     ("method", "said"),
     [

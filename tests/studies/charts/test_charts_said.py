@@ -50,6 +50,27 @@ def test_a_sum_that_was_never_zero_began_with_the_first_run(tmp_path, command):
     assert json.loads(command(tmp_path / "runs.db", *asked)[1])["charts"][0]["signal"]["began_run"] == runs[30]
 
 
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("i-mr", "Limits are three deviations from the mean (i-mr);"),
+        ("xbar-r", "Limits are three deviations of a group&#39;s mean from the mean (xbar-r);"),
+        ("ewma", "Limits are 3 deviations of the average from the mean (ewma);"),
+        ("cusum", "Limits are 5 deviations from zero (cusum);"),
+    ],
+)
+def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words):
+    fill(tmp_path / "runs.db", values(shift=0.8))
+    out = command(
+        tmp_path / "runs.db", "--reference-runs", 30, "--dry-run", "--chart", kind, "--output", tmp_path / "page.html"
+    )[1]
+    page = (tmp_path / "page.html").read_text()
+    assert words in page
+    assert "Orange: points that break a rule" in page
+    assert f"{kind} set on " in out
+    assert f"force gain, chart {kind} N/V " in out
+
+
 def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, command, capsys):
     path = tmp_path / "runs.db"
     fill(path, values(shift=0.8))
@@ -125,6 +146,17 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     out = command(path)[1]
     assert "values are in several units within the run, N/V and kN/V: S-700, " in out
     assert "could not be measured" not in out
+
+
+def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, command):
+    fill(tmp_path / "runs.db", values(count=20))
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        store_run(store, "S-600", judged(10.0, "kN/V"), station=STATION, day=30)
+    code, _, err = command(
+        tmp_path / "runs.db", "--reference-runs", 21, "--operator", "Zoë", "--metric", "force_gain"
+    )
+    assert code == 2
+    assert "20 runs in the reference period instead of 21; left out: in kN/V instead of N/V: S-600" in err
 
 
 def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path, command):

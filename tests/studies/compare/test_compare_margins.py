@@ -8,7 +8,7 @@ import pytest
 from compared_fleets import ERROR, compared, json_of
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.report import terminal_lines
+from cbsr_qa.report import number, render_sections, terminal_lines
 from cbsr_qa.stats import power, power_of_equivalence
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import Adjustment, By
@@ -57,6 +57,22 @@ def test_likeness_is_adjusted_for_the_number_of_such_tests(url):
     assert min(one["equivalence_p"] for one in holm) == pytest.approx(2 * best["equivalence_p"])
 
 
+def test_a_table_shows_the_interval_that_decides_and_what_it_comes_to(url):
+    margin = decided_by_holm(url)
+    made = compared(url, margins={ERROR: margin})
+    rows = [line for line in printed(made) if "± " in line]
+    assert [row.count("not shown") for row in rows] == [1, 1]
+    wide = compared(url, margins={ERROR: 50 * margin})
+    low, high = differences(made, ERROR)["42"]["equivalence_interval"]
+    assert any(f"{number(low)} to {number(high)}" in row for row in rows)
+    assert all("yes" in line for line in printed(wide) if "± " in line)
+
+
+def test_a_margin_is_offered_only_where_none_was_given(url):
+    plain, asked = (" ".join(compared(url, margins=m).result.sentences) for m in ({}, {ERROR: 0.3}))
+    assert ("--margin" in plain, "--margin" in asked) == (True, False)
+
+
 def test_sensors_to_find_are_of_the_stated_difference_and_those_to_show_of_the_margin(url):
     made = compared(url, margins={ERROR: 0.3}, detect={ERROR: 0.2})
     one = differences(made, ERROR)["42"]
@@ -86,6 +102,10 @@ def test_what_is_asked_of_a_metric_that_is_not_compared_is_not_tested_and_not_kn
     rows = [line.split() for line in printed(made) if "missed loads" in line and "compared" not in line]
     assert any(row[-2:] == ["not", "known"] for row in rows)
     assert sum(row[-3:-1] == ["not", "tested"] for row in rows) == 2
+
+
+def test_one_station_is_not_said_to_be_taken_out(url):
+    assert any("42 − 41, all of station A; " in line for line in printed(compared(url)))
 
 
 #: Keys that are data: shares of quantiles.
@@ -120,3 +140,16 @@ def test_the_document_has_an_entry_of_each_metric_and_group_with_the_same_keys(u
     (one, *_) = json_of(compared(url, groups=("41",)))["metrics"]
     assert (one["group"], one["model"]) == (None, "none")
     assert set(one) == set(document["metrics"][0])
+
+
+def test_the_page_has_tables_of_likeness_and_of_sensors(url):
+    made = compared(url, margins={ERROR: 0.3}, detect={ERROR: 0.2})
+    html = render_sections(made.page, made.sections)
+    assert "42 − 41: alike within a margin?" in html
+    assert ">90 % interval</th>" in html
+    count = differences(made, ERROR)["42"]["sensors_needed"]
+    assert f'<td class="number tight"><bdi>{count}</bdi></td>' in html
+    assert "a row is a group at a station, a point a sensor" in html
+    # Numbers, also of the other methods, stand in columns that are not broken.
+    shift = differences(made, ERROR)["42"]["robust"]["shift"]
+    assert f'<td class="number tight"><bdi>{number(shift)}</bdi></td>' in html

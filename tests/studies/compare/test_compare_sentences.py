@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compared_fleets import ERROR, NOW, compared, fleet, page_of, run_of, table_of
-from stored_lots import store_run
+from stored_lots import judged, store_run
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Outcome, Verdict
+from cbsr_qa.domain.results import Measurement, Outcome, Verdict
+from cbsr_qa.report import terminal_lines
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import By, Terms, compare, compare_outcome
+from cbsr_qa.studies.compare.figures import strips
 
 BOTH = [("41", "A"), ("42", "A"), ("41", "B"), ("42", "B")]
 APART = [("43", "C")]
@@ -55,6 +57,18 @@ def test_a_group_that_cannot_be_compared_is_in_the_headline_and_why_is_said_firs
     assert next(n for n, words in enumerate(said) if "A t test" in words) > 0
     html = page_of(made)
     assert html.index("43 ran on C only") < html.index("Differences")
+
+
+def test_the_terminal_has_two_facts_and_leaves_notes_to_the_page():
+    """Batch 42 ran mostly at B, which reads higher: a t test blames the batch, which changes no decision."""
+    plan = [("41", "A")] * 12 + [("41", "B")] * 4 + [("42", "A")] * 4 + [("42", "B")] * 12
+    values = np.random.default_rng(4).standard_normal((32, 2)) + [[2.0 * (at == "B")] * 2 for _, at in plan]
+    made = made_of(plan, values)
+    lines = list(terminal_lines(made.page, made.sections))
+    assert [name for name, _ in made.page.identity] == ["Compared", "Runs"]
+    assert "A t test" in " ".join(made.result.sentences)
+    assert "A t test" in page_of(made)
+    assert not any("A t test" in line for line in lines)
 
 
 def test_a_group_that_lacks_a_metric_is_said_to_be_compared_in_part():
@@ -112,3 +126,24 @@ def test_margins_and_differences_of_metrics_that_are_not_compared_are_refused(ur
         compared(url, names=("drift",), **{option: {ERROR: 0.3}})
     assert f"--metric {ERROR}" in raised.value.remedy
     assert compared(url, names=("drift",)).result.headline == "41 and 42: no difference shown in drift"
+
+
+def test_every_row_is_named_with_both_ends_of_long_names_and_one_sensor_is_a_point():
+    long = "a batch with a name that is too long 43"
+    samples = [(f"B{k}", "A", np.arange(3.0)) for k in range(36)] + [(long, "A", np.array([1.0]))]
+    image = strips("gap [mm]", samples, [name for name, *_ in samples])
+    assert all(f"B{k}, A" in image for k in range(36))
+    assert "a batch with…ng 43, A" in image
+    assert "too long" not in image
+
+
+def test_empty_tables_and_columns_are_left_out(url):
+    with open_store(url, durable=False) as store:
+        for number in range(8):
+            values = judged((Measurement(ERROR, 2.0 + 0.1 * number, "mm", 0.1, "nine locations", "L1", 0),))
+            store_run(store, f"S-{number}", values, batch=("41", "42")[number % 2])
+    html = page_of(compared(url))
+    assert "Cpk" in html
+    assert "why not" not in html
+    assert "not measured" not in html
+    assert "by other methods" not in page_of(made_of([("41", "A"), ("42", "A")], names=("gap",)))

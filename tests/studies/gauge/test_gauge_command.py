@@ -149,6 +149,20 @@ def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     assert "uneven: S-02 by Ada has 3 runs instead of 2" in err
 
 
+@pytest.mark.rest
+def test_columns_stand_apart_whatever_the_numbers(tmp_path, command):
+    small = Limit("force_gain", "N/V", 1e-5, 9e-4)
+    rows = [(*row[:3], tuple(value * 1e-5 for value in row[3])) for row in runs()]
+    fill(tmp_path / "runs.db", rows, limit=small)
+    lines = command(tmp_path / "runs.db", "--recipe", "short")[1].splitlines()
+    begin = next(k for k, line in enumerate(lines) if line.strip().startswith("component"))
+    table = [re.split(r" {2,}", line.strip()) for line in lines[begin + 1 : begin + 6]]
+    assert [row[0] for row in table] == ["gauge R&R", "repeatability", "reproducibility", "sensors", "total"]
+    assert {len(row) for row in table} == {7}
+    assert any("× 10⁻⁶ to" in row[2] for row in table)
+    assert len({len(line) for line in lines[begin : begin + 6]}) == 1
+
+
 def test_the_largest_balanced_part_is_the_largest():
     sensors = ["A"] * 4 + ["B"] * 4 + ["C"] * 3
     stations = ["x", "x", "y", "y"] * 2 + ["x", "x", "y"]
@@ -205,6 +219,20 @@ def test_references_come_from_a_file_too(crossed, document, command, tmp_path):
     code, _, err = command(crossed, "--recipe", "short", "--reference", tmp_path / "golden.toml")
     assert code == 2
     assert "metrics" in err
+
+
+@pytest.mark.rest
+def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
+    code, out, err = command(crossed, "--recipe", "short", "--output", tmp_path / "page.html")
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text()
+    titles = "components", "by sensor", "by station", "range of repeated", "mean of repeated", "sensor by station"
+    assert [title for title in titles if title not in page] == []
+    assert "not good enough (above 30 %)" in page
+    assert re.search(r"^simulated +all runs of this study$", out, re.M)
+    assert re.search(r"^Force gain \(.*\) \[N/V\]$", out, re.M)  # in words, as compare writes it
+    assert "force_gain" not in out
+    assert "bench-c" in page
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,16 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure as Canvas
 from stored_lots import store_run
-from test_gauge_command import STATIONS, fill, measured, runs
+from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import missing_runs, study
+from cbsr_qa.stats.gauge import gauge_anova, missing_runs, study
 from cbsr_qa.store import open_store
+from cbsr_qa.studies.gauge import figures
 
 pytestmark = pytest.mark.rest
 
@@ -108,3 +110,33 @@ def test_a_stated_uncertainty_widens_the_bias_and_is_said(crossed, command):
         found.append([(b["bias"]["high"] - b["bias"]["low"], b["bias"]["p"]) for b in metric["references"]["bias"]])
     assert np.all(np.diff(np.array(found), axis=0) > 0)
     assert re.search(r"S-01 +bench-a +10\.00 ± 0\.20 +3 ", command(*given)[1])
+
+
+def test_the_page_has_references_in_tables(crossed, command, tmp_path):
+    given = ["--reference", "S-01.force_gain=10±0.02", "--reference", "S-02.force_gain=9"]
+    code, _, err = command("--recipe", "short", *given, "--output", tmp_path / "page.html", "--database", crossed)
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text()
+    tables = re.findall(r"<table.*?</table>", page, re.S)
+    for caption, rows in (("Bias against reference", 6), ("Linearity of the bias", 3), ("Stability over time", 6)):
+        (table,) = [one for one in tables if caption in one]
+        assert table.count("<tr") == rows + 1
+    assert "Bias of S-01 on" not in page
+
+
+def test_legends_cover_no_panel_and_every_panel_has_its_axis_named(monkeypatch):
+    drawn: list[Canvas] = []
+    keep = figures.canvas
+    monkeypatch.setattr(figures, "canvas", lambda height: drawn.append(keep(height)) or drawn[-1])
+    study = expected()
+    figures.six_panels(study, gauge_anova(study, tolerance=LIMIT.upper - LIMIT.lower).components, "N/V")
+    (figure,) = drawn
+    renderer = figure.canvas.get_renderer() if hasattr(figure.canvas, "get_renderer") else None
+    panels = [axes.get_window_extent() for axes in figure.axes]
+    legends = [axes.get_legend().get_window_extent(renderer) for axes in figure.axes if axes.get_legend()]
+    assert len(legends) == 2
+    assert not any(legend.overlaps(panel) for legend in legends for panel in panels)
+    assert all(legend.y0 >= 0 for legend in legends)
+    assert {axes.get_ylabel() for axes in figure.axes} == {
+        "share [%]", "each run [N/V]", "range [N/V]", "mean [N/V]"
+    }  # fmt: skip

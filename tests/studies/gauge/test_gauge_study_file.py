@@ -1,6 +1,7 @@
 """``gauge STUDY.toml``: the file says what is studied, and what is wrong with it is said with its line."""
 
 import hashlib
+import html
 import json
 import re
 from pathlib import Path
@@ -96,6 +97,19 @@ def test_the_study_is_of_what_the_file_names(studied, tmp_path):
     assert gauge["variance"] == pytest.approx(truth.variance, rel=1e-9)
     assert gauge["percent_tolerance"] == pytest.approx(truth.percent_tolerance, rel=1e-9)
     assert {(b["serial"], b["reference"], b["unit"]) for b in metric["references"]["bias"]} == {("S-01", 10.0, "N/V")}
+
+
+@pytest.mark.rest
+def test_page_and_terminal_say_what_was_studied(studied, tmp_path):
+    code, out, err = studied(STUDY, "--output", tmp_path / "page.html")
+    assert code == 0, err
+    digest = hashlib.sha256(STUDY.encode()).hexdigest()
+    for said in ((tmp_path / "page.html").read_text(), out):
+        words = re.sub(r"\s+", " ", html.unescape(said))
+        for wanted in ("gain, autumn", "gain.toml", digest, "from 2026-11-01 to 2026-11-30 (UTC)"):
+            assert wanted in words
+        assert "of the study's tolerance of 2.00 N/V" in words
+        assert "10.000 ± 0.020" in words
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from cbsr_qa.config import (
 )
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import CLEARANCE_MM
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.studies.scenes.setting import made_world, set_up
 
@@ -214,6 +215,15 @@ def test_every_shipped_scene_can_be_recorded_and_used_by_a_station(name):
     assert load_scene(name).value == setup.plan.scene
     remarked = edge_remarks(setup.plan, setup.sensor_type.value)
     assert len(remarked) == (name == "strip")  # whose head is as wide as itself
+
+
+@pytest.mark.parametrize("name", ["base", "everything"])
+def test_nine_loads_take_eighteen_minutes(name):
+    plan = load_scene_plan(name).value
+    assert tuple(load.place_mm for load in plan.loads) == NINE_LOCATIONS_MM
+    assert [load.start_s for load in plan.loads] == [20.0 + 120 * k for k in range(9)]
+    assert {(load.strain, load.head) for load in plan.loads} == {(0.2, 1)}
+    assert (plan.duration_s, plan.frame_count) == (1080.0, 432)
 
 
 def test_the_scene_with_everything_lists_every_built_in_effect():

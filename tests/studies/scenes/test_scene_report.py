@@ -4,9 +4,11 @@ from datetime import date, datetime, time
 
 import pytest
 
+from cbsr_qa.config import DocumentKind, shipped_names
 from cbsr_qa.report import json_document, terminal_lines
-from cbsr_qa.studies.scenes import Explained, explained_outcome
+from cbsr_qa.studies.scenes import Explained, explain_scene, explained_outcome
 from cbsr_qa.studies.scenes.explain import ExplainedEffect
+from cbsr_qa.studies.scenes.report import plainly
 
 
 def _effect(name, perturbs, *, on=True, needs=(), each_ms=0.0, once_ms=0.0, does="It does something.", **parameters):
@@ -39,6 +41,17 @@ def test_effects_that_are_on_come_in_order_of_stage():
     assert names[3] == ["source", "e-0"]
 
 
+@pytest.mark.parametrize(("cost_ms", "shown"), [(0.000061, "< 0.001"), (0.0012, "0.001"), (0.506, "0.506")])
+def test_costs_have_three_decimals(cost_ms, shown):
+    assert f"  {shown}" in _row(_explained(_effect("noise", "voltages", each_ms=cost_ms)), "noise")
+
+
+def test_the_largest_costs_have_bars_as_long_as_their_share():
+    shares = {"none": 0.0, "fifth": 0.2, "half": 0.6, "all": 1.0, "more": 1.7}
+    explained = _explained(*(_effect(name, "voltages", each_ms=4 * share) for name, share in shares.items()))
+    assert [_row(explained, name).count("#") for name in shares] == [0, 1, 3, 5, 5]
+
+
 @pytest.mark.parametrize("stage", ["sheet", "position", "geometry", "recording"])
 def test_what_acts_once_is_no_cost_of_a_frame(stage):
     explained = _explained(
@@ -56,6 +69,12 @@ def test_costs_that_are_not_measured_are_not_printed():
     assert not any("once" in line or "0.001" in line or "#" in line for line in printed)
 
 
+def test_a_scene_without_effects_has_no_empty_table():
+    printed = _printed(_explained(_effect("noise", "voltages", on=False)))
+    assert "0 of 1 effect on" in printed[0]
+    assert "On" not in printed
+
+
 def test_words_of_strangers_do_not_reach_the_terminal_as_commands():
     printed = _printed(_explained(_effect("odd", "voltages", on=False, does="red \x1b[31m\tand\x07")))
     assert any("odd" in line for line in printed)
@@ -71,3 +90,32 @@ def test_parameters_of_any_kind_that_toml_has_are_json():
         "inner": {"when": "2026-01-02T03:04:00"},
         "n": 1,
     }
+
+
+@pytest.mark.parametrize("name", shipped_names(DocumentKind.SCENE))
+def test_shipped_scenes_fit_a_hundred_columns(name):
+    assert max(map(len, _printed(explain_scene(name, measure=False)))) <= 100
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (0.05, "0.05"),
+        (5e6, "5e6"),
+        (1e10, "1e10"),
+        (1e-12, "1e-12"),
+        (1234567.0, "1234567.0"),
+        (100.0, "100"),
+        (0.123456789, "0.123456789"),
+        (True, "true"),
+        ("punch", '"punch"'),
+        ("größer", '"größer"'),
+        ("a\x1b[31m\nb", r'"a\u001b[31m\nb"'),
+        (date(2026, 11, 21), "2026-11-21"),
+        ([9, 10], "[9, 10]"),
+        ([0.5, 1e-6], "[0.5, 1e-6]"),
+        ({"a": 1.0}, "{a = 1}"),
+    ],
+)
+def test_parameters_are_printed_as_people_write_them(value, shown):
+    assert plainly(value) == shown
