@@ -146,10 +146,9 @@ class ForceStream:
         return rows
 
     def _follow(self, rows: Array) -> None:
-        left, match = self._place_anew(self._explain(rows), rows)
+        match = self._place_anew(rows)
         while len(self._tracks) < self._most and self._begin(match):
-            left = self._explain(rows)
-            match = self._filter.search(left[None])
+            match = self._filter.search(self._explain(rows)[None])
         self._place(rows)
         for track in self._tracks:
             track.advance(self._time_s, self._frame_s, self._since_last_s, self._model)
@@ -176,15 +175,16 @@ class ForceStream:
             left -= track.strength * track.template
         return left
 
-    def _place_anew(self, left: Array, rows: Array) -> tuple[Array, Matches]:
-        """Move a load whose first frame, of a moving head, gave another place; return residual and what is in it.
+    def _place_anew(self, rows: Array) -> Matches:
+        """Move a load whose first frame, of a moving head, gave another place; return what is in the residual.
 
         Otherwise the residual of the wrong place would be a second load. It is moved only if no second load remains,
         so that two successive heads stay two.
         """
+        left = self._explain(rows)
         remains = self._filter.search(left[None])
         if not self._another(remains):
-            return left, remains
+            return remains
         for track in self._tracks:
             if not track.fresh:
                 continue
@@ -193,12 +193,12 @@ class ForceStream:
             moved = self._filter.template(match.place_mm)[0]
             if np.isfinite(moved).all():
                 track.move(match.place_mm[0], moved, self._base(moved))
-                rest = self._explain(rows)
-                if not self._another(other := self._filter.search(rest[None])):
-                    return rest, other
+                other = self._filter.search(self._explain(rows)[None])
+                if not self._another(other):
+                    return other
                 track.move(place, template, self._base(template))
                 self._explain(rows)
-        return left, remains
+        return remains
 
     def _another(self, match: Matches) -> bool:
         """Whether the residual of a frame is more than noise, and more than a template's error."""
