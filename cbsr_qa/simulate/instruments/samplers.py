@@ -111,11 +111,16 @@ class LineSender(ABC):
         return all_of_it
 
     def _hand_over(self, due: bytes) -> None:
-        """Send, and wait until the driver can read it before time advances."""
-        before = _FULL if self._port is None else self._port.unread()
+        """Send, and wait until the driver can read it before time advances; a link that is down takes nothing."""
+        port = self._port
+        if port is None:
+            return self._send(due)
+        if port.down:
+            return
+        before = port.unread()
         self._send(due)
         clock = RealClock()
-        while before < _FULL and self._port is not None and self._port.unread() == before:
+        while before < _FULL and not port.down and port.unread() == before:
             if clock.now() > _HANDED_OVER_S:
                 return
 

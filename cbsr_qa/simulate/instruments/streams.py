@@ -152,6 +152,11 @@ class Port(ABC):
     def _send(self, data: bytes) -> None:
         """Send bytes that fit."""
 
+    @property
+    def down(self) -> bool:
+        """Whether the link is broken or closed, so that no byte passes."""
+        return self._over.is_set()
+
     def unread(self) -> int:
         """Number of bytes sent that no driver has read yet; 0 if unknown."""
         return 0
@@ -215,9 +220,14 @@ class PtyPort(Port):
         with self._writing, suppress(BlockingIOError, OSError):
             os.write(self._master, data)
 
+    @property
+    def down(self) -> bool:
+        return self._master < 0
+
     def unread(self) -> int:
         with self._writing, suppress(OSError):
-            return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
+            if not self.down:
+                return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
         return 0
 
     def hang_up(self) -> None:
