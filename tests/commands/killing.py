@@ -63,7 +63,7 @@ def write_files(folder, *, memory=False):
     middle = shipped[shipped.index("[reconstruction]") : shipped.index("[metrics]")]
     metrics = "[metrics]\n" + "".join(f"{name} = {{}}\n" for name in METRICS)
     limit = '\n[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
-    (folder / "recipe.toml").write_text(RECIPE + middle + metrics + limit)
+    (folder / "recipe.toml").write_text(RECIPE + middle + metrics + command.FEW_SECTIONS + limit)
 
 
 BEGIN = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--seed", "5", "--json")

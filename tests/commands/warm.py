@@ -1,4 +1,5 @@
-"""What commands that run in a fork find loaded already: modules, the shipped sensor's model, tables of a database."""
+"""What commands that run in a fork find loaded already: modules, the shipped sensor's model and templates of its
+head, tables of a database."""
 
 import os
 import signal
@@ -10,12 +11,16 @@ from tempfile import TemporaryDirectory
 import matplotlib.figure  # noqa: F401 - loaded here so that no fork has to
 
 from cbsr_qa.app.run import run_sensor  # noqa: F401
+from cbsr_qa.calibration.force import templates
 from cbsr_qa.cli import ended
-from cbsr_qa.config import load_sensor_type
+from cbsr_qa.config import load_sensor_type, load_station
+from cbsr_qa.eit.estimate import load_model
 from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.store import open_store
 
-imaging_problem(load_sensor_type("disc-100mm").value)
+_SENSOR_TYPE = load_sensor_type("disc-100mm").value
+imaging_problem(_SENSOR_TYPE)
+templates._everywhere(load_model(_SENSOR_TYPE), load_station("simulated").value.indenter)
 with TemporaryDirectory() as _folder, open_store(f"sqlite:///{_folder}/runs.db"):
     pass
 

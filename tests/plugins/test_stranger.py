@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import FEW_SECTIONS
 from station_files import station_file
 
 from cbsr_qa.analysis import read_recording
@@ -64,13 +65,13 @@ upper = 0.05
 
 
 def _short_recipe(shipped: str) -> str:
-    """The shipped recipe with its first phase alone, the stranger's metric and a limit on it."""
+    """The shipped recipe with its first phase alone, the stranger's metric and a limit on it; no figures."""
     head, rest = shipped.split("[[phases]]", 1)
     first = rest.split("[[phases]]", 1)[0]
     tail = rest[rest.index("[reconstruction]") :]
     head = head.replace('"nine locations"', '"noise figure"')
     tail = tail[: tail.index("[[limits]]")].replace("[metrics]\n", "[metrics]\ntemperature-span = {}\n")
-    return head + "[[phases]]" + first.replace("trials = 3", "trials = 1") + tail + _LIMIT
+    return head + "[[phases]]" + first.replace("trials = 3", "trials = 1") + tail + FEW_SECTIONS + _LIMIT
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from command import PROGRAM
+from command import FEW_SECTIONS, PROGRAM
 from PIL import Image
 
 from cbsr_qa.station.control import station_holder
@@ -39,7 +39,7 @@ exponent = 0.25
 
 [metrics]
 area-overlap = {{}}
-
+{sections}
 [[limits]]
 measurement = "area_overlap"
 unit = "%"
@@ -143,7 +143,7 @@ class ServedLine:
             ("five-places", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]], ""),
             ("asking", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0]], _ASKS),
         ):
-            recipe = _RECIPE.format(name=name, places=places, asks=asks)
+            recipe = _RECIPE.format(name=name, places=places, asks=asks, sections=FEW_SECTIONS)
             (self.folder / f"{name}.toml").write_text(recipe)
         site = self.folder / "site" / "asking-1.0.dist-info"
         site.mkdir(parents=True)
