@@ -4,11 +4,12 @@ import json
 import sqlite3
 from contextlib import closing
 
+import killing
 import numpy as np
 import pytest
 from command import cbsr_qa
 from force_calibration import force_calibration, frames
-from pages import HOW_TO, TOP, blocks, commands, typed
+from pages import HOW_TO, blocks, commands, typed
 from stored_runs import SENSOR_TYPE
 
 import cbsr_qa as qa
@@ -22,13 +23,18 @@ _PAGE = HOW_TO / "sign-calibrations.md"
 _RUN = ("run", "--station", "bench.toml", "--recipe", "nine-locations", "--serial", "S-1", "--operator", "Z")
 
 
+def _signing(folder):
+    """The table of the page, with keys in a folder."""
+    (table,) = blocks(_PAGE, "toml")
+    return table.replace("/etc/cbsr-qa", str(folder))
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A bench whose station file has the table of the page, and what a robot has."""
     monkeypatch.chdir(tmp_path)
-    (table,) = blocks(_PAGE, "toml")
-    table = table.replace("/etc/cbsr-qa", str(tmp_path))
-    (tmp_path / "bench.toml").write_text((TOP / "stations" / "simulated.toml").read_text() + "\n" + table)
+    killing.write_files(tmp_path)
+    (tmp_path / "bench.toml").write_text(f"{(tmp_path / 'station.toml').read_text()}\n{_signing(tmp_path)}")
     write_calibration(tmp_path / "sensor.h5", force_calibration())
     seen = frames(np.tile((5.0, 7.0), (3, 1)), np.full(3, 3.0))
     block = FrameBlock(2.5 * np.arange(3), seen, np.zeros(seen.shape, np.uint8), VoltageUnit.VOLT, 4e-4)
@@ -51,9 +57,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_page_runs_as_printed_and_the_database_holds_the_signed_bytes(folder):
+def test_the_page_runs_with_a_short_recipe_and_the_database_holds_the_signed_bytes(folder):
     for line in commands(_PAGE):
-        typed(folder, line)
+        typed(folder, line.replace("--recipe nine-locations", "--recipe recipe.toml"))
     (snippet,) = blocks(_PAGE, "python")
     exec(snippet, {})
     (issued,) = (folder / "var" / "calibrations").iterdir()
@@ -95,7 +101,7 @@ def test_a_key_that_is_gone_when_the_run_ends_issues_nothing_until_it_is_back(fo
     monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
     key, away = folder / "station.key", folder / "away.key"
     new_key(key)
-    request = RunRequest(str(folder / "bench.toml"), "nine-locations", "S-1", operator="Z")
+    request = RunRequest("bench.toml", "recipe.toml", "S-1", seed=5, operator="Z")
     with pytest.raises(BrokenRunError, match="its calibration cannot be signed, and is not issued") as error:
         run_sensor(request, begun=lambda run: key.rename(away))
     assert "then this computes the result: cbsr-qa" in error.value.remedy

@@ -1,0 +1,19 @@
+"""The fleet of the demonstration, built once for all tests that read it."""
+
+import json
+
+from made_once import made_once
+
+from cbsr_qa.studies import build_fleet
+
+
+def demo_fleet():
+    """Return the file of the fleet's database, which nobody may write to, and the progress that was told."""
+
+    def make(folder):
+        counted = []
+        build_fleet(lambda done, of: counted.append((done, of)), path=folder / "fleet-demo.db")
+        (folder / "counted.json").write_text(json.dumps(counted))
+
+    folder = made_once("fleet of the demonstration", make)
+    return folder / "fleet-demo.db", json.loads((folder / "counted.json").read_text())
