@@ -12,6 +12,7 @@ from functools import lru_cache
 from multiprocessing import forkserver
 from pathlib import Path
 
+import forked
 import pytest
 
 PROGRAM = Path(sys.executable).with_name("cbsr-qa")
@@ -79,13 +80,11 @@ def _fresh(folder, arguments, environment, limit_s):
 
 
 def _forked(folder, arguments, environment, limit_s):
-    import warm
-
     with tempfile.TemporaryDirectory() as written:
         out, err = Path(written) / "out", Path(written) / "err"
         out.touch()
         err.touch()
-        process = _forks().Process(target=warm.run, args=(Path(folder), arguments, environment, out, err))
+        process = _forks().Process(target=forked.run, args=(Path(folder), arguments, environment, out, err))
         process.start()
         process.join(timeout=limit_s)
         assert process.exitcode is not None, f"{arguments} has not ended after {limit_s} s"

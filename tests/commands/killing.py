@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import command
+import forked
 import numpy as np
 
 from cbsr_qa.store import open_store, restored
@@ -71,11 +72,9 @@ BEGIN = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--seed"
 
 def killed(folder, arguments, *, documents, after_s):
     """Run a command in a fork that is killed some time after so many documents; returns whether it was."""
-    import warm
-
     out = [Path(folder) / name for name in ("out", "err")]
     process = command._forks().Process(
-        target=_with_a_killer, args=(warm.__name__, str(folder), list(arguments), out, documents, after_s)
+        target=_with_a_killer, args=(str(folder), list(arguments), out, documents, after_s)
     )
     process.start()
     process.join(timeout=300)
@@ -87,9 +86,7 @@ def killed(folder, arguments, *, documents, after_s):
     return False
 
 
-def _with_a_killer(warm, folder, arguments, out, documents, after_s):
-    import importlib
-
+def _with_a_killer(folder, arguments, out, documents, after_s):
     count = 0
     stored = Journal.__call__
     told = os.open(f"{folder}/committed", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
@@ -104,7 +101,7 @@ def _with_a_killer(warm, folder, arguments, out, documents, after_s):
             threading.Timer(after_s, os.kill, (os.getpid(), signal.SIGKILL)).start()
 
     Journal.__call__ = counted
-    importlib.import_module(warm).run(Path(folder), arguments, {"CBSR_QA_VAR": "var"}, *out)
+    forked.run(Path(folder), arguments, {"CBSR_QA_VAR": "var"}, *out)
 
 
 @dataclass(frozen=True)

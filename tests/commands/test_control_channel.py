@@ -8,8 +8,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import command
+import forked
 import pytest
-import warm
 from command import cbsr_qa
 from killing import BEGIN, assert_same, came_of, latest_run, write_files
 
@@ -51,7 +51,9 @@ def connected():
 def running(folder, *arguments):
     """Start a run; yields its process and a connection."""
     out = [folder / "out", folder / "err"]
-    process = command._forks().Process(target=warm.run, args=(folder, list(arguments), {"CBSR_QA_VAR": "var"}, *out))
+    process = command._forks().Process(
+        target=forked.run, args=(folder, list(arguments), {"CBSR_QA_VAR": "var"}, *out)
+    )
     process.start()
     try:
         with until(connected) as channel:

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import forked
 import killing
 import pytest
 from command import _forks, cbsr_qa, document, short_recipe
@@ -141,14 +142,12 @@ def test_a_run_that_was_cut_off_goes_on_by_its_name(bench, tmp_path):
 
 def _job(bench, folder, hostile, *, ignored=(), arguments=()):
     """Start a run in a process group of its own; return the process and where its output goes."""
-    import warm
-
     for file in bench.glob("*.toml"):
         shutil.copy(file, folder)
     written = folder / "out", folder / "err"
     environment = {"CBSR_QA_VAR": "var", "HOSTILE": hostile, "PYTHONPATH": str(bench / "site")}
     given = (ignored, folder, arguments or _arguments(), environment, *written)
-    process = _forks().Process(target=warm.run_as_a_job, args=given)
+    process = _forks().Process(target=forked.run_as_a_job, args=given)
     process.start()
     return process, written
 
