@@ -41,7 +41,9 @@ def calibrate(
     ] = False,
     rest: Annotated[
         Path | None,
-        typer.Option(help="Frames of the unloaded sheet, in the form of READINGS, which are whole frames then."),
+        typer.Option(
+            help="Frames of the unloaded sheet, with the columns of READINGS; READINGS must then hold whole frames."
+        ),
     ] = None,
     output: PageOutput = None,
     as_json: AsJson = False,

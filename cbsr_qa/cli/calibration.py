@@ -124,7 +124,10 @@ def apply(
         ),
     ] = False,
     rest: Annotated[
-        Path | None, typer.Option(help="Calibration from presses: frames of the unloaded sheet, as RECORDINGS.")
+        Path | None,
+        typer.Option(
+            help="Calibration from presses: frames of the unloaded sheet, with the columns of the readings."
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")

@@ -52,7 +52,7 @@ def line(
     a run in order, then ends. A question of the recipe is shown, and the next line typed answers it; any other scan
     during a run is ignored, with a message. A PIN that the station's gate knows is asked for once, before all.
 
-    Exit code 0 whatever the verdicts, 2 if a name is not allowed, the station file is wrong, or the PIN.
+    Exit code 0 whatever the verdicts, 2 if a name is not allowed, or the station file or the PIN is wrong.
     """
     from cbsr_qa.config import load_station, validate_batch, validate_operator
 

@@ -66,7 +66,8 @@ def run(
     """Test one sensor: store the run, give a verdict, write a report and, if it passed, its calibration file.
 
     Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database, --json,
-    --station and the overrides: a resumed run keeps its settings, and the station file is read for the gate alone.
+    --station and the overrides: a resumed run keeps its settings; the station file is used only for the checks of the
+    gate.
     """
     _check_given(context, resuming=resume is not None)
     answers = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL

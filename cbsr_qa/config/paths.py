@@ -78,5 +78,6 @@ def writable_folder(folder: Path) -> Path:
 def _unwritable(folder: Path, why: str) -> ConfigError:
     return ConfigError(
         f"folder {folder} cannot be written to: {why}",
-        remedy=f"free it, or choose another one\n{AT_COMMAND_LINE}CBSR_QA_VAR names it, for the database --database",
+        remedy="allow writing there, or choose another one\n"
+        f"{AT_COMMAND_LINE}CBSR_QA_VAR names it, for the database --database",
     )

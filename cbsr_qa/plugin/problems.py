@@ -192,9 +192,20 @@ def _allowed(annotation: Any, rules: Sequence[Any]) -> str:
         return described[0] if described else _allowed(parts[0], [*inner, *rules])
     if origin in (Union, UnionType):
         return " or ".join(_allowed(part, rules) for part in parts if part is not NoneType)
+    if origin is dict:
+        return f"one named table or more, each {_allowed(parts[1], ())}"
     table = _table(annotation)
-    kind = f"a table of {', '.join(table.model_fields)}" if table else _WORDS.get(annotation, "a value")
-    return kind + _bounds(rules)
+    return _table_words(table) if table else _WORDS.get(annotation, "a value") + _bounds(rules)
+
+
+def _table_words(table: type[BaseModel]) -> str:
+    needed, optional = (
+        [name for name, field in table.model_fields.items() if field.is_required() is required]
+        for required in (True, False)
+    )
+    if not needed:  # of some, one is needed: rules of the table say so
+        return f"a table of {', '.join(optional)}"
+    return f"a table of {', '.join(needed)}" + (f" (optional: {', '.join(optional)})" if optional else "")
 
 
 def _length(parts: Sequence[Any], rules: Sequence[Any]) -> str:

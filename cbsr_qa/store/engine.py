@@ -88,7 +88,7 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     Raises
     ------
     StoreError
-        If the driver of this kind of database is not installed.
+        If the driver of this kind of database is not installed, or the file is a folder.
     """
     given = {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
     try:
@@ -100,6 +100,8 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", partial(_set_up_sqlite, synchronous="FULL" if durable else "NORMAL"))
         if (file := sqlite_file(url)) is not None:
+            if file.is_dir():
+                raise StoreError(f"{shown(url)} is a folder, not a database", remedy="name a file in it")
             event.listen(engine, "connect", partial(_remember_file, file))
             event.listen(engine, "begin", partial(_refuse_lost_file, file))
         event.listen(engine, "begin", _begin_sqlite)

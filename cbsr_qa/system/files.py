@@ -182,6 +182,8 @@ def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: s
         why = error.strerror or str(error)
         if isinstance(error, FileExistsError):  # a folder was to be made there
             why = f"{error.filename} is a file, not a folder"
+        if isinstance(error, PermissionError):
+            remedy = remedy or "allow writing there, or name another file"
         raise refusal(f"{path} cannot be written: {why}", remedy=remedy) from error
 
 

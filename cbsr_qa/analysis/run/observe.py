@@ -165,7 +165,8 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tupl
         worst = max(residual, key=lambda load: load.residue)
         words.append(
             f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
-            f" floor, most before {worst.record.load.label} of {worst.phase}: both references are reported there"
+            f" floor, most clearly before {worst.record.load.label} (phase {worst.phase!r}):"
+            " both references are reported there"
         )
     if multiple is None:
         return tuple(words)

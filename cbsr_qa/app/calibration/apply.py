@@ -215,7 +215,7 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
 
 
 _HEADINGS: Final = ("time [s]", "force [N]", "x [mm]", "y [mm]", "flags", "settled in [s]")
-_SETTLED: Final = "A force that has not settled is predicted; it counts after the time in the last column."
+_SETTLED: Final = "A force that has not settled is predicted; rely on it after the time in the last column."
 
 
 def _table(recording: Applied) -> Table:

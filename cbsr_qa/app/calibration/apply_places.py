@@ -243,8 +243,9 @@ def _place(places: Places, number: int) -> tuple[float | None, float | None, _Co
 
 
 def places_csv(applied: AppliedPlaces) -> str:
-    """Return all places as a CSV table, a row a frame."""
-    rows = [dict(_cells(frame)) for frame in applied.frames]
+    """Return all places as a CSV table, a row a frame, each with ``q68`` and ``q95`` of the calibration."""
+    bounds = {"q68": applied.q68, "q95": applied.q95}
+    rows = [{"row": row, **dict(_cells(frame)), **bounds} for row, frame in enumerate(applied.frames, 1)]
     return csv_text([tuple(rows[0]), *(tuple(row.values()) for row in rows)])
 
 

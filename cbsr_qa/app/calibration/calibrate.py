@@ -166,13 +166,14 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             error = f"{with_uncertainty(learned.error, learned.error_stderr)} {unit}"
             facts.append((f"Error of {name}", f"{error}, mean of {len(learned.values)} presses left out"))
             facts.append((f"Intervals hold the {name}", _held(*learned.covered.tolist())))
-    facts.append(("Explained by the model", f"{issued.registration.signal_share:.0%} of the readings' changes"))
+    explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
+    facts.append(("Explained by the model", explained))
     facts.append(("Sheet", _pose_words(issued.registration)))
     return facts + [(f"Row {each.row} left out", each.why) for each in issued.left_out[:_MOST_ROWS]]
 
 
 def _held(low: float, high: float) -> str:
-    return f"{low:.0%} (asked 68 %), {high:.0%} (asked 95 %)"
+    return f"{100 * low:.0f} % (asked 68 %), {100 * high:.0f} % (asked 95 %)"
 
 
 def _pose_words(pose: SheetRegistration) -> str:
@@ -184,7 +185,7 @@ def _pose_words(pose: SheetRegistration) -> str:
 
 
 def _with(value: float, stderr: float | None, digits: int) -> str:
-    return fixed(value, digits) if not stderr else f"{fixed(value, digits)} ± {fixed(stderr, digits)}"
+    return with_uncertainty(value, stderr) if stderr else fixed(value, digits)
 
 
 _MAP = (

@@ -156,6 +156,7 @@ class RunOutcome:
     warnings : of the result and of writing the files.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
     station_s : time the sensor occupied the station.
+    compute_s : time of computing until the result was stored; files are written after it.
     """
 
     run: str
@@ -195,7 +196,6 @@ class RunOutcome:
         calibration: Path | None = None,
         material: tuple[Path | None, str] = (None, ""),
         warnings: tuple[str, ...] = (),
-        compute_s: float = 0.0,
         seed: int = 0,
         resume: str = "",
     ) -> Self:
@@ -227,7 +227,7 @@ class RunOutcome:
             simulated=record.identity.simulated,
             seed=seed,
             station_s=record.station_s,
-            compute_s=compute_s,
+            compute_s=sum(seconds for _, seconds in result.compute_s),
             result=result,
         )
 
@@ -246,7 +246,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     facts = [
         *([("Sensor", tries)] if tries else []),
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
-        ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
+        ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s to compute the result"),
         ("Stored rows", tested.chain.words),
         *([("Gate", gate)] if (gate := gate_words(tested.gate)) else []),
     ]

@@ -42,7 +42,6 @@ def write_outputs(
         calibration=calibration,
         material=material,
         warnings=(*result.warnings, *missing, *failed),
-        compute_s=stages.total_s(),
         seed=seed,
         resume=resume,
     )

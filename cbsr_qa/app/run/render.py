@@ -140,7 +140,6 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
         calibration=calibration if result.calibration is not None and calibration.exists() else None,
         material=(material if material is not None and material.exists() else None, why),
         warnings=result.warnings,
-        compute_s=sum(seconds for _, seconds in result.compute_s),
         seed=restore(store.configuration(run)).seed,
         resume="" if result.record.end is EndReason.FINISHED else resume_command(run, store),
     )

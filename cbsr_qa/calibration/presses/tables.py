@@ -67,7 +67,8 @@ class NumberTable:
         """Raise RecordingError with the problems of the table, if any."""
         if problems:
             more = "" if len(problems) <= _MOST_LISTED else f"; and {len(problems) - _MOST_LISTED} more"
-            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}", remedy=remedy)
+            rows = " (row 1 is the first below the header)" if problems[0].startswith("row ") else ""
+            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}{rows}", remedy=remedy)
 
     def _number(self, row: int, column: int, problems: list[str]) -> float:
         cell = self.rows[row][column]
@@ -125,6 +126,7 @@ def read_table(path: Path) -> NumberTable:
     table.refuse(
         [
             f"row {number}: {len(row)} cells, the header has {len(columns)}"
+            + (" (is a comma a decimal point there?)" if len(row) > len(columns) else "")
             for number, row in enumerate(rows, 1)
             if len(row) != len(columns)
         ]

@@ -68,7 +68,7 @@ class SettlingForces:
     def _counted(
         self, loads: tuple[TrackedLoad, ...], single: Forces, time_s: float
     ) -> tuple[float, float, int, float]:
-        """Force, error, flags and time until they count, of one frame with the loads that a stream saw in it."""
+        """Force, error, flags and time until both can be relied on, of a frame with the loads seen in it."""
         force, stderr, flags = float(single.force_N[0]), float(single.stderr_N[0]), int(single.flags[0])
         if flags & (NO_FORCE | Flag.NOT_DETECTED) or not loads:
             return force, stderr, flags, 0.0

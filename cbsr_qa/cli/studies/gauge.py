@@ -33,7 +33,10 @@ def gauge(
     since: Since = None,
     until: Until = None,
     largest_balanced: Annotated[
-        bool, typer.Option("--largest-balanced", help="Of an incomplete crossing, take the largest complete part.")
+        bool,
+        typer.Option(
+            "--largest-balanced", help="If some sensors were not tested everywhere, use the largest complete part."
+        ),
     ] = False,
     reference: Annotated[
         list[str] | None,

@@ -45,7 +45,7 @@ def reanalyse(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Analyse stored runs again by a changed recipe or this version, and show which verdicts and values change.
+    """Analyse stored runs again with a changed recipe or this version, and show which verdicts and values change.
 
     Results are stored on trial, beside the valid analyses, which stay valid unless --adopt is given. The same command
     computes only what is not stored yet. Exit code 3 if no run could be analysed.

@@ -55,7 +55,7 @@ class Holder:
 
     @property
     def words(self) -> str:
-        return f"{self.who or 'somebody'}, process {self.pid}, {self.doing}"
+        return f"{self.who or 'operator not stated'}, process {self.pid}, {self.doing}"
 
     def is_running(self) -> bool:
         """Whether the process still runs and is the one that took the lock."""

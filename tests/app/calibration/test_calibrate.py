@@ -140,7 +140,10 @@ def test_places_are_written_as_a_table(folder, tmp_path):
     assert "60 of 60 frames" in " ".join(shown.split())
     assert not run(*arguments, "--differences", "--output", out).exception
     header, *rows = out.read_text().splitlines()
-    assert header.startswith("x_mm,y_mm,covariance_xx_mm2")
+    assert header.startswith("row,x_mm,y_mm,covariance_xx_mm2")
+    assert header.endswith(",q68,q95")
+    first = dict(zip(header.split(","), rows[0].split(","), strict=True))
+    assert (first["row"], 0 < float(first["q68"]) < float(first["q95"])) == ("1", True)
     assert "force_N,force_68_low_N,force_68_high_N" in header
     assert len(rows) == 60
     assert len(rows[0].split(",")) == len(header.split(","))
