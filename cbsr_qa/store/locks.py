@@ -29,7 +29,7 @@ PATIENCE_S: Final = 1.0
 
 def this_process(operator: str) -> str:
     """Name the writer of a run: operator, computer and process."""
-    return f"{operator or 'operator not stated'} on {platform.node() or 'this computer'}, process {os.getpid()}"
+    return f"{operator or 'somebody'} on {platform.node() or 'this computer'}, process {os.getpid()}"
 
 
 @contextmanager
