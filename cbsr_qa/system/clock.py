@@ -143,7 +143,3 @@ class Stages:
     def table(self) -> tuple[tuple[str, float], ...]:
         """Seconds by stage, in the order they first began."""
         return tuple(self._spent.items())
-
-    def total_s(self) -> float:
-        """Total of all stages [s]."""
-        return sum(self._spent.values())

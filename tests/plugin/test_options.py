@@ -17,6 +17,16 @@ class Place(PluginOptions):
     x_mm: float
 
 
+class Motion(PluginOptions):
+    speed_mm_per_min: float
+    homing_s: float = 60.0
+
+
+class Head(PluginOptions):
+    diameter_mm: float | None = None
+    outline_mm: list[float] | None = None
+
+
 class Probe(WithOptions):
     class Options(PluginOptions):
         from_s: Annotated[float, Field(gt=0, lt=3600)] = 5.0
@@ -84,6 +94,11 @@ def test_what_a_field_takes_is_worded_from_its_type():
     assert allowed(Probe.Options.model_fields["places"]) == "an array, each a table of x_mm"
     assert allowed(Annotated[float, Field(ge=0, lt=1)]) == "a number of at least 0 and below 1"
     assert allowed(Annotated[float, Field(lt=1)]) == "a number below 1"
+    assert allowed(Motion) == "a table of speed_mm_per_min (optional: homing_s)"
+    assert allowed(dict[str, Motion]) == f"one named table or more, each {allowed(Motion)}"
+    assert (
+        allowed(Head) == "a table of diameter_mm, outline_mm"
+    )  # neither alone is needed: a rule of the table's says so
 
 
 def test_keyword_arguments_are_options_where_a_factory_has_no_model():

@@ -51,6 +51,12 @@ def test_looking_does_not_make_one(path):
     assert not path.exists()
 
 
+def test_a_folder_is_called_one(path):
+    path.mkdir()
+    assert "is a folder, not a database\nname a file in it" in refused(path)
+    assert list(path.iterdir()) == []
+
+
 def test_an_empty_file_becomes_a_database(path):
     path.touch()
     open_store(f"sqlite:///{path}").close()

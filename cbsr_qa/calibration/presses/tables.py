@@ -23,6 +23,7 @@ from cbsr_qa.domain.results import SourceFile
 _LARGEST_BYTES: Final = 2**29
 #: Largest number of any column.
 _LARGEST: Final = 1e12
+_CORRECT: Final = "correct the table and try again; row 1 is the first below the header"
 #: Number of problems of a table that are listed.
 _MOST_LISTED: Final = 10
 _PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
@@ -63,12 +64,11 @@ class NumberTable:
         self.refuse(problems)
         return values.reshape(len(self.rows), len(chosen))
 
-    def refuse(self, problems: Sequence[str], remedy: str = "correct the table and try again") -> None:
+    def refuse(self, problems: Sequence[str], remedy: str = _CORRECT) -> None:
         """Raise RecordingError with the problems of the table, if any."""
         if problems:
             more = "" if len(problems) <= _MOST_LISTED else f"; and {len(problems) - _MOST_LISTED} more"
-            rows = " (row 1 is the first below the header)" if problems[0].startswith("row ") else ""
-            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}{rows}", remedy=remedy)
+            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}", remedy=remedy)
 
     def _number(self, row: int, column: int, problems: list[str]) -> float:
         cell = self.rows[row][column]

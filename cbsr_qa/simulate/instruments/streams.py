@@ -153,9 +153,9 @@ class Port(ABC):
         """Send bytes that fit."""
 
     @property
+    @abstractmethod
     def down(self) -> bool:
         """Whether the link is broken or closed, so that no byte passes."""
-        return self._over.is_set()
 
     def unread(self) -> int:
         """Number of bytes sent that no driver has read yet; 0 if unknown."""
@@ -294,6 +294,10 @@ class TcpPort(Port):
         if (talking := self._talking) is not None:
             with suppress(OSError):
                 talking.sendall(data)
+
+    @property
+    def down(self) -> bool:
+        return self._listening.fileno() < 0
 
     def hang_up(self) -> None:
         """Close the connection and accept no other."""

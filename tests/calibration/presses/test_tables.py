@@ -40,7 +40,7 @@ def test_commas_at_the_end_of_every_line_are_no_column(tmp_path):
         ("x_mm\ty_mm\n1\t2\n", "tabs"),
         ("x_mm,y_mm\n1,2\n,\n3,4\n", "row 2, column x_mm: empty"),
         ("x_mm,y_mm\n1_0,2\n", "row 1, column x_mm: '1_0', not a finite number"),
-        ("x_mm,y_mm\n1,2,3\n", "row 1: 3 cells, the header has 2"),
+        ("x_mm,y_mm\n1,2,3\n", "row 1: 3 cells, the header has 2 (is a comma a decimal point there?)"),
         ("x_mm,x_mm,y_mm\n1,2,3\n", "'x_mm' more than once"),
         ("x,y_mm\n1,2\n", "column 'x' has no unit: x_mm"),
         ("x_mm,y_m\n1,2\n", "column 'y_m' is in a unit that is not known: y_mm"),
