@@ -175,3 +175,10 @@ def test_an_error_in_writing_is_a_refusal_that_names_the_file_and_says_why(tmp_p
     refuses = pytest.raises(RefusedError, match=r"x\.json cannot be written: Not a directory")
     with refuses, writing(path), path.open("w"):
         pass
+
+
+def test_without_permission_it_says_what_to_do(tmp_path):
+    with pytest.raises(RefusedError) as refused, writing(tmp_path / "x.csv"):
+        raise PermissionError(13, "Permission denied")
+    assert refused.value.reason == f"{tmp_path / 'x.csv'} cannot be written: Permission denied"
+    assert refused.value.remedy == "allow writing there, or name another file"
