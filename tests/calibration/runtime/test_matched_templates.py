@@ -71,7 +71,7 @@ class TestSearch:
         assert np.sqrt(np.mean((found.place_mm - places) ** 2)) < rms_mm
 
     @pytest.mark.parametrize(("diameter_mm", "error"), [(13.0, 3e-4), (10.0, 2e-3), (18.0, 2e-3)])
-    def test_steps_of_a_file_are_a_tenth_of_what_interpolation_costs(self, model, diameter_mm, error):
+    def test_steps_of_a_file_cost_a_fifth_of_what_interpolation_does(self, model, diameter_mm, error):
         places = somewhere(np.random.default_rng(9), 400, 36.0)
         size = Indenter(diameter_mm).squared_radius_mm2 / HEAD.squared_radius_mm2
         exact, filed = (TemplateFilter(one, size=size) for one in (model, as_filed(model)))
@@ -79,9 +79,9 @@ class TestSearch:
         one, other = exact.search(rows), filed.search(rows)
         change = other.strength / one.strength - 1
         assert np.abs(change).max() < error
-        assert np.sqrt(np.mean(change**2)) < 0.1 * np.sqrt(np.mean((one.strength - 1) ** 2))
+        assert np.sqrt(np.mean(change**2)) < 0.2 * np.sqrt(np.mean((one.strength - 1) ** 2))
         moved = np.sqrt(np.mean((other.place_mm - one.place_mm) ** 2))
-        assert moved < 0.1 * np.sqrt(np.mean((one.place_mm - places) ** 2))
+        assert moved < 0.2 * np.sqrt(np.mean((one.place_mm - places) ** 2))
 
     def test_scatter_is_what_the_information_allows(self, finder):
         random = np.random.default_rng(6)
