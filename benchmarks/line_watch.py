@@ -262,7 +262,7 @@ def rows(without: Seen, seen: Seen, speed: float, watched_by: str) -> Iterator[R
     yield Row(
         f"a stored frame is on the screen, {len(latency)} blocks",
         "≤ 300 ms",
-        f"{_spread(latency)}",
+        f"{_spread(latency)}, {(latency > 0.3).sum()} over 300 ms",
         met=bool(latency.max() <= 0.3),
     )
     yield Row(f"lateness of stored frames, nobody watches, {len(alone)} blocks", "", _spread(alone))

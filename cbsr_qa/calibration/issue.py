@@ -5,11 +5,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.calibration.file import as_filed, stamped
+from cbsr_qa.calibration.file import stamped
 from cbsr_qa.calibration.fits import restricted_mean
 from cbsr_qa.calibration.force import LearnedForce, force_reductions, reading_reductions, tried_beyond, unmeasured
 from cbsr_qa.calibration.sheet import baseline_conductance, load_baseline
-from cbsr_qa.domain import CalibrationError, taken
+from cbsr_qa.domain import CalibrationError, as_filed, taken
 from cbsr_qa.domain.results import (
     BaselineConductance,
     Calibration,
@@ -84,7 +84,7 @@ def issue_calibration(
             calibration=calibration,
             issued_at=utc,
             current_A=_current_A(observation),
-            reconstruction=observation.reconstruction.in_single_precision(),
+            reconstruction=as_filed(observation.reconstruction),
             baseline=baseline,
             against_stress=against_stress,
             against_strain=material.against_strain,

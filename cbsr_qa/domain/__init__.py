@@ -39,9 +39,12 @@ if TYPE_CHECKING:
         unlike_model as unlike_model,
     )
     from .kept import (
+        COLUMNS as COLUMNS,
         Kept as Kept,
         KeptField as KeptField,
+        as_filed as as_filed,
         group_of as group_of,
+        in_steps as in_steps,
         kept_fields as kept_fields,
         tabulated as tabulated,
         taken as taken,

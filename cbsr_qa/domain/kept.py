@@ -10,7 +10,10 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from operator import attrgetter
 from types import UnionType
-from typing import Any, Final, get_type_hints
+from typing import Any, Final, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
 
 #: Units of a field that has those of its parent.
 OWN: Final = "own"
@@ -18,6 +21,10 @@ _SUFFIXES: Final = {
     **{unit: unit for unit in ("mm", "s", "A", "N", "kPa", "deg")},
     "C": "degC",
 }
+#: Ends the path of an array that is kept column by column.
+COLUMNS: Final = "_columns"
+
+_Kind = TypeVar("_Kind")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -32,7 +39,8 @@ class Kept:
     omitted : not written if it is the default, though the first version had it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
-    step : a value is rounded to multiples of this when it is issued.
+    steps : when issued, values are rounded to multiples of a power of two, at most the largest of them over this.
+    columns : kept column by column if it is in ``steps``: equal columns are next to each other and compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
     source : its attribute in a run's observation, e.g. ``"settings.size_ratio"``.
@@ -47,7 +55,8 @@ class Kept:
     prepared: bool = False
     single: bool = False
     shortest: bool = False
-    step: float = 0.0
+    steps: int = 0
+    columns: bool = False
     dims: str = ""
     least: float | None = None
     most: float | None = None
@@ -111,6 +120,42 @@ def _kept_fields(of: Any) -> tuple[KeptField, ...]:
 def _kept_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
     said = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Kept)]
     return KeptField(field.name, hint.__origin__ if said else hint, field.default, said[0] if said else Kept())
+
+
+def as_filed(held: _Kind) -> _Kind:
+    """Return a dataclass with its arrays in the precision of its file, so that the issued one equals the one read."""
+    filed: dict[str, Any] = {}
+    for field in kept_fields(type(held)):
+        values = getattr(held, field.name)
+        if field.kept.not_kept:
+            continue
+        if isinstance(values, np.ndarray) and values.dtype == np.float64:
+            filed[field.name] = _rounded(values, field.kept)
+        elif dataclasses.is_dataclass(values) and (inner := as_filed(values)) is not values:
+            filed[field.name] = inner
+    changed = {name: value for name, value in filed.items() if value is not getattr(held, name)}
+    return dataclasses.replace(held, **changed) if changed else held  # type: ignore[type-var]
+
+
+def _rounded(values: NDArray[np.float64], kept: Kept) -> NDArray[np.float64]:
+    """Return values in the precision of a file, without negative zeros; themselves if they are."""
+    rounded = in_steps(values, kept.steps) if kept.steps else values
+    single = rounded.astype(np.float32).astype(np.float64) if kept.single else rounded
+    filed: NDArray[np.float64] = single + 0.0
+    return values if filed.tobytes() == values.tobytes() else filed
+
+
+def in_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
+    """Round values to multiples of the largest power of two not above the largest magnitude over ``steps``.
+
+    Rounding twice changes nothing more.
+    """
+    largest, step = float(np.abs(values).max(initial=0.0)), 1.0
+    for _ in range(2 if largest else 0):  # the largest may be rounded up to where steps are twice as large
+        step = 2.0 ** np.floor(np.log2(largest / steps))
+        largest = float(np.round(largest / step)) * step
+    rounded: NDArray[np.float64] = np.round(values / step) * step if largest else values
+    return rounded
 
 
 def group_of(hint: Any) -> type | None:

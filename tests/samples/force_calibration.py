@@ -6,9 +6,10 @@ from functools import lru_cache
 import numpy as np
 from stored_runs import INDENTER, SENSOR_TYPE, calibration
 
-from cbsr_qa.calibration.file import as_filed, stamped
+from cbsr_qa.calibration.file import stamped
 from cbsr_qa.calibration.force import CalibrationLoads, learn_force, template_bank
 from cbsr_qa.config import load_material
+from cbsr_qa.domain import as_filed
 from cbsr_qa.domain.results import Calibration, Validity
 from cbsr_qa.eit.estimate import load_model, merged_readings
 from cbsr_qa.eit.loads import RoundLoads

@@ -17,7 +17,7 @@ from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
 from cbsr_qa.config import database_url, reports_folder, restore
-from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, filled
+from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, as_filed, filled
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
     Calibration,
@@ -234,7 +234,7 @@ def _calibration(
     try:
         if file is not None:
             return calibration_of(file[0], issued=file[1]), ""
-        prepared = None if observation is None else observation.reconstruction.in_single_precision()
+        prepared = None if observation is None else as_filed(observation.reconstruction)
         return store.calibration_of_before(stored.calibration, prepared, prepared_force), ""
     except (StoreError, CalibrationError) as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"

@@ -6,7 +6,7 @@ from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
     from .content import FLAG as FLAG, INDEX as INDEX, PURE as PURE, TEXT as TEXT, Entry as Entry
-    from .entries import Issued as Issued, as_filed as as_filed, decode as decode, encode as encode
+    from .entries import Issued as Issued, decode as decode, encode as encode
     from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
     from .hdf5 import (
         BLOCK_BEGINS as BLOCK_BEGINS,

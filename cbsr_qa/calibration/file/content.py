@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, tabulated
+from cbsr_qa.domain import COLUMNS, Array, CalibrationError, Indices, Mask, tabulated
 from cbsr_qa.domain.results import Calibration, PressCalibration
 
 #: Possible values: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
@@ -158,8 +158,10 @@ class Reading:
 FORMAT, PRESS_FORMAT = "cbsr-qa calibration", "cbsr-qa press calibration"
 #: Entries that only the latter has.
 _OF_PRESSES: Final = "readings/pairs"
-#: Version with matrix and Jacobian in single precision; double precision is written as before.
+#: Versions with matrix and Jacobian in single precision, and with both in steps; others are written as before.
 _SINGLE_MATRIX: Final = 3
+_MATRIX_IN_STEPS: Final = 5
+_MATRIX: Final = "reconstruction/matrix"
 
 _TABLE: Final = tuple(tabulated(Calibration))
 #: Paths, or prefixes of paths, of entries recomputed from the others.
@@ -169,7 +171,7 @@ _SINCE: Final = {
     format_: tuple((path, field.kept.since) for path, field in tabulated(of) if field.kept.since > 1)
     for format_, of in ((FORMAT, Calibration), (PRESS_FORMAT, PressCalibration))
 }
-SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE[FORMAT])])
+SCHEMA_VERSION: Final = max([_MATRIX_IN_STEPS, *(since for _, since in _SINCE[FORMAT])])
 
 
 def format_of(entries: Mapping[str, Entry]) -> str:
@@ -184,7 +186,9 @@ def latest_version(format_: str) -> int:
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
     """Return the lowest schema version that has all of some entries: earlier calibrations keep their digests."""
-    for path in ("reconstruction/matrix", "reconstruction/jacobian"):
+    if _MATRIX + COLUMNS in entries:
+        return max(_MATRIX_IN_STEPS, _record_version(entries))
+    for path in (_MATRIX, "reconstruction/jacobian"):
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.dtype == np.float32:
             return max(_SINGLE_MATRIX, _record_version(entries))

@@ -1,11 +1,10 @@
-"""A calibration as entries of its file, and back: schema version 3, or the lowest sufficient one.
+"""A calibration as entries of its file, and back: schema version 5, or the lowest sufficient one.
 
 Entries of earlier files are converted when read, and back when written, so that issued calibrations keep their
 digests: the regularisation parameter had no name and criterion, which its method implies, and there was no force.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import INDEX, PRESS_FORMAT, PURE, TEXT, Entry, Reading, format_of
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
-from cbsr_qa.domain import CalibrationError, RefusedError, kept_fields
+from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import (
     Calibration,
     ForceModel,
@@ -35,7 +34,7 @@ from cbsr_qa.domain.sensor import (
     mesh_of_arrays,
 )
 
-#: Templates have unit length, apart from rounding to single precision.
+#: Templates have unit length, apart from rounding.
 _UNIT: Final = 1e-3
 
 _WHY_NOT: Final = "force/none"
@@ -267,18 +266,6 @@ _IRREGULAR: Final[Mapping[Any, Irregular]] = {
     tuple[LoadRelaxation, ...]: (_write_relaxations, _read_relaxations),
 }
 _CODEC: Final = Codec(_IRREGULAR)
-
-
-def as_filed(model: ForceModel) -> ForceModel:
-    """Return a model in the precision of its file, so that the issued one equals the one read."""
-    filed: dict[str, Any] = {}
-    for field in kept_fields(ForceModel):
-        values = getattr(model, field.name)
-        if isinstance(values, np.ndarray) and values.dtype == np.float64:
-            values = np.round(values / field.kept.step) * field.kept.step if field.kept.step else values
-            values = values + 0.0
-            filed[field.name] = values.astype(np.float32).astype(np.float64) if field.kept.single else values
-    return replace(model, **filed)
 
 
 def _check_usable(calibration: Calibration) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry, Reading, Value
-from cbsr_qa.domain import Array, Indices, Kept, KeptField, Mask, group_of, kept_fields
+from cbsr_qa.domain import COLUMNS, Array, Indices, Kept, KeptField, Mask, group_of, in_steps, kept_fields
 
 Pairs = tuple[tuple[int, int], ...]
 Points = tuple[tuple[float, float], ...]
@@ -46,7 +46,8 @@ class Codec:
             elif item_of(field.hint):
                 self.write_list(out, item_of(field.hint), held, path, units)
             elif group is None:
-                out[path] = Entry(units, _kept(field, held))
+                turned = _by_columns(field, held)
+                out[path + turned * COLUMNS] = Entry(units, _kept(field, held.T if turned else held))
             elif held is not None:
                 self.write(out, held, path, units)
 
@@ -142,6 +143,11 @@ def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dic
             yield f"{path} of {shape} does not fit {expected} {axis or 'columns'}"
 
 
+def _by_columns(field: KeptField, held: Any) -> bool:
+    """Whether an array is kept column by column; earlier files, whose digests must stay, are not in steps."""
+    return field.kept.columns and np.array_equal(in_steps(held, field.kept.steps), held)
+
+
 def _place(field: KeptField, within: str, own: str) -> tuple[str, str]:
     group = group_of(field.hint) is not None
     default = own if group else TEXT if _is_text(field.hint) else _UNITS.get(field.hint, PURE)
@@ -209,6 +215,8 @@ _LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
 
 
 def _value(read: Reading, field: KeptField, path: str) -> Any:
+    if field.kept.columns and read.has(path + COLUMNS):
+        return np.ascontiguousarray(read.either(path + COLUMNS).T)
     if field.kept.single or field.kept.shortest:
         return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.either(path)
     return _VALUES[field.hint](read, path) if field.hint in _VALUES else field.hint(read.text(path))

@@ -6,8 +6,8 @@ numbers are NaN, missing indices are −1, missing optional arrays are empty. At
 :mod:`cbsr_qa.calibration.file`), and so does not depend on the HDF5 library; a signed file also has ``public_key``,
 ``signed_at`` and ``signature`` (:mod:`cbsr_qa.calibration.file.signing`). The 512 bytes before the HDF5 file (its
 user block, which every HDF5 library skips) hold a digest of all bytes after them. Schema version 1 had no group
-``force``, version 2 matrix and Jacobian in double precision; these versions are still written if sufficient. Large
-arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
+``force``, version 2 matrix and Jacobian in double precision, versions 3 and 4 in single precision; these versions are
+still written if sufficient. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 """
 
 import hashlib
@@ -205,19 +205,20 @@ def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
     for path, entry in entries.items():
         if isinstance(entry.value, np.ndarray):
             data = entry.value.astype(np.uint8) if entry.value.dtype == np.bool_ else entry.value
-            dataset = file.create_dataset(path, data=data, **_packing(path, data))
+            dataset = file.create_dataset(path, data=data, **_packing(data))
         else:
             texts = entry.value if isinstance(entry.value, str) else np.array(entry.value, dtype=object)
             dataset = file.create_dataset(path, data=texts, dtype=h5py.string_dtype())
         dataset.attrs["units"] = entry.units
 
 
-def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
+def _packing(data: NDArray[Any]) -> dict[str, Any]:
     if data.nbytes < _COMPRESSED_BYTES:
         return {}
     packing: dict[str, Any] = {"compression": "gzip", "shuffle": True}
-    if path == "reconstruction/jacobian":
-        # A reading and its reciprocal have equal rows, which are compressed if a chunk holds some columns of all.
+    if data.ndim == 2:
+        # Neighbouring places have like rows, and a reading and its reciprocal equal ones: a chunk holds some columns
+        # of all rows.
         columns = min(max(_LOOKS_BACK // data.shape[0], 1), data.shape[1])
         packing["chunks"] = (data.shape[0], columns)
     return packing

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.file import as_filed
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, as_filed
 from cbsr_qa.domain.results import ForceModel, Lattice
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType

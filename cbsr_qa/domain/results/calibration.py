@@ -24,10 +24,9 @@ _LARGEST: Final = 1e12
 _LARGEST_LOG: Final = 50.0
 #: Nodes along an axis: more than any lattice has, with a representable product.
 _MOST_NODES: Final = 10_000
-#: Steps of a template, whose length is one, and of its slope with the size of the head. Errors of a template add up
-#: to 7e-8 of a strength; those of the slope to four times that for a head of twice the area.
-_TEMPLATE_STEP: Final = 2.0**-22
-_SLOPE_STEP: Final = 2.0**-20
+
+#: Of templates and their slopes in a file: errors of a template add up to 5e-4 of its length (docs/decisions/0047).
+_STEPS: Final = 2**12
 
 _NotNegative = Annotated[float, Kept(least=0, most=_LARGEST)]
 _Count = Annotated[int, Kept(least=2, most=_MOST_NODES)]
@@ -97,13 +96,9 @@ class ForceModel:
     lattice: Annotated[Lattice, Kept(prepared=True)]
     node: Annotated[Indices, Kept(prepared=True, dims="rows columns")]
     merging: Annotated[Array, Kept(units="1/V", dims="merged readings", most=_LARGEST)]
-    templates: Annotated[
-        Array, Kept(prepared=True, single=True, step=_TEMPLATE_STEP, dims="nodes merged", most=_LARGEST)
-    ]
+    templates: Annotated[Array, Kept(prepared=True, single=True, steps=_STEPS, dims="nodes merged", most=_LARGEST)]
     log_size: Annotated[Array, Kept(prepared=True, single=True, dims="nodes", most=_LARGEST_LOG)]
-    size_slope: Annotated[
-        Array, Kept(prepared=True, single=True, step=_SLOPE_STEP, dims="nodes merged", most=_LARGEST)
-    ]
+    size_slope: Annotated[Array, Kept(prepared=True, single=True, steps=_STEPS, dims="nodes merged", most=_LARGEST)]
     log_size_gradient: Annotated[Array, Kept(units="1/mm", prepared=True, single=True, dims="nodes 2", most=_LARGEST)]
     turning: Annotated[Array, Kept(units="1/mm^2", prepared=True, single=True, dims="nodes 3", most=_LARGEST)]
     fits: Annotated[NDArray[np.bool_], Kept(prepared=True, dims="nodes")]

@@ -3,9 +3,9 @@
 What a reconstruction is given and what a linear one becomes.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Protocol, Self
+from typing import Annotated, Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import Array, real_numbers
 from cbsr_qa.domain.sensor import Mesh, SensorType
+
+#: Of matrix and Jacobian in a file: errors of an image add up to 1e-3 of its noise (docs/decisions/0047).
+_STEPS: Final = 2**13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +130,7 @@ class ImagingProblem:
 
     sensor_type: Annotated[SensorType, FROM_ABOVE]
     mesh: Annotated[Mesh, Kept("/mesh/", prepared=True)]
-    jacobian: Annotated[Array, Kept(units="V/(A.Ohm)", prepared=True, shortest=True)]
+    jacobian: Annotated[Array, Kept(units="V/(A.Ohm)", prepared=True, shortest=True, steps=_STEPS)]
     reference: Annotated[Array, Kept(units="V/(A.Ohm)", prepared=True)]
     used: NDArray[np.bool_]
     noise_variance: Annotated[Array | None, Kept(prepared=True)] = None
@@ -246,7 +249,7 @@ class LinearReconstruction:
 
     method: str
     problem: Annotated[ImagingProblem, Kept("")]
-    matrix: Annotated[Array, Kept(units="A.Ohm/V", prepared=True, shortest=True)]
+    matrix: Annotated[Array, Kept(units="A.Ohm/V", prepared=True, shortest=True, steps=_STEPS, columns=True)]
     choice: Annotated[ParameterChoice, Kept("")]
 
     def images(self, changes: Array) -> Array:
@@ -266,16 +269,6 @@ class LinearReconstruction:
             As :func:`checked_readings`.
         """
         return checked_readings(changes, self.problem) @ self.matrix.T
-
-    def in_single_precision(self) -> Self:
-        """Return a copy with matrix and Jacobian rounded to single precision, as calibrations store them.
-
-        No value changes by more than 6e-8 of itself, a thousandth of what noise makes of an image.
-        """
-        jacobian, matrix = (
-            values.astype(np.float32).astype(np.float64) for values in (self.problem.jacobian, self.matrix)
-        )
-        return replace(self, matrix=matrix, problem=replace(self.problem, jacobian=jacobian))
 
 
 def checked_readings(changes: Array, problem: ImagingProblem) -> Array:

@@ -15,7 +15,7 @@ from calibration_samples import (
 )
 
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import CalibrationError, as_filed, in_steps
 from cbsr_qa.domain.sensor import Mesh
 
 
@@ -115,38 +115,61 @@ def test_large_arrays_are_compressed_and_come_back_to_the_bit(tmp_path):
     assert_same(read_calibration(path), stamped(large), "calibration")
 
 
-def test_matrix_and_jacobian_in_single_precision_come_back_to_the_bit_and_take_less_room(tmp_path):
-    double, path = _with_large_arrays(), tmp_path / "single.h5"
-    single = replace(double, reconstruction=double.reconstruction.in_single_precision())
-    write_calibration(tmp_path / "double.h5", double)
-    assert write_calibration(path, single) == stamped(single).digest == plain_digest(path)
-    assert_same(read_calibration(path), stamped(single), "calibration")
-    assert verify_calibration_file(path).schema_version == 3
-    assert verify_calibration_file(tmp_path / "double.h5").schema_version == 2
-    assert path.stat().st_size < 0.6 * (tmp_path / "double.h5").stat().st_size
-    # What is not prepared again is the same record, however the rest is kept.
-    assert stamped(single).record_digest == stamped(double).record_digest
-    for name in ("matrix", "jacobian"):
-        one, other = (
-            made.reconstruction.matrix if name == "matrix" else made.reconstruction.problem.jacobian
-            for made in (single, double)
-        )
-        assert np.linalg.norm(one - other) < 6e-8 * np.linalg.norm(other)
+def _in_single_precision(calibration):
+    """As issued by earlier versions."""
+    made = calibration.reconstruction
+    jacobian, matrix = (values.astype(np.float32).astype(float) for values in (made.problem.jacobian, made.matrix))
+    single = replace(made, matrix=matrix, problem=replace(made.problem, jacobian=jacobian))
+    return replace(calibration, reconstruction=single)
 
 
-def test_reciprocal_rows_of_the_jacobian_are_kept_once(tmp_path):
+def test_matrix_and_jacobian_come_back_to_the_bit_in_any_precision_and_take_less_room_in_steps(tmp_path):
+    double = _with_large_arrays()
+    in_steps = replace(double, reconstruction=as_filed(double.reconstruction))
+    sizes = []
+    for version, made in ((2, double), (3, _in_single_precision(double)), (5, in_steps)):
+        path = tmp_path / f"{version}.h5"
+        assert write_calibration(path, made) == stamped(made).digest == plain_digest(path)
+        assert_same(read_calibration(path), stamped(made), "calibration")
+        assert verify_calibration_file(path).schema_version == version
+        # What is not prepared again is the same record, however the rest is kept.
+        assert stamped(made).record_digest == stamped(double).record_digest
+        sizes.append(path.stat().st_size)
+    assert sizes[1] < 0.6 * sizes[0]
+    assert sizes[2] < 0.6 * sizes[1]
+
+
+def test_what_reciprocal_readings_share_takes_room_once(tmp_path):
     large = _with_large_arrays()
     problem = large.reconstruction.problem
     random = np.random.default_rng(3).standard_normal(problem.jacobian.shape)
     alike = random.copy()
     alike[len(alike) // 2 :] = alike[: len(alike) - len(alike) // 2]
     sizes = []
-    for name, jacobian in (("random", random), ("alike", alike)):
-        made = replace(large.reconstruction, problem=replace(problem, jacobian=jacobian)).in_single_precision()
-        write_calibration(tmp_path / f"{name}.h5", replace(large, reconstruction=made))
+    for name, values in (("random", random), ("alike", alike)):
+        changed = replace(large.reconstruction, problem=replace(problem, jacobian=values), matrix=values.T.copy())
+        write_calibration(tmp_path / f"{name}.h5", replace(large, reconstruction=as_filed(changed)))
         with h5py.File(tmp_path / f"{name}.h5") as file:
-            sizes.append(file["reconstruction/jacobian"].id.get_storage_size())
-    assert sizes[1] < 0.6 * sizes[0]
+            of = file["reconstruction"]
+            sizes.append([of[one].id.get_storage_size() for one in ("jacobian", "matrix_columns")])
+    assert (np.array(sizes[1]) < 0.6 * np.array(sizes[0])).all()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_values_in_steps_are_near_and_stay_when_rounded_again(seed):
+    random = np.random.default_rng(seed)
+    values = random.standard_normal((30, 4)) * 10.0 ** random.integers(-12, 12)
+    values[0, 0] = 2.0 ** random.integers(-40, 40) * (1 - 1e-6)  # rounded up to where steps are twice as large
+    largest, steps = np.abs(values).max(), 2**12
+    rounded = in_steps(values, steps)
+    assert np.abs(rounded - values).max() <= 0.5 * (1 + 1 / steps) * largest / steps
+    np.testing.assert_array_equal(in_steps(rounded, steps), rounded)
+    np.testing.assert_array_equal(rounded.astype(np.float32), rounded)
+
+
+def test_zeros_are_in_steps():
+    np.testing.assert_array_equal(in_steps(np.zeros((2, 3)), 16), np.zeros((2, 3)))
+    assert in_steps(np.zeros((0, 3)), 16).shape == (0, 3)
 
 
 def test_a_matrix_worked_out_on_another_computer_changes_the_digest_but_not_that_of_the_record():

@@ -15,7 +15,7 @@ from force_calibration import NOISE_V, force_calibration, frames
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.calibration.file import encode, firmware_document, lost_by, thinned, write_calibration
 from cbsr_qa.calibration.force import prepared_force
-from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain import CalibrationError, NumericsError, as_filed
 from cbsr_qa.domain.run import Indenter
 
 _DOCS = Path(__file__).parents[3] / "docs"
@@ -131,7 +131,7 @@ def test_every_dataset_is_on_the_page_with_its_unit_and_kind_and_no_other():
     said = {path: (units.strip(), kind.strip()) for path, optional, units, kind in rows if not optional}
     found = {}
     sample = sample_calibration()
-    filed = replace(sample, reconstruction=sample.reconstruction.in_single_precision())
+    filed = replace(sample, reconstruction=as_filed(sample.reconstruction))
     for path, entry in encode(filed).items():
         name = re.sub(r"^force/(un)?loading/", "force/<direction>/", path)
         name = re.sub(r"^relaxation/\w+/", "relaxation/<signal>/", name)
@@ -250,7 +250,7 @@ def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
         Calibration(replace(issued, force=None))
 
 
-def test_single_precision_changes_no_force_by_more_than_a_millionth(calibration):
+def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calibration):
     """Against the model whose templates are prepared again in double precision."""
     from cbsr_qa.calibration.force import template_bank
     from cbsr_qa.eit.estimate import load_model, merged_readings
@@ -273,8 +273,8 @@ def test_single_precision_changes_no_force_by_more_than_a_millionth(calibration)
     for place in (None, _PLACES):
         here = calibration.force(seen, place_mm=place)
         there = Calibration(replace(issued, force=double)).force(seen, place_mm=place)
-        np.testing.assert_allclose(here.force_N, there.force_N, rtol=1e-6)
-        np.testing.assert_allclose(here.stderr_N, there.stderr_N, rtol=1e-6)
+        np.testing.assert_allclose(here.force_N, there.force_N, rtol=5e-4)
+        np.testing.assert_allclose(here.stderr_N, there.stderr_N, rtol=5e-4)
 
 
 def test_templates_prepared_from_the_record_are_those_that_were_issued():

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import NumericsError, as_filed
 from cbsr_qa.domain.results import LinearReconstruction
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES, reading_noise
@@ -155,6 +155,16 @@ def test_loud_readings_count_less_in_every_linear_method_that_weighs_noise(senso
     noise = [float((one.matrix**2 @ variance).sum()) for one in (weighed, equal)]
     assert noise[0] < 0.3 * noise[1]
     assert np.abs(weighed.matrix[:, 30:43]).max() < 0.1 * np.abs(equal.matrix[:, 30:43]).max()
+
+
+@pytest.mark.parametrize("method", ["gauss-newton-noser", "gauss-newton-laplace", "greit", "truncated-svd"])
+def test_rounding_of_a_file_changes_an_image_by_a_thousandth_of_its_noise(sensor, method):
+    exact = discover().factory(Kind.RECONSTRUCTION, method)().prepare(imaging_problem(sensor))
+    filed = as_filed(exact)
+    assert (filed.matrix != exact.matrix).any()
+    change, noise = (np.sqrt((one**2).sum(axis=1)) for one in (filed.matrix - exact.matrix, exact.matrix))
+    assert np.sqrt(np.mean(change**2 / noise**2)) < 5e-4
+    assert (change < 1.5e-3 * noise).all()
 
 
 def test_estimated_weights_do_nearly_what_the_true_ones_would(sensor):
