@@ -1,4 +1,4 @@
-"""Write docs/how-to/pictures/line-*.webp: the page of a line, as a browser shows two simulated stations of `make serve`.
+"""Write docs/how-to/pictures/line-*.webp: two stations of ``make serve``, as a browser shows them.
 
 ``python docs/figures/picture_line.py`` takes two minutes; it needs Chromium.
 """
@@ -30,6 +30,7 @@ def start(page: Page, serial: str) -> None:
 
 
 def write(page: Page, name: str) -> None:
+    """Write what the browser shows as docs/how-to/pictures/<name>.webp."""
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     picture.save(PICTURES / f"{name}.webp", quality=80, method=6)
 
