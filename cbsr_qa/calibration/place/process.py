@@ -28,6 +28,8 @@ _SPREAD_OF_VARIANCE: Final = 3.0
 _SPREAD_OF_NOISE: Final = 1.4
 #: Presses whose squared distance is this share of the largest have the same features: rounding.
 _ALIKE: Final = 1e-12
+#: Correlations that are computed at once: few enough for the cache.
+_AT_ONCE: Final = 2**16
 #: Centre of the prior of the noise, relative to the variance of places.
 _NOISE_SHARE: Final = 0.005
 
@@ -40,9 +42,12 @@ def located(process: PlaceProcess, turns: PatternTurns, features: Array) -> Arra
     places: Array = scales.own_variance * near @ process.weights
     scale = np.sqrt(scales.turning)
     learned = process.features * scale
-    for number, turn in enumerate(turns.turns):
-        near = matern(squared_distances(turns.back(features, number) * scale, learned))
-        places += scales.turning_variance * (near @ process.weights) @ turn.T
+    step = max(_AT_ONCE // (len(turns) * len(learned)), 1)
+    for first in range(0, len(features), step):
+        turned = features[first : first + step, turns.permuted] * (turns.signs * scale)
+        near = matern(squared_distances(turned.reshape(-1, turned.shape[-1]), learned))
+        by_turn = (near @ process.weights).reshape(-1, len(turns), 2)
+        places[first : first + step] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
     return places
 
 
