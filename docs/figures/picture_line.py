@@ -16,8 +16,8 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 PICTURES = Path(__file__).parents[1] / "how-to" / "pictures"
 RUN_MS = 300_000
-#: The head is drawn and presses, and soon the sheet answers: a hold of 60 s takes one at this clock.
-HOLDING = "document.querySelector('circle.head') && /Press [0-9]+ of [0-9]+ · holding/.test(document.body.innerText)"
+#: The sheet answers by then, and the head still presses: a hold of 60 s takes one at this clock.
+HOLDING = re.compile(r"^\s*Press \d+ of \d+ · holding still")
 HOLD_MS = 300
 SERVE = "from cbsr_qa.cli.main import entry; entry()"
 
@@ -50,7 +50,8 @@ def pictures(address: str) -> None:
         page.goto(f"{base}/stations/line-1")
         start(page, "S-0413")
         expect(page.locator(".places small", has_text="mm off")).to_have_count(3)
-        page.wait_for_function(HOLDING, timeout=RUN_MS)
+        expect(page.get_by_text(HOLDING)).to_be_visible()
+        expect(page.locator("circle.head")).to_be_visible()
         page.wait_for_timeout(HOLD_MS)
         write(page, "line-running")
         page.goto(base)
