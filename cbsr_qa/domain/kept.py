@@ -39,8 +39,8 @@ class Kept:
     omitted : not written if it is the default, though the first version had it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
-    steps : when issued, values are rounded to multiples of a power of two, at most the largest of them over this.
-    columns : kept column by column if it is in ``steps``: equal columns are next to each other and compressed as one.
+    steps : when issued, an array is rounded to so many steps up to its largest magnitude (:func:`in_steps`); 0: as is.
+    columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
     source : its attribute in a run's observation, e.g. ``"settings.size_ratio"``.
@@ -126,15 +126,16 @@ def as_filed(held: _Kind) -> _Kind:
     """Return a dataclass with its arrays in the precision of its file, so that the issued one equals the one read."""
     filed: dict[str, Any] = {}
     for field in kept_fields(type(held)):
-        values = getattr(held, field.name)
         if field.kept.not_kept:
             continue
-        if isinstance(values, np.ndarray) and values.dtype == np.float64:
-            filed[field.name] = _rounded(values, field.kept)
-        elif dataclasses.is_dataclass(values) and (inner := as_filed(values)) is not values:
-            filed[field.name] = inner
-    changed = {name: value for name, value in filed.items() if value is not getattr(held, name)}
-    return dataclasses.replace(held, **changed) if changed else held  # type: ignore[type-var]
+        before = after = getattr(held, field.name)
+        if isinstance(before, np.ndarray) and before.dtype == np.float64:
+            after = _rounded(before, field.kept)
+        elif dataclasses.is_dataclass(before):
+            after = as_filed(before)
+        if after is not before:
+            filed[field.name] = after
+    return dataclasses.replace(held, **filed) if filed else held  # type: ignore[type-var]
 
 
 def _rounded(values: NDArray[np.float64], kept: Kept) -> NDArray[np.float64]:
@@ -148,13 +149,15 @@ def _rounded(values: NDArray[np.float64], kept: Kept) -> NDArray[np.float64]:
 def in_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
     """Round values to multiples of the largest power of two not above the largest magnitude over ``steps``.
 
-    Rounding twice changes nothing more.
+    Rounding twice changes nothing more. Values so small that a step would be no normal number stay as they are.
     """
     largest, step = float(np.abs(values).max(initial=0.0)), 1.0
-    for _ in range(2 if largest else 0):  # the largest may be rounded up to where steps are twice as large
+    if not np.finfo(np.float64).tiny * 2 * steps <= largest < np.inf:
+        return values
+    for _ in range(2):  # the largest may be rounded up to where steps are twice as large
         step = 2.0 ** np.floor(np.log2(largest / steps))
         largest = float(np.round(largest / step)) * step
-    rounded: NDArray[np.float64] = np.round(values / step) * step if largest else values
+    rounded: NDArray[np.float64] = np.round(values / step) * step
     return rounded
 
 

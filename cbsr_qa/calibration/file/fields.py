@@ -47,7 +47,7 @@ class Codec:
                 self.write_list(out, item_of(field.hint), held, path, units)
             elif group is None:
                 turned = _by_columns(field, held)
-                out[path + turned * COLUMNS] = Entry(units, _kept(field, held.T if turned else held))
+                out[path + COLUMNS if turned else path] = Entry(units, _kept(field, held.T if turned else held))
             elif held is not None:
                 self.write(out, held, path, units)
 

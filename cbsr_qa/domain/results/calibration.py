@@ -24,7 +24,6 @@ _LARGEST: Final = 1e12
 _LARGEST_LOG: Final = 50.0
 #: Nodes along an axis: more than any lattice has, with a representable product.
 _MOST_NODES: Final = 10_000
-
 #: Of templates and their slopes in a file: errors of a template add up to 5e-4 of its length (docs/decisions/0047).
 _STEPS: Final = 2**12
 

@@ -15,7 +15,7 @@ from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import Array, real_numbers
 from cbsr_qa.domain.sensor import Mesh, SensorType
 
-#: Of matrix and Jacobian in a file: errors of an image add up to 1e-3 of its noise (docs/decisions/0047).
+#: Of matrix and Jacobian in a file: an image changes by up to 1.2e-3 of its noise (docs/decisions/0047).
 _STEPS: Final = 2**13
 
 

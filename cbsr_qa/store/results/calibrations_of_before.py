@@ -1,7 +1,8 @@
 """Calibrations of schemas up to 0011, which were stored as rows: all but imaging matrix and templates.
 
 Matrix and templates are computed again from sensor type, head and readings. The result has the ``record_digest`` it
-was issued with and, where the arithmetic is the same, its ``digest`` (:mod:`cbsr_qa.calibration.file.content`).
+was issued with (:mod:`cbsr_qa.calibration.file.content`). A file of it has another ``digest`` than the one issued:
+matrix and templates are rounded as in files of today.
 """
 
 import math

@@ -125,9 +125,9 @@ def _in_single_precision(calibration):
 
 def test_matrix_and_jacobian_come_back_to_the_bit_in_any_precision_and_take_less_room_in_steps(tmp_path):
     double = _with_large_arrays()
-    in_steps = replace(double, reconstruction=as_filed(double.reconstruction))
+    rounded = replace(double, reconstruction=as_filed(double.reconstruction))
     sizes = []
-    for version, made in ((2, double), (3, _in_single_precision(double)), (5, in_steps)):
+    for version, made in ((2, double), (3, _in_single_precision(double)), (5, rounded)):
         path = tmp_path / f"{version}.h5"
         assert write_calibration(path, made) == stamped(made).digest == plain_digest(path)
         assert_same(read_calibration(path), stamped(made), "calibration")
@@ -165,6 +165,13 @@ def test_values_in_steps_are_near_and_stay_when_rounded_again(seed):
     assert np.abs(rounded - values).max() <= 0.5 * (1 + 1 / steps) * largest / steps
     np.testing.assert_array_equal(in_steps(rounded, steps), rounded)
     np.testing.assert_array_equal(rounded.astype(np.float32), rounded)
+
+
+@pytest.mark.parametrize("size", [1e-320, 2e-305, 1e308, np.inf, np.nan])
+def test_values_of_any_size_are_rounded_or_stay(size):
+    """A step smaller than any normal number was divided by."""
+    values = size * np.array([1.0, 0.3])
+    np.testing.assert_allclose(in_steps(values, 2**12), values, rtol=2**-12)
 
 
 def test_zeros_are_in_steps():

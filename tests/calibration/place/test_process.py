@@ -8,7 +8,15 @@ from pressed_sheets import adjacent_pairs
 from scipy.optimize import check_grad
 
 from cbsr_qa.calibration.place.features import pattern_turns
-from cbsr_qa.calibration.place.process import _Likelihood, at_edges, given_presses, left_out, likely_scales, located
+from cbsr_qa.calibration.place.process import (
+    _AT_ONCE,
+    _Likelihood,
+    at_edges,
+    given_presses,
+    left_out,
+    likely_scales,
+    located,
+)
 
 TURNS = pattern_turns(adjacent_pairs(8), 8)
 
@@ -50,6 +58,16 @@ def test_presses_left_out_are_located_as_by_the_others_alone(presses, scales):
         others = np.setdiff1d(np.arange(14), block)
         process, _ = given_presses(scales, TURNS, features[others], places[others])
         assert located(process, TURNS, features[block]) == pytest.approx(predicted[block], abs=1e-8)
+
+
+def test_many_frames_are_located_as_each_alone(presses, scales):
+    features, places = presses
+    process, _ = given_presses(scales, TURNS, features, places)
+    frames = np.random.default_rng(6).standard_normal((1000, features.shape[1]))
+    assert len(frames) * len(TURNS) * len(features) > 3 * _AT_ONCE
+    together = located(process, TURNS, frames)
+    for number in range(0, 1000, 37):
+        assert together[number] == pytest.approx(located(process, TURNS, frames[number : number + 1])[0], abs=1e-9)
 
 
 def test_the_turning_part_turns_places_with_readings(presses, scales):

@@ -158,7 +158,7 @@ def test_loud_readings_count_less_in_every_linear_method_that_weighs_noise(senso
 
 
 @pytest.mark.parametrize("method", ["gauss-newton-noser", "gauss-newton-laplace", "greit", "truncated-svd"])
-def test_rounding_of_a_file_changes_an_image_by_a_thousandth_of_its_noise(sensor, method):
+def test_rounding_of_a_file_changes_an_image_by_about_a_thousandth_of_its_noise(sensor, method):
     exact = discover().factory(Kind.RECONSTRUCTION, method)().prepare(imaging_problem(sensor))
     filed = as_filed(exact)
     assert (filed.matrix != exact.matrix).any()
