@@ -39,7 +39,7 @@ class Kept:
     omitted : not written if it is the default, though the first version had it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
-    steps : when issued, an array is rounded to so many steps up to its largest magnitude (:func:`in_steps`); 0: as is.
+    steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`in_steps`.
     columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
