@@ -1,5 +1,6 @@
 """Runs sent to a central PostgreSQL by four stations at once."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -41,6 +42,7 @@ def rows() -> Iterator[Row]:
         if centre is None:
             return
         stations = [_filled(Path(folder), number) for number in range(_STATIONS)]
+        os.sync()  # or the disk still writes what was made for the measurement
         spent_s, sent = _send(stations, centre)
     runs, stored, size = (sum(one[k] for one in sent) for k in range(3))
     per_s = runs / spent_s
