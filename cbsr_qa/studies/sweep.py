@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import FIRST_COMPLETED, wait
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,8 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 _START: Final = b'{"key": "'
+#: A Ctrl-C that comes just as a wait begins is heard when the wait ends.
+_HEARD_S: Final = 1.0
 _BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
 
 
@@ -132,14 +134,17 @@ def finished(
     with worker_pool(processes) as pool:
         with heard_later():
             futures = {pool.submit(run, job): job for job in jobs}
-        for future in as_completed(futures):
-            if future.cancelled():
-                continue
-            if (error := future.exception()) is None:
-                yield futures[future], future.result()
-            elif failed is None:
-                failed = error
-                for other in futures:
-                    other.cancel()  # running jobs are finished and stored
+        left = set(futures)
+        while left:
+            done, left = wait(left, timeout=_HEARD_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                if future.cancelled():
+                    continue
+                if (error := future.exception()) is None:
+                    yield futures[future], future.result()
+                elif failed is None:
+                    failed = error
+                    for other in futures:
+                        other.cancel()  # running jobs are finished and stored
     if failed is not None:
         raise failed
