@@ -121,7 +121,7 @@ def frontier(
     if recipe is not None:
         note(f"recipe       {recipe}{', in place of the one that was there' if replaced else ''}")
     if png is not None:
-        write_png(swept.points, swept.chosen, png)
+        write_png(swept.points, swept.recommended, png)
         note(f"picture      {png}")
     show(frontier_outcome(swept), output=output, as_json=as_json)
 

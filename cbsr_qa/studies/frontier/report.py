@@ -52,7 +52,6 @@ _UNITS: Final = ("s", "mm")
 _SETTING: Final = (
     "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, transients {transients}"
 )
-_TRANSIENTS: Final = {True: "predicted", False: "averaged"}
 _PLOT: Final = (
     "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
     "transients predicted. Ring: recommended, the most accurate within the limits; a faster one may be as accurate "
@@ -74,13 +73,13 @@ def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
 
 
 def _page(frontier: Frontier) -> Page:
-    chosen, points = frontier.chosen, frontier.points
-    banner = Banner("plain", _NONE, "No setting recommended", frontier.recommended.why)
+    chosen, points = frontier.recommended, frontier.points
+    banner = Banner("plain", _NONE, "No setting recommended", chosen.why)
     facts = []
-    if chosen is not None:
-        force, minutes = _shown(chosen.point.accuracy["force_error"]), (chosen.point.station_s or 0) / 60
+    if chosen.way is not None and chosen.accuracy is not None:
+        force, minutes = _shown(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
-        facts = [("Recommended", _setting(chosen.setting))]
+        facts = [("Recommended", _setting(chosen.way))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
@@ -99,7 +98,7 @@ def _setting(setting: Setting) -> str:
         trials=plural(setting.trials, "time"),
         hold_s=setting.hold_s,
         rest_s=setting.rest_s,
-        transients=_TRANSIENTS[setting.predicted],
+        transients=setting.knobs["transients"],
     )
 
 
@@ -112,7 +111,7 @@ def _how_to_read(frontier: Frontier) -> Iterator[Block]:
         def draw() -> str:
             from cbsr_qa.studies.frontier.figures import station_svg  # loads matplotlib
 
-            return station_svg(frontier.points, frontier.chosen)
+            return station_svg(frontier.points, frontier.recommended)
 
         yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
 
