@@ -16,7 +16,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain import CbsrError, filled
 
 #: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
@@ -152,12 +152,10 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
     except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
         reason = f"{type(error).__name__}: {error}"
     given = answer or Answer(math.nan, math.nan)
-    return CaseResult(
-        case.name,
-        case.area,
-        case.hard,
-        case.truth,
-        outcome,
+    return filled(
+        CaseResult,
+        case,
+        outcome=outcome,
         error=_finite(given.error),
         bound=_finite(given.bound),
         unit=given.unit if answer else None,
