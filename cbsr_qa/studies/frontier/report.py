@@ -41,8 +41,6 @@ _NAMES: Final[Mapping[str, str]] = {
     "voltage_error_inclusion": "voltage error, inclusion",
     "load_signal_error": "error of a load's signal",
     "image_error": "error of the image",
-    "E_CoM": "E_CoM",
-    "A_OL": "A_OL",
     "smoothing_over_own": "relative smoothing",
 }
 #: Units at the end of knobs' names.
@@ -92,14 +90,8 @@ def _page(frontier: Frontier) -> Page:
 
 
 def _setting(setting: Setting) -> str:
-    return _SETTING.format(
-        places=setting.places,
-        strains=", ".join(f"{percent:g}" for percent in setting.strains_percent),
-        trials=plural(setting.trials, "time"),
-        hold_s=setting.hold_s,
-        rest_s=setting.rest_s,
-        transients=setting.knobs["transients"],
-    )
+    strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
+    return _SETTING.format_map(setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")})
 
 
 def _how_to_read(frontier: Frontier) -> Iterator[Block]:
@@ -141,8 +133,8 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
         )
         for point in points
     ]
-    names = [_NAMES.get(name, name.replace("_", " ")) for name in values]
-    return [*(unit_column(*_named(name)) for name in knobs), *names, "time", "worth it"], rows
+    names = [*(unit_column(*_named(name)) for name in knobs), *map(_words, values)]
+    return [*names, "time", "worth it"], rows
 
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
@@ -159,9 +151,8 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
 
 def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
-    notes = {point.note for point in members}
-    if len(notes) == 1:
-        return [note for note in notes if note]
+    if len({point.note for point in members}) == 1:
+        return list(filter(None, [members[0].note]))
     shown = _shown_knobs(members)
     return [
         f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
@@ -183,7 +174,12 @@ def _named(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
     words, unit = (name, last) if name and last in _UNITS else (knob, "")
-    return _NAMES.get(words, words.replace("_", " ")), unit
+    return _words(words), unit
+
+
+def _words(name: str) -> str:
+    """A name in words; those of the paper's quantities, such as A_OL, are written as there."""
+    return _NAMES.get(name, name if name[0].isupper() else name.replace("_", " "))
 
 
 def _knob(value: object) -> str:

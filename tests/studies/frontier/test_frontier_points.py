@@ -35,7 +35,6 @@ points = st.builds(
     st.none() | st.booleans(),
 )
 # Few different numbers, so that ties and dominance are common.
-pairs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(0, 4)), max_size=12)
 measured = st.lists(
     st.tuples(
         st.integers(0, 3),
@@ -55,15 +54,6 @@ def _point(cost: float, figures: dict[str, tuple[float, float | None]], *, bette
 def _worth(points, *names):
     """Whether each of some points is worth its computing time."""
     return tuple(point.pareto for point in compared(points, lambda point: point.compute_s, names))
-
-
-def _exact(rows):
-    """Whether no other row is as small in everything, and smaller in something."""
-
-    def dominates(one, other):
-        return one != other and all(a <= b for a, b in zip(one, other, strict=True))
-
-    return tuple(not any(dominates(one, other) for one in rows) for other in rows)
 
 
 @given(points)
@@ -144,12 +134,6 @@ def test_the_order_of_settings_does_not_matter(rows, random):
     order = random.sample(range(len(tried)), len(tried))
     kept = _worth(tried)
     assert _worth([tried[at] for at in order]) == tuple(kept[at] for at in order)
-
-
-@given(pairs)
-def test_without_errors_of_their_own_both_rules_agree(rows):
-    tried = [_point(cost, {"a": (first, None), "b": (second, 0.0)}) for cost, first, second in rows]
-    assert _worth(tried) == _exact(rows)
 
 
 def test_a_dearer_setting_is_kept_only_where_it_is_better_by_more_than_chance():

@@ -77,14 +77,9 @@ def registered_methods() -> Iterator[MethodSetting]:
             factory()
         except CbsrError:
             continue
-        yield MethodSetting(name, (), _smoothing_of(factory))
-
-
-def _smoothing_of(factory: Callable[..., Any]) -> str:
-    if get_type_hints(getattr(factory, "prepare", None) or object).get("return") is not LinearReconstruction:
-        return ""
-    known = options_of(factory).model_fields
-    return next((option for option in FACTORS if option in known), "")
+        one_matrix = get_type_hints(getattr(factory, "prepare", object)).get("return") is LinearReconstruction
+        known = options_of(factory).model_fields if one_matrix else {}
+        yield MethodSetting(name, (), next((option for option in FACTORS if option in known), ""))
 
 
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
