@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import NumericsError, filled
 from cbsr_qa.domain.results import (
     Bound,
     EndReason,
@@ -76,19 +76,16 @@ def charts_after(
 
 def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
     """Return measurements of a run in the form of the store, which does not hold them yet."""
-    line = RunLine(
-        run=identity.run,
+    line = filled(
+        RunLine,
+        identity,
         serial=identity.sensor.serial,
         batch=identity.sensor.batch,
         material="",
-        station=identity.station,
-        recipe=identity.recipe,
-        started_at=identity.started_at,
         made_at=None,
         end=EndReason.FINISHED,
         outcome=Outcome.NOT_JUDGED,
         software=(),
-        simulated=identity.simulated,
     )
     count = len(measurements)
     return FleetTable(

@@ -2,6 +2,7 @@
 
 import json
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,13 +52,8 @@ def shifted(tmp_path_factory):
 
 
 @pytest.fixture
-def command(capsys):
-    def run(database, *arguments):
-        code = guarded(["charts", "--database", str(database), *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return run
+def command(run_command):
+    return partial(run_command, "charts", "--database")
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import json
 from datetime import timedelta
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,13 +19,8 @@ pytestmark = pytest.mark.rest
 
 
 @pytest.fixture
-def command(capsys):
-    def run(database, *arguments):
-        code = guarded(["charts", "--database", str(database), "--station", STATION, *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, " ".join(said.out.split()), " ".join(said.err.split())
-
-    return run
+def command(run_in_words):
+    return partial(run_in_words, "charts", "--station", STATION, "--database")
 
 
 @pytest.mark.parametrize("sign", [1, -1])
