@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.studies.frontier import Setting, Tried, tried_alone, tried_on_paper
+from cbsr_qa.studies.frontier import PAPER, Setting, Tried, try_ways
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,9 @@ _ALLOWED = 1.2
 
 def both_ways(seed: int) -> tuple[Tried, Tried]:
     """Calibrate one sensor by the recommended recipe, and by the paper's campaign."""
-    (short,) = tried_alone(seed, ["recommended"], RECOMMENDED)
-    return short, tried_on_paper(seed, quick=True)[0]
+    (short,) = try_ways(RECOMMENDED, seed, [("recommended", RECOMMENDED)])
+    (paper,) = try_ways(PAPER, seed, [("paper", PAPER)], whole_holds=False)
+    return short, paper
 
 
 def summary(what: str, short: Array, paper: Array) -> Iterator[str]:

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -19,9 +19,9 @@ from cbsr_qa.config import load_material
 from cbsr_qa.domain.plan import SceneLoad
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.loads import LoadFamily
-from cbsr_qa.plugin import discover
+from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, record_scene
-from cbsr_qa.studies.scenes import SceneSetup, effects_of, made_world, set_up
+from cbsr_qa.studies.scenes import SceneSetup, made_world, set_up
 
 TITLE = "Simulated world"
 
@@ -57,7 +57,7 @@ def _recorded(setup: SceneSetup) -> None:
 
 
 def _world(setup: SceneSetup) -> SimulatedWorld:
-    return made_world(setup, effects_of(discover()), seed=setup.plan.seed or 0)
+    return made_world(setup, partial(discover().factory, Kind.EFFECT), seed=setup.plan.seed or 0)
 
 
 def _command() -> Row:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
+from cbsr_qa.report import json_document
 from cbsr_qa.system import heard_later, worker_pool, writing
 
 #: Called with the numbers of pieces done and in total, and the last piece.
@@ -30,12 +31,12 @@ class Work:
     Parameters
     ----------
     key, what : identity of the work and its inputs, the same in every process and sweep; and its description.
-    run : returns documents of plain numbers and text; picklable.
+    run : returns results that :func:`~cbsr_qa.report.json_document` knows; picklable.
     """
 
     key: str
     what: str
-    run: Callable[[], Documents]
+    run: Callable[[], Sequence[Any]]
 
 
 class Kept:
@@ -106,7 +107,7 @@ def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) 
 
 
 def _worked(piece: Work) -> Documents:
-    return piece.run()
+    return [json_document(result) for result in piece.run()]
 
 
 def finished(

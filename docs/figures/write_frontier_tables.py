@@ -10,21 +10,20 @@ import json
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from cbsr_qa.studies.frontier import (
     Accuracy,
     Point,
-    Task,
+    Recommendation,
     TimeBasis,
     station_svg,
     stored,
     table_of,
     worth_the_station,
 )
-from cbsr_qa.studies.frontier.computer import computer_tasks, worth_their_time
+from cbsr_qa.studies.frontier.computer import computer_work, worth_their_time
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"
@@ -138,23 +137,18 @@ def main(arguments: Sequence[str]) -> None:
         documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
         points = [stored(Point, document) for document in documents]
     else:
-        tasks = computer_tasks()
-        points = [_measured(task, f"{done} of {len(tasks)}") for done, task in enumerate(tasks)]
-    points = [
-        replace(point, pareto=on)
-        for clock, worth in ((TimeBasis.COMPUTER, worth_their_time), (TimeBasis.STATION, worth_the_station))
-        for own in ([point for point in points if point.clock is clock],)
-        for point, on in zip(own, worth(own), strict=True)
-    ]
+        points = []
+        for work in computer_work():
+            sys.stderr.write(f"{work.what}\n")
+            points += work.run()
+    computer, station = (
+        [point for point in points if point.clock is clock] for clock in (TimeBasis.COMPUTER, TimeBasis.STATION)
+    )
+    points = [*worth_their_time(computer), *worth_the_station(station)]
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
-    if any(point.clock is TimeBasis.STATION for point in points):
+    if station:
         FIGURE.parent.mkdir(exist_ok=True)
-        FIGURE.write_text(station_svg(points, None) + "\n", encoding="utf-8")
-
-
-def _measured(task: Task, counted: str) -> Point:
-    sys.stderr.write(f"{counted}: {task.what}\n")
-    return task.run()
+        FIGURE.write_text(station_svg(points, Recommendation(None, None, None, "")) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

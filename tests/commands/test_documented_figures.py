@@ -58,7 +58,7 @@ def test_the_errors_of_coarse_voltages(monkeypatch, order, size):
 )
 def test_the_minutes_of_the_station(table, key, setting):
     (row,) = (row for row in marked_tables(COSTS)[table] if key.items() <= row.items())
-    assert row["time"] == f"{station_seconds(setting.recipe('documented')) / 60:.1f} min"
+    assert row["time"] == f"{station_seconds(setting) / 60:.1f} min"
 
 
 def test_what_the_shipped_strip_shows_of_its_material(monkeypatch):

@@ -7,7 +7,7 @@ from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.config import FileContent, configured_files
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck, worst_check
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.charts import charts_now
+from cbsr_qa.studies.charts import charts_after
 
 #: How far ahead the clock of another computer may be.
 _CLOCKS: Final = timedelta(minutes=1)
@@ -47,7 +47,7 @@ def _golden_lines(check: StationCheck) -> list[CheckResult]:
 def charts_in_control(asked: Asked) -> Finding:
     """Whether no chart signals; a station without references is not known to be in control."""
     station = asked.configuration.station.name
-    charts = None if asked.store is None else charts_now(asked.store, station)
+    charts = None if asked.store is None else charts_after(asked.store, station)
     if charts is None:
         words = f"station {station} has no control chart with limits"
         return Finding(

@@ -76,7 +76,7 @@ def _concluded(
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     paused = _paused(record)
-    charts = charts_after(store, record.identity, conclusion.measurements)
+    charts = charts_after(store, record.identity.station, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     if calibration is not None:
         calibration = _signed(calibration, configuration, store)

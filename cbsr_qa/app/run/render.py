@@ -189,7 +189,7 @@ def rebuilt(
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
-        station_charts=charts_after(store, record.identity, until=stored.analysis),
+        station_charts=charts_after(store, record.identity.station, until=stored.analysis),
         history=history,
         overrides=store.overrides(run),
         sensor_history=earlier,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import given_options, option_names
+from cbsr_qa.cli.options import AsJson, PageOutput, given_options, option_names
 from cbsr_qa.cli.output import Counting, check_page, note, show
 from cbsr_qa.domain import RefusedError
 
@@ -55,7 +55,7 @@ def frontier(
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier sweep has finished.")] = False,
     recipe: Annotated[Path | None, typer.Option(help="Recipe file to write the recommended setting to.")] = None,
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    output: PageOutput = None,
     png: Annotated[Path | None, typer.Option(help="Picture of the station's frontier to write.")] = None,
     recording: Annotated[
         Path | None,
@@ -77,7 +77,7 @@ def frontier(
             metavar="2mm", help="With --recording: recommend the fewest presses with at most this error of place."
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Sweep settings of computer and station, and show how much time each accuracy costs.
 
@@ -121,7 +121,7 @@ def frontier(
     if recipe is not None:
         note(f"recipe       {recipe}{', in place of the one that was there' if replaced else ''}")
     if png is not None:
-        write_png(swept.points, swept.chosen, png)
+        write_png(swept.points, swept.recommended, png)
         note(f"picture      {png}")
     show(frontier_outcome(swept), output=output, as_json=as_json)
 

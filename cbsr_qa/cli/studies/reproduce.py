@@ -1,11 +1,11 @@
 """``cbsr-qa reproduce``: published results beside simulated sensors."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command, group
+from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import check_page, note, show
 
 group("reproduce", "Compare published results with simulated sensors.")
@@ -14,8 +14,8 @@ group("reproduce", "Compare published results with simulated sensors.")
 @command("reproduce paper", prints="cbsr_qa.studies.reproduce:Reproduction")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer trials and strains, and no bench sheet.")] = False,
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    output: PageOutput = None,
+    as_json: AsJson = False,
 ) -> None:
     """Compare tables 1 to 5 and F.6, settling times and force errors of Ellingham et al. with simulated sensors."""
     from cbsr_qa.studies.reproduce import reproduce_paper, reproduction_outcome

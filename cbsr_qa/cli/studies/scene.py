@@ -6,12 +6,12 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, group
+from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import Counting, say, show
 
 group("scene", "Explain simulated scenes, and record them.")
 
 _Scene = Annotated[str, typer.Argument(help="Scene file, or the name of a shipped one.", metavar="FILE")]
-_Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
 
 @command("scene run", prints="cbsr_qa.studies.scenes:SceneRun")
@@ -32,7 +32,7 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random; by default the scene's own.")
     ] = None,
-    as_json: _Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Simulate a scene's sensor, loads and effects, and write what its station would have recorded.
 
@@ -52,7 +52,7 @@ def run(
 def explain(
     scene: _Scene,
     no_measure: Annotated[bool, typer.Option("--no-measure", help="Do not measure what effects cost.")] = False,
-    as_json: _Json = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say which effects of a scene are on and what each costs, which are off, and what is not modelled.
 

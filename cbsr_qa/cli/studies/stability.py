@@ -1,11 +1,11 @@
 """``cbsr-qa stability``: the numerically hard cases, each against truth."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command
+from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import Counting, check_page, show
 
 
@@ -13,8 +13,8 @@ from cbsr_qa.cli.output import Counting, check_page, show
 def stability(
     area: Annotated[list[str] | None, typer.Option(help="Only cases of this area; repeatable.")] = None,
     only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")] = None,
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    output: PageOutput = None,
+    as_json: AsJson = False,
 ) -> None:
     """Run the numerically hard cases: error against truth, its bound and the condition number, or the refusal.
 

@@ -97,6 +97,7 @@ if TYPE_CHECKING:
         fit_left as fit_left,
         light_grid as light_grid,
         name_rows as name_rows,
+        plain_ticks as plain_ticks,
         plot as plot,
         svg_of as svg_of,
     )

@@ -11,9 +11,11 @@ from xml.etree import ElementTree
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.gridspec import GridSpec, SubplotSpec
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
 
 from cbsr_qa.domain import RefusedError
@@ -143,6 +145,14 @@ def plot(
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     return axes
+
+
+def plain_ticks(axis: Axis, ticks: Sequence[float], text: Callable[[float], str] = "{:g}".format) -> None:
+    """Place ticks of a logarithmic axis at those of the values that it shows, written as plain numbers."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
 
 
 def note(axes: Axes, x: float, y: float, text: str, colour: str = INK, **look: Any) -> None:

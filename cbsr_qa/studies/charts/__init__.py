@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
-    from .after_run import charts_after as charts_after, charts_now as charts_now
+    from .after_run import charts_after as charts_after
     from .charting import (
         STANDS as STANDS,
         UNCOUNTED as UNCOUNTED,

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import NumericsError, filled
 from cbsr_qa.domain.results import (
     Bound,
     EndReason,
@@ -29,35 +29,25 @@ from cbsr_qa.studies.selection import clock_notes
 LOOK_BACK: Final = 100
 
 
-def charts_now(store: Repository, station: str) -> StationCharts | None:
-    """Return the state of all charts of a station by what is stored; None without a reference."""
-    return _charts(store, station, None, None, "")
-
-
 def charts_after(
-    store: Repository, identity: RunIdentity, measurements: Sequence[Measurement] | None = None, *, until: str = ""
+    store: Repository,
+    station: str,
+    identity: RunIdentity | None = None,
+    measurements: Sequence[Measurement] = (),
+    *,
+    until: str = "",
 ) -> StationCharts | None:
-    """Return the state of all charts of a run's station after it, for any recipe and metric.
+    """Return the state of all charts of a station, for any recipe and metric.
 
     Parameters
     ----------
-    measurements : of the run, if no analysis of it is stored yet; None to use the stored ones.
+    identity, measurements : of a run of which no analysis is stored yet, to be charted too.
     until : leave out references and runs later than this identifier, e.g. of an analysis.
 
     Returns
     -------
     None if no reference is stored for the station.
     """
-    return _charts(store, identity.station, identity, measurements, until)
-
-
-def _charts(
-    store: Repository,
-    station: str,
-    identity: RunIdentity | None,
-    measurements: Sequence[Measurement] | None,
-    until: str,
-) -> StationCharts | None:
     references = store.chart_references(station, until)
     if not references:
         return None
@@ -69,7 +59,7 @@ def _charts(
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
-        if identity is not None and measurements is not None and _charted(identity, recipe, golden):
+        if identity is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
             own = _table_of(identity, measurements)
             for key, of in reference_figures(own, members).items():
                 figures.setdefault(key, {}).update(of)
@@ -84,26 +74,18 @@ def _charts(
     return StationCharts(station, len(references), tuple(signals), tuple(notes))
 
 
-def _charted(identity: RunIdentity, recipe: str, golden: str | None) -> bool:
-    """Whether a run is among those of a chart."""
-    return recipe == identity.recipe and golden in (None, identity.sensor.serial)
-
-
 def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
     """Return measurements of a run in the form of the store, which does not hold them yet."""
-    line = RunLine(
-        run=identity.run,
+    line = filled(
+        RunLine,
+        identity,
         serial=identity.sensor.serial,
         batch=identity.sensor.batch,
         material="",
-        station=identity.station,
-        recipe=identity.recipe,
-        started_at=identity.started_at,
         made_at=None,
         end=EndReason.FINISHED,
         outcome=Outcome.NOT_JUDGED,
         software=(),
-        simulated=identity.simulated,
     )
     count = len(measurements)
     return FleetTable(

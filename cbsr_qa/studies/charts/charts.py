@@ -4,11 +4,11 @@ A changed reference is a new row of the store, and so is a retirement, after whi
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import NumericsError, RefusedError, of_kind
+from cbsr_qa.domain import NumericsError, RefusedError, filled, of_kind
 from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
 from cbsr_qa.domain.run import ChartReference, StandingSignal
 from cbsr_qa.plugin import echo
@@ -196,22 +196,20 @@ def _new_chart(
         standard = standard_of(series.values[:count], request.settings)
     except NumericsError as error:
         return no_chart(series, error.reason)
-    reference = ChartReference(
-        *astuple(request.settings),
-        reference=store.new_id(),
-        station=request.station,
-        recipe=recipe,
-        golden=request.golden,
+    reference = filled(
+        ChartReference,
+        request,
+        **asdict(request.settings),
         **asdict(series.key),
+        reference=store.new_id(),
+        recipe=recipe,
         unit=series.unit,
         mean=standard.mean,
         deviation=standard.deviation,
         runs=count,
         first_run=series.lines[0].run,
         last_run=series.lines[count - 1].run,
-        operator=request.operator,
         made_at=RealClock().wall(),
-        why=request.why,
     )
     return metric_chart(series, reference)
 

@@ -8,37 +8,34 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from cbsr_qa.report import unit_column
-from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, fit_left, light_grid, svg_of
+from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, fit_left, light_grid
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
 
 
-def control_charts_svg(chart: MetricChart) -> str:
+@drawn
+def control_charts_svg(chart: MetricChart) -> Canvas:
     """Draw charts in rows (individuals above their moving range), with both phases side by side."""
     rows = list(dict.fromkeys(part.name for part in chart.charts))
     numbers = {run: number for number, run in enumerate(chart.runs, start=1)}
     first = max(0, len(chart.runs) - MOST_DRAWN) + 1
-
-    def build() -> Canvas:
-        height = 0.75 + 1.55 * len(rows)
-        figure = canvas(height)
-        grid = figure.add_gridspec(
-            len(rows), 1, left=0.09, right=0.985, bottom=0.45 / height, top=1 - 0.25 / height, hspace=0.3
-        )
-        labelled = [figure.add_subplot(grid[row]) for row in range(len(rows))]
-        for name, axes in zip(rows, labelled, strict=True):
-            for part in chart.charts:
-                if part.name == name:
-                    _draw(axes, part, numbers, first)
-            if chart.reference_runs >= first:
-                axes.axvspan(first - 0.5, chart.reference_runs + 0.5, color=FAINT, alpha=0.25, linewidth=0)
-            axes.set_ylabel(unit_column(name, chart.unit))
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-            axes.tick_params(labelbottom=axes is labelled[-1])
-        labelled[-1].set_xlabel("run, in the order they were made")
-        fit_left(figure, grid, labelled)
-        return figure
-
-    return svg_of(build)
+    height = 0.75 + 1.55 * len(rows)
+    figure = canvas(height)
+    grid = figure.add_gridspec(
+        len(rows), 1, left=0.09, right=0.985, bottom=0.45 / height, top=1 - 0.25 / height, hspace=0.3
+    )
+    labelled = [figure.add_subplot(grid[row]) for row in range(len(rows))]
+    for name, axes in zip(rows, labelled, strict=True):
+        for part in chart.charts:
+            if part.name == name:
+                _draw(axes, part, numbers, first)
+        if chart.reference_runs >= first:
+            axes.axvspan(first - 0.5, chart.reference_runs + 0.5, color=FAINT, alpha=0.25, linewidth=0)
+        axes.set_ylabel(unit_column(name, chart.unit))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.tick_params(labelbottom=axes is labelled[-1])
+    labelled[-1].set_xlabel("run, in the order they were made")
+    fit_left(figure, grid, labelled)
+    return figure
 
 
 def _draw(axes: Axes, part: ChartPhase, numbers: Mapping[str, int], first: int) -> None:

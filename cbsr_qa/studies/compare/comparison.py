@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import Array, RefusedError
+from cbsr_qa.domain import Array, RefusedError, filled
 from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
 from cbsr_qa.stats import IntArray, benjamini_hochberg, holm
 from cbsr_qa.store import open_store
@@ -31,7 +31,7 @@ from cbsr_qa.studies.compare.differences import (
 )
 from cbsr_qa.studies.compare.groups import Design, Grouping, design_of, grouped, referred_to
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
-from cbsr_qa.studies.compare.values import BoolArray, MetricValues, values_of
+from cbsr_qa.studies.compare.values import MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, not_measured
 from cbsr_qa.system import side_by_side
 
@@ -181,20 +181,18 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     every = list(values_of(table, grouping.used))
     chosen = _wanted(every, terms)
     design = design_of(table.runs, grouping, terms)
-    grouping, referred = referred_to(grouping, design, _measured(every, len(table.runs)), terms)
+    means = np.array([values.mean for values in every]).reshape(-1, len(table.runs))
+    grouping, referred = referred_to(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
     tasks = [partial(_compared, values, table, grouping, deciding, design) for values in chosen]
     metrics = _adjusted(side_by_side(tasks), terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
     differences = tuple(chain.from_iterable(metric.differences or (_not_compared(metric),) for metric in metrics))
-    return Comparison(
-        by=terms.by,
+    return filled(
+        Comparison,
+        terms,
         reference=grouping.reference,
         compared=any(difference.known for difference in differences),
-        policy=terms.policy,
-        quarantine=terms.quarantine,
-        adjustment=terms.adjustment,
-        confidence=terms.confidence,
         recipes=tuple(sorted({run.recipe for run in members})),
         simulated=tuple(sorted({words for simulated in {run.simulated for run in members} for words in simulated})),
         groups=tuple(groups_of(table.runs, grouping, every, terms)),
@@ -209,14 +207,6 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
 def _not_compared(metric: MetricComparison) -> Difference:
     return Difference(*metric.values.identity, reference=None, warnings=metric.notes)
-
-
-def _measured(every: Sequence[MetricValues], runs: int) -> BoolArray:
-    """(R,) whether a run has any value."""
-    measured: BoolArray = np.zeros(runs, dtype=np.bool_)
-    for values in every:
-        measured |= ~np.isnan(values.mean)
-    return measured
 
 
 def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
@@ -238,7 +228,11 @@ def _compared(
     metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
 ) -> MetricComparison:
     """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
-    model = fitted(design.crossing, metric.mean[design.rows], metric.key.label, of_stations=design.of_stations)
+    what = metric.key.label
+    model = fitted(design.crossing, metric.mean[design.rows], what, of_stations=design.of_stations)
+    of_stations = model
+    if design.of_the_stations is not design.crossing and design.stations:
+        of_stations = fitted(design.of_the_stations, metric.mean[design.rows], what, of_stations=True)
     of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
     notes = _notes(model, metric, table, design, of_station=of_station)
@@ -251,19 +245,13 @@ def _compared(
             replace(pair, places=places.get(str(pair.group), ()), warnings=(*pair.warnings, *notes))
             for pair in differences
         ),
-        stations=tuple(stations_above(_of_the_stations(model, metric, design), metric, design)),
+        stations=tuple(stations_above(of_stations, metric, design)),
         distributions=tuple(
             distribution(metric, table.runs, name, known[name], design.terms) for name in grouping.names
         ),
         samples=_samples(metric, table.runs, known),
         notes=notes,
     )
-
-
-def _of_the_stations(model: Fitted, metric: MetricValues, design: Design) -> Fitted:
-    if design.of_the_stations is design.crossing or not design.stations:
-        return model
-    return fitted(design.of_the_stations, metric.mean[design.rows], metric.key.label, of_stations=True)
 
 
 def _samples(

@@ -20,9 +20,9 @@ from cbsr_qa.report.draw import (
     bare,
     canvas,
     change_norm,
+    drawn,
     light_grid,
     name_rows,
-    svg_of,
 )
 from cbsr_qa.studies.compare.differences import PlaceDifference
 
@@ -36,7 +36,8 @@ _MOST_LETTERS: Final = 18
 _LEAST_LEFT_IN: Final = 0.05
 
 
-def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> str:
+@drawn
+def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> Canvas:
     """Draw sensors by group and station in rows as ``<svg>``: the mean as a line, quartiles as a bar.
 
     Parameters
@@ -44,15 +45,6 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     samples : group, station, and one value per sensor.
     groups : in order; the order determines the colours.
     """
-    return svg_of(lambda: _strips(label, samples, groups))
-
-
-def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> str:
-    """Draw differences (x and y [mm] of each) on the sheet as ``<svg>``, ringed where p is below the level."""
-    return svg_of(lambda: _map(unit_column("difference", unit), places, level))
-
-
-def _strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> Canvas:
     height = 0.55 + _MARK_IN * len(samples)
     figure = canvas(height)
     axes = figure.add_axes((0.22, 0.42 / height, 0.75, 1 - 0.5 / height))
@@ -67,6 +59,28 @@ def _strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Seque
     lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
     if lacking > 0:
         axes.set_position((0.22 + lacking, 0.42 / height, 0.75 - lacking, 1 - 0.5 / height))
+    return figure
+
+
+@drawn
+def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> Canvas:
+    """Draw differences (x and y [mm] of each) on the sheet as ``<svg>``, ringed where p is below the level."""
+    figure = canvas(2.9)
+    axes = figure.add_axes((0.2, 0.02, 0.4, 0.96))
+    norm = change_norm(max(abs(place.difference) for *_, place in places))
+    reach = 1.35 * max(float(np.hypot(x, y)) for x, y, _ in places) or 1.0
+    axes.add_patch(Circle((0, 0), reach, fill=False, edgecolor=QUIET, linewidth=0.6))
+    for x, y, place in places:
+        edge, width = (INK, 1.6) if place.p < level else (FAINT, 0.5)
+        colour = CHANGE_MAP(norm(place.difference))
+        axes.plot(x, y, "o", markersize=19, color=colour, markeredgecolor=edge, markeredgewidth=width)
+        text = f"{place.location} {number(place.difference, 2)}"
+        axes.text(x, y - 0.17 * reach, text, ha="center", va="center", fontsize=6, color=INK)
+    bare(axes)
+    axes.set_xlim(-1.05 * reach, 1.05 * reach)
+    axes.set_ylim(-1.05 * reach, 1.05 * reach)
+    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.64, 0.15, 0.016, 0.7)))
+    bar.set_label(unit_column("difference", unit))
     return figure
 
 
@@ -94,23 +108,3 @@ def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
     low, high = np.quantile(values, (0.25, 0.75))
     axes.plot((low, high), (row, row), color=INK, linewidth=2.2)
     axes.plot((values.mean(), values.mean()), (row - 0.3, row + 0.3), color=INK, linewidth=1.2)
-
-
-def _map(label: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> Canvas:
-    figure = canvas(2.9)
-    axes = figure.add_axes((0.2, 0.02, 0.4, 0.96))
-    norm = change_norm(max(abs(place.difference) for *_, place in places))
-    reach = 1.35 * max(float(np.hypot(x, y)) for x, y, _ in places) or 1.0
-    axes.add_patch(Circle((0, 0), reach, fill=False, edgecolor=QUIET, linewidth=0.6))
-    for x, y, place in places:
-        edge, width = (INK, 1.6) if place.p < level else (FAINT, 0.5)
-        colour = CHANGE_MAP(norm(place.difference))
-        axes.plot(x, y, "o", markersize=19, color=colour, markeredgecolor=edge, markeredgewidth=width)
-        text = f"{place.location} {number(place.difference, 2)}"
-        axes.text(x, y - 0.17 * reach, text, ha="center", va="center", fontsize=6, color=INK)
-    bare(axes)
-    axes.set_xlim(-1.05 * reach, 1.05 * reach)
-    axes.set_ylim(-1.05 * reach, 1.05 * reach)
-    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.64, 0.15, 0.016, 0.7)))
-    bar.set_label(label)
-    return figure

@@ -7,15 +7,8 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .figures import station_svg as station_svg, write_png as write_png
     from .files import Files as Files
-    from .point import (
-        Accuracy as Accuracy,
-        Point as Point,
-        Task as Task,
-        TimeBasis as TimeBasis,
-        stored as stored,
-    )
-    from .points import worth_the_station as worth_the_station
-    from .recommend import Wish as Wish
+    from .point import Accuracy as Accuracy, Point as Point, TimeBasis as TimeBasis, stored as stored
+    from .recommend import Recommendation as Recommendation, Wish as Wish
     from .report import frontier_outcome as frontier_outcome, table_of as table_of
     from .sensors import station_seconds as station_seconds
     from .setting import Setting as Setting
@@ -24,8 +17,8 @@ if TYPE_CHECKING:
         PAPER as PAPER,
         Tried as Tried,
         shortened as shortened,
-        tried_alone as tried_alone,
-        tried_on_paper as tried_on_paper,
+        try_ways as try_ways,
+        worth_the_station as worth_the_station,
     )
     from .study import Frontier as Frontier, frontier as frontier
 

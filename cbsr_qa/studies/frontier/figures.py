@@ -6,51 +6,48 @@ from typing import Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, svg_of
+from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, plain_ticks, svg_of
 from cbsr_qa.studies.frontier.point import Point, TimeBasis
-from cbsr_qa.studies.frontier.recommend import Recommended
+from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.studies.frontier.station import PAPER
 from cbsr_qa.system import writing
 
-_HEIGHT_IN: Final = 3.6
 _COLOURS: Final = (*CYCLE, INK)  # one per series
 
 
-def station_svg(points: Sequence[Point], chosen: Recommended | None) -> str:
+def station_svg(points: Sequence[Point], chosen: Recommendation) -> str:
     """Draw force error against minutes of the station."""
     return svg_of(lambda: _canvas(points, chosen))
 
 
-def _canvas(points: Sequence[Point], chosen: Recommended | None) -> Canvas:
-    figure = canvas(_HEIGHT_IN)
+def _canvas(points: Sequence[Point], chosen: Recommendation) -> Canvas:
+    figure = canvas(3.6)
     axes = figure.add_axes((0.09, 0.13, 0.66, 0.83))
     axes.set_xscale("log")
     axes.set_yscale("log")
     light_grid(axes, "both")
     members = [point for point in points if point.clock is TimeBasis.STATION]
     names = list(dict.fromkeys(point.series for point in members))
+    colours = {name: _COLOURS[number % len(_COLOURS)] for number, name in enumerate(names)}
     for point in members:
         if "force_error" in point.accuracy:
-            _place(axes, point, _COLOURS[names.index(point.series) % len(_COLOURS)])
-    if chosen is not None:
-        at = (chosen.point.station_s or 0) / 60, chosen.point.accuracy["force_error"].value
+            _draw_point(axes, point, colours[point.series])
+    if chosen.accuracy is not None:
+        at = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
         axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
-    _plain(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
-    _plain(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
+    plain_ticks(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
+    plain_ticks(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
     axes.set_xlabel("station time a sensor [min]")
     axes.set_ylabel("force error [N]")
-    for number, name in enumerate(names):
-        colour = _COLOURS[number % len(_COLOURS)]
+    for number, (name, colour) in enumerate(colours.items()):
         axes.text(1.03, 0.97 - 0.06 * number, name, color=colour, transform=axes.transAxes, va="top")
     return figure
 
 
-def _place(axes: Axes, point: Point, colour: str) -> None:
+def _draw_point(axes: Axes, point: Point, colour: str) -> None:
     minutes, force = (point.station_s or 0) / 60, point.accuracy["force_error"]
     low = min(force.stderr or 0.0, 0.9 * force.value)
     axes.errorbar(minutes, force.value, yerr=[[low], [force.stderr or 0.0]], color=FAINT, linewidth=0.8)
@@ -61,14 +58,7 @@ def _place(axes: Axes, point: Point, colour: str) -> None:
         axes.text(minutes, force.value * 1.12, "paper's campaign ", color=QUIET, fontsize=7, ha="right", va="bottom")
 
 
-def _plain(axis: Axis, ticks: Sequence[float]) -> None:
-    low, high = axis.get_view_interval()
-    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def write_png(points: Sequence[Point], chosen: Recommended | None, path: Path) -> None:
+def write_png(points: Sequence[Point], chosen: Recommendation, path: Path) -> None:
     """Draw the station's frontier as a PNG picture. RefusedError if the file cannot be written."""
     if not any("force_error" in point.accuracy for point in points):
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")

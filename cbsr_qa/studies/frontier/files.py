@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,7 @@ import cbsr_qa
 from cbsr_qa.config import toml_document
 from cbsr_qa.domain import RefusedError, check_encodable
 from cbsr_qa.studies.frontier.point import TimeBasis
-from cbsr_qa.studies.frontier.recommend import Recommended
+from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.system import writing, written_whole
 
 #: First words of every recipe written here; files with another beginning are the user's own.
@@ -35,30 +35,19 @@ class Files:
             If a name has the wrong suffix, a folder cannot be written to, two names are equal, or there will be
             nothing to write because station time is not swept.
         """
-        if self.png is not None:
-            check_png(self.png)
+        if self.png is not None and self.png.suffix.lower() != ".png":
+            raise RefusedError(f"{self.png} is not the name of a PNG file", remedy="use a name ending in .png")
         if self.recipe is not None:
             check_recipe(self.recipe)
-        wanted = dict(self._wanted())
+        options = {"--recipe": self.recipe, "--output": self.output, "--png": self.png}
+        wanted = {option: path for option, path in options.items() if path is not None}
         for option, path in wanted.items():
             _check_place(option, path)
         if len({path.absolute() for path in wanted.values()}) < len(wanted):
             raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a different name")
-        for option in ("--recipe", "--png"):
+        for option, what in (("--recipe", "recipe to write"), ("--png", "force error to draw")):
             if option in wanted and TimeBasis.STATION not in clocks:
-                what = "recipe to write" if option == "--recipe" else "force error to draw"
                 raise RefusedError(f"{option}: there is no {what}", remedy="sweep the station's clock")
-
-    def _wanted(self) -> Iterator[tuple[str, Path]]:
-        for option, path in (("--recipe", self.recipe), ("--output", self.output), ("--png", self.png)):
-            if path is not None:
-                yield option, path
-
-
-def check_png(path: Path) -> None:
-    """Refuse a name that is not one of a PNG picture."""
-    if path.suffix.lower() != ".png":
-        raise RefusedError(f"{path} is not the name of a PNG file", remedy="use a name ending in .png")
 
 
 def check_recipe(path: Path) -> None:
@@ -89,20 +78,24 @@ def _check_place(option: str, path: Path) -> None:
             raise PermissionError(errno.EACCES, f"folder {above} is not writable")
 
 
-def write_recipe(recommended: Recommended, path: Path) -> None:
-    """Write a setting as a recipe; RefusedError if the file cannot be written, or is not one written here."""
+def write_recipe(recommended: Recommendation, path: Path) -> None:
+    """Write the recommended setting as a recipe.
+
+    RefusedError if there is none, or the file cannot be written or is not one written here.
+    """
+    if recommended.way is None or recommended.accuracy is None:
+        raise RefusedError(f"there is no recipe to write: {recommended.why}")
     check_recipe(path)
     name = path.stem[:64] or "frontier"
     check_encodable("the recipe's name", name)
-    force, point = recommended.point.accuracy["force_error"], recommended.point
+    force, minutes = recommended.accuracy["force_error"], (recommended.station_s or 0) / 60
     stderr = "" if force.stderr is None else f" ± {force.stderr:.3f}"
-    minutes = (point.station_s or 0) / 60
     comments = (
         f"{WRITTEN_BY} {cbsr_qa.__version__}: {recommended.why}.",
-        f"Simulated: force error {force.value:.3f}{stderr} N over {point.seeds} sensors, {minutes:.0f} min.",
+        f"Simulated: force error {force.value:.3f}{stderr} N over {recommended.seeds} sensors, {minutes:.0f} min.",
         "A setting is as good as the simulation it was found in: check it on sensors of your own.",
     )
-    text = toml_document(recommended.setting.recipe(name), comments)
+    text = toml_document(recommended.way.recipe(name), comments)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:

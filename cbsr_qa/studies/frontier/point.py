@@ -2,10 +2,10 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -17,9 +17,6 @@ Better = Literal["more", "less", "stated"]
 Knob = str | bool | int | float
 
 T = TypeVar("T")
-
-#: Fields that stored pieces lack.
-_LATER: Final = {"pareto": None}
 
 
 class TimeBasis(StrEnum):
@@ -54,6 +51,11 @@ class Accuracy:
             )
 
     @property
+    def upper(self) -> float:
+        """The value plus its standard error, to allow for chance."""
+        return self.value + (self.stderr or 0.0)
+
+    @property
     def shortfall(self) -> float:
         """The value, signed so that smaller is better."""
         return -self.value if self.better == "more" else self.value
@@ -78,9 +80,9 @@ class Point:
     series: str
     knobs: Mapping[str, Knob]
     accuracy: Mapping[str, Accuracy]
-    compute_s: float | None
-    station_s: float | None
-    seeds: int
+    compute_s: float | None = None
+    station_s: float | None = None
+    seeds: int = 1
     note: str = ""
     costs: Mapping[str, float] = field(default_factory=dict)
     pareto: bool | None = None
@@ -94,15 +96,6 @@ class Point:
             raise NumericsError(f"a point of series {self.series!r} has {what}", remedy="give finite numbers")
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """A point to be measured in any process; its key states the measurement and its versions."""
-
-    key: str
-    what: str
-    run: Callable[[], Point]
-
-
 def stored(kind: type[T], document: Mapping[str, Any]) -> T:
     """Return a finished piece of a sweep from its document, field by field of the right type.
 
@@ -112,7 +105,8 @@ def stored(kind: type[T], document: Mapping[str, Any]) -> T:
         adapter = TypeAdapter(kind)
         piece = adapter.validate_json(json.dumps(document), strict=True)
         whole = adapter.dump_python(piece, mode="json")
-        differing = [key for key in {**whole, **document} if whole.get(key) != document.get(key, _LATER.get(key))]
+        given = {"pareto": None, **document} if "pareto" in whole else document  # absent in older documents
+        differing = [key for key in {**whole, **given} if key not in given or whole.get(key) != given[key]]
         if not differing:
             return piece
         why = f"{differing[0]}: incomplete or unknown"

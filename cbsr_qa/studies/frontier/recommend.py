@@ -2,24 +2,30 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Annotated, Final
 
-from cbsr_qa.domain import NumericsError, RefusedError
+from pydantic import Field
+
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.report import plural
-from cbsr_qa.studies.frontier.point import Accuracy, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point
 from cbsr_qa.studies.frontier.setting import Setting
 
 
-def undominated_within_errors(
-    points: Sequence[Point], cost: Callable[[Point], float | None], names: Sequence[str] | None = None
-) -> tuple[bool, ...]:
-    """Return for each point whether its accuracy is worth its cost, beyond chance.
+def compared(
+    points: Sequence[Point],
+    cost: Callable[[Point], float | None],
+    names: Sequence[str] = (),
+    *,
+    across_series: bool = False,
+) -> list[Point]:
+    """Mark for each point whether its accuracy is worth its cost, beyond chance.
 
     The rule: a setting is dominated where a *kept* setting
 
     - is cheaper and in no accuracy worse by more than their joint standard error √(s₁² + s₂²), or
-    - costs no more and is in no accuracy worse, one of the two strictly, numbers taken as exact.
+    - costs as much and is in no accuracy worse and in one better, numbers taken as exact.
 
     Among settings of the same cost, differences within their errors do not count. A setting is not dominated by one
     that lacks any of its accuracies. Standard errors that are None count as zero.
@@ -31,23 +37,22 @@ def undominated_within_errors(
 
     Parameters
     ----------
-    cost : of a point, finite.
-    names : of the accuracies to compare; by default all of the points.
-
-    Raises
-    ------
-    NumericsError
-        If a point has no cost, or it is not finite.
+    cost : of a point; one whose cost is None is not worth it.
+    names : of the accuracies to compare, by default all of the points; a point that lacks one is not worth its cost.
+    across_series : compare settings of different series, too.
     """
-    costs = _costs(points, cost)
-    stated = [_chosen(point, names) for point in points]
-    kept: list[int] = []
-    for index in sorted(range(len(points)), key=lambda at: _rank(costs[at], stated[at])):
-        dominated = any(_dominates(costs[other], stated[other], costs[index], stated[index]) for other in kept)
-        if not dominated:
-            kept.append(index)
-    chosen = set(kept)
-    return tuple(index in chosen for index in range(len(points)))
+    priced = [
+        (price, {name: point.accuracy[name] for name in names or point.accuracy}, at)
+        for at, point in enumerate(points)
+        if (price := cost(point)) is not None and point.accuracy.keys() >= set(names)
+    ]
+    kept: list[tuple[float, Mapping[str, Accuracy], int]] = []
+    for price, stated, at in sorted(priced, key=_possibly_dominating):
+        rivals = [way for way in kept if across_series or points[way[2]].series == points[at].series]
+        if not any(_dominates(stated, price > other_price, other) for other_price, other, _ in rivals):
+            kept.append((price, stated, at))
+    worth = {at for _, _, at in kept}
+    return [replace(point, pareto=at in worth) for at, point in enumerate(points)]
 
 
 def joint_stderr(one: Accuracy, other: Accuracy) -> float:
@@ -55,38 +60,23 @@ def joint_stderr(one: Accuracy, other: Accuracy) -> float:
     return math.hypot(one.stderr or 0.0, other.stderr or 0.0)
 
 
-def _costs(points: Sequence[Point], cost: Callable[[Point], float | None]) -> list[float]:
-    costs = []
-    for number, point in enumerate(points):
-        price = cost(point)
-        if price is None or not math.isfinite(price):
-            raise NumericsError(
-                f"setting {number} of {len(points)} costs {price}", remedy="compare only settings whose cost is known"
-            )
-        costs.append(price)
-    return costs
+def _possibly_dominating(
+    way: tuple[float, Mapping[str, Accuracy], int],
+) -> tuple[float, int, list[tuple[str, float]]]:
+    """Sort key that puts possibly dominating settings first: cheaper, more accuracies, smaller errors."""
+    price, stated, _ = way
+    return price, -len(stated), sorted((name, value.shortfall) for name, value in stated.items())
 
 
-def _chosen(point: Point, names: Sequence[str] | None) -> dict[str, Accuracy]:
-    return {name: figure for name, figure in point.accuracy.items() if names is None or name in names}
-
-
-def _rank(cost: float, stated: Mapping[str, Accuracy]) -> tuple[float, int, list[tuple[str, float]]]:
-    """Sort key that puts possibly dominating points first: cheaper, more accuracies, smaller errors."""
-    return cost, -len(stated), sorted((name, figure.shortfall) for name, figure in stated.items())
-
-
-def _dominates(cost: float, stated: Mapping[str, Accuracy], others: float, other: Mapping[str, Accuracy]) -> bool:
-    if not other.keys() <= stated.keys():
+def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str, Accuracy]) -> bool:
+    """Whether a setting that costs as much as another, or is dearer, is dominated by that."""
+    if not stated.keys() <= other.keys():
         return False
-    if cost < others:
-        return all(
-            stated[name].shortfall <= figure.shortfall + joint_stderr(stated[name], figure)
-            for name, figure in other.items()
-        )
-    shared = sorted(other)
-    mine, theirs = ((a, *(of[name].shortfall for name in shared)) for a, of in ((cost, stated), (others, other)))
-    return all(a <= b for a, b in zip(mine, theirs, strict=True)) and mine != theirs
+    pairs = [(value, other[name]) for name, value in stated.items()]
+    if dearer:
+        return all(theirs.shortfall <= own.shortfall + joint_stderr(own, theirs) for own, theirs in pairs)
+    differences = [theirs.shortfall - own.shortfall for own, theirs in pairs]
+    return max(differences, default=0.0) <= 0 and any(differences)
 
 
 #: Without a wish: longest time, and largest ratio of errors to the paper's campaign.
@@ -104,15 +94,39 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True)
-class Recommended:
-    """The recommended setting, the reason, and the numbers behind the choice."""
+class Needed:
+    """Presses needed by extrapolation, and the numbers one standard error below and above."""
 
-    setting: Setting
-    point: Point
+    presses: int
+    low: int
+    high: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recommendation:
+    """The recommended setting (or None), the reason, and the file of its recipe.
+
+    Parameters
+    ----------
+    needed : presses for a wish beyond those tried; None unless their errors can be extrapolated to it.
+    way, seeds : the setting of the station, and the number of its sensors; not in documents.
+    """
+
+    setting: Mapping[str, Knob] | None
+    accuracy: Mapping[str, Accuracy] | None
+    station_s: float | None
     why: str
+    recipe: str | None = None
+    needed: Needed | None = None
+    way: Annotated[Setting | None, Field(exclude=True)] = None
+    seeds: Annotated[int, Field(exclude=True)] = 0
+
+    @classmethod
+    def of(cls, point: Point, why: str, way: Setting | None = None) -> "Recommendation":
+        return cls(point.knobs, point.accuracy, point.station_s, why, way=way, seeds=point.seeds)
 
 
-def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Point | None) -> Recommended:
+def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Point | None) -> Recommendation:
     """Choose a setting.
 
     With a wished accuracy, the cheapest setting whose force error plus its standard error meets it. With a budget
@@ -121,45 +135,36 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
 
     RefusedError if no tried setting meets the wish; names the nearest.
     """
-    usable = [
-        (setting, point) for setting, point in tried if _FORCE in point.accuracy and point.station_s is not None
-    ]
-    if wish.force_error_N is None:
-        return _most_accurate(usable, wish.budget_s or USUAL_BUDGET_S, None if wish.budget_s else paper)
-    within = [way for way in usable if wish.budget_s is None or _seconds(way) <= wish.budget_s]
-    enough = [way for way in within if _surely_N(way) <= wish.force_error_N]
+    usable = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
+    no_wish, force_N = wish == Wish(), wish.force_error_N
+    budget_s = USUAL_BUDGET_S if no_wish else wish.budget_s
+    within = [way for way in usable if budget_s is None or _seconds(way) <= budget_s]
+    enough = [way for way in within if force_N is None or _upper_N(way) <= force_N]
     if not enough:
-        raise _none(usable, wish)
-    best = min(enough, key=_seconds)
-    room = "" if wish.budget_s is None else f" within {wish.budget_s / 60:g} min"
-    limit = f"force error, with its standard error, is at most {wish.force_error_N:g} N"
-    return Recommended(*best, f"the fastest of {plural(len(within), 'setting')}{room} whose {limit}")
-
-
-def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, paper: Point | None) -> Recommended:
-    within = [way for way in usable if _seconds(way) <= budget_s]
-    if not within:
-        raise _none(usable, Wish(budget_s=budget_s))
-    best = min(within, key=_surely_N)
-    why = f"the most accurate of {plural(len(within), 'setting')} within {budget_s / 60:g} min"
-    if paper is not None and _FORCE in paper.accuracy:
-        share = best[1].accuracy[_FORCE].value / paper.accuracy[_FORCE].value
+        raise _none(usable, force_N, budget_s)
+    of = plural(len(within), "setting") + ("" if budget_s is None else f" within {budget_s / 60:g} min")
+    if force_N is not None:
+        setting, point = min(enough, key=_seconds)
+        why = f"the fastest of {of} whose force error, with its standard error, is at most {force_N:g} N"
+        return Recommendation.of(point, why, setting)
+    setting, point = min(enough, key=_upper_N)
+    why = f"the most accurate of {of}"
+    if no_wish and paper is not None and _FORCE in paper.accuracy:
+        share = point.accuracy[_FORCE].value / paper.accuracy[_FORCE].value
         met = "within" if share <= USUAL_ROOM else "not within"
         why += (
             f"; its force error is {share:.2f} times that of the paper's campaign, {met} the {USUAL_ROOM:g} asked for"
         )
-    return Recommended(*best, why)
+    return Recommendation.of(point, why, setting)
 
 
-def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
+def _none(usable: Sequence[tuple[Setting, Point]], force_N: float | None, budget_s: float | None) -> RefusedError:
     if not usable:
         return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
-    time = f"at most {wish.budget_s / 60:g} min" if wish.budget_s is not None else ""
-    wanted = f"takes {time}"
-    if wish.force_error_N is not None:
-        force = f"has a force error, with its standard error, of at most {wish.force_error_N:g} N"
-        wanted = f"{force} in {time}" if time else force
-    best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
+    force = "" if force_N is None else f"has a force error, with its standard error, of at most {force_N:g} N"
+    time = "" if budget_s is None else f"at most {budget_s / 60:g} min"
+    wanted = f"{force} in {time}" if force and time else force or f"takes {time}"
+    best, quickest = min(usable, key=_upper_N), min(usable, key=_seconds)
     return RefusedError(
         f"no setting of {len(usable)} {wanted}",
         remedy=f"the most accurate has {_described(best)}, the quickest {_described(quickest)}",
@@ -173,11 +178,8 @@ def _described(way: tuple[Setting, Point]) -> str:
 
 
 def _seconds(way: tuple[Setting, Point]) -> float:
-    assert way[1].station_s is not None
-    return way[1].station_s
+    return way[1].station_s or 0.0
 
 
-def _surely_N(way: tuple[Setting, Point]) -> float:
-    """Force error plus its standard error, to allow for chance."""
-    force = way[1].accuracy[_FORCE]
-    return force.value + (force.stderr or 0.0)
+def _upper_N(way: tuple[Setting, Point]) -> float:
+    return way[1].accuracy[_FORCE].upper

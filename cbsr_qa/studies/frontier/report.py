@@ -41,8 +41,6 @@ _NAMES: Final[Mapping[str, str]] = {
     "voltage_error_inclusion": "voltage error, inclusion",
     "load_signal_error": "error of a load's signal",
     "image_error": "error of the image",
-    "E_CoM": "E_CoM",
-    "A_OL": "A_OL",
     "smoothing_over_own": "relative smoothing",
 }
 #: Units at the end of knobs' names.
@@ -52,7 +50,6 @@ _UNITS: Final = ("s", "mm")
 _SETTING: Final = (
     "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, transients {transients}"
 )
-_TRANSIENTS: Final = {True: "predicted", False: "averaged"}
 _PLOT: Final = (
     "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
     "transients predicted. Ring: recommended, the most accurate within the limits; a faster one may be as accurate "
@@ -74,13 +71,13 @@ def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
 
 
 def _page(frontier: Frontier) -> Page:
-    chosen, points = frontier.chosen, frontier.points
-    banner = Banner("plain", _NONE, "No setting recommended", frontier.recommended.why)
+    chosen, points = frontier.recommended, frontier.points
+    banner = Banner("plain", _NONE, "No setting recommended", chosen.why)
     facts = []
-    if chosen is not None:
-        force, minutes = _shown(chosen.point.accuracy["force_error"]), (chosen.point.station_s or 0) / 60
+    if chosen.way is not None and chosen.accuracy is not None:
+        force, minutes = _shown(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
-        facts = [("Recommended", _setting(chosen.setting))]
+        facts = [("Recommended", _setting(chosen.way))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
@@ -93,14 +90,8 @@ def _page(frontier: Frontier) -> Page:
 
 
 def _setting(setting: Setting) -> str:
-    return _SETTING.format(
-        places=setting.places,
-        strains=", ".join(f"{percent:g}" for percent in setting.strains_percent),
-        trials=plural(setting.trials, "time"),
-        hold_s=setting.hold_s,
-        rest_s=setting.rest_s,
-        transients=_TRANSIENTS[setting.predicted],
-    )
+    strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
+    return _SETTING.format_map(setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")})
 
 
 def _how_to_read(frontier: Frontier) -> Iterator[Block]:
@@ -112,7 +103,7 @@ def _how_to_read(frontier: Frontier) -> Iterator[Block]:
         def draw() -> str:
             from cbsr_qa.studies.frontier.figures import station_svg  # loads matplotlib
 
-            return station_svg(frontier.points, frontier.chosen)
+            return station_svg(frontier.points, frontier.recommended)
 
         yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
 
@@ -142,8 +133,8 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
         )
         for point in points
     ]
-    names = [_NAMES.get(name, name.replace("_", " ")) for name in values]
-    return [*(unit_column(*_named(name)) for name in knobs), *names, "time", "worth it"], rows
+    names = [*(unit_column(*_named(name)) for name in knobs), *map(_words, values)]
+    return [*names, "time", "worth it"], rows
 
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
@@ -160,9 +151,8 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
 
 def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
-    notes = {point.note for point in members}
-    if len(notes) == 1:
-        return [note for note in notes if note]
+    if len({point.note for point in members}) == 1:
+        return list(filter(None, [members[0].note]))
     shown = _shown_knobs(members)
     return [
         f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
@@ -184,7 +174,12 @@ def _named(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
     words, unit = (name, last) if name and last in _UNITS else (knob, "")
-    return _NAMES.get(words, words.replace("_", " ")), unit
+    return _words(words), unit
+
+
+def _words(name: str) -> str:
+    """A name in words; those of the paper's quantities, such as A_OL, are written as there."""
+    return _NAMES.get(name, name if name[0].isupper() else name.replace("_", " "))
 
 
 def _knob(value: object) -> str:

@@ -1,7 +1,7 @@
 """Simulated sensors for the frontier's settings, and a setting's station time."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, create_plugin, discover
 from cbsr_qa.station import Plan, dry_run, plan_of
-from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT
+from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT, Setting
 from cbsr_qa.studies.simulated import configuration_of, shipped, simulated_run
 
 #: Imperfections of a simulated sensor, besides those of scene ``base``: its response varies by 20 % over 20 mm, and a
@@ -26,24 +26,17 @@ MATERIAL: Final = "cbsr-8wt"
 _FRAMES_BEFORE: Final = 4
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedSensor:
-    """A sensor after a recipe, and the simulated sheet, which is the truth."""
-
-    record: RunRecord
-    design: SheetDesign
-
-
-def station_seconds(recipe: Mapping[str, Any], frame_period_s: float = 2.5) -> float:
-    """Time a recipe occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
-    configuration = _configuration(recipe, 1, frame_period_s)
-    return dry_run(plan_of(configuration, discover()), frame_period_s).duration_s
+@lru_cache(maxsize=256)
+def station_seconds(setting: Setting) -> float:
+    """Time a setting occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
+    configuration = _configuration(setting.recipe(), 1, setting.frame_period_s)
+    return dry_run(plan_of(configuration, discover()), setting.frame_period_s).duration_s
 
 
 def simulated_sensor(
     recipe: Mapping[str, Any], seed: int, frame_period_s: float = 2.5, whole_holds: bool = True
-) -> SimulatedSensor:
-    """Run a recipe on one sensor at the simulated station, kept in memory.
+) -> tuple[RunRecord, SheetDesign]:
+    """Run a recipe on one sensor at the simulated station; return the run and the sheet's design, which is the truth.
 
     Only the last frames of rests and of held-out loads are taken; all times are unchanged.
 
@@ -71,7 +64,7 @@ def simulated_sensor(
     if record.end is not EndReason.FINISHED:
         raise NumericsError(f"the simulated run was {record.end}: {record.end_detail}")
     design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
-    return SimulatedSensor(record, design)
+    return record, design
 
 
 def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:

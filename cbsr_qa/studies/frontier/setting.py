@@ -1,6 +1,6 @@
 """A way to calibrate a sensor on the station: places, durations, evaluation."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import shipped
 
-#: Shipped recipe that provides imaging, metrics and limits of the settings.
+#: Shipped recipe that provides the imaging, metrics and limits of settings, and what they do not set of its phases.
 BASE: Final = "campaign"
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
@@ -84,10 +84,10 @@ class Setting:
         return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:
-        """Return a recipe document, with imaging, metrics and limits of the shipped recipe ``campaign``."""
+        """Return a recipe document; all that is not set here is as in the shipped recipe ``campaign``."""
         recipe = shipped(DocumentKind.RECIPE, BASE)
         recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
-        recipe["phases"] = self._phases()
+        recipe["phases"] = self._phases(recipe["phases"])
         recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]
         recipe["analysis"] = {
             **recipe["analysis"],
@@ -110,55 +110,39 @@ class Setting:
         }
         return needs.get(limit["measurement"], True)
 
-    def _phases(self) -> list[dict[str, Any]]:
-        start = {
-            "name": START,
-            "sequence": "noise-figure",
-            "rest_s": self.first_rest_s,
-            "frames": 20,
-            "strain_percent": 20.0,
-            "hold_s": _LONG_S,
-            "trials": 1,
-            "recovery_s": min(self.rest_s, 30.0),
+    def _phases(self, base: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Three phases of the base with this setting's places, loads and times."""
+        own: dict[str, dict[str, Any]] = {
+            START: {
+                "rest_s": self.first_rest_s,
+                "frames": 20,
+                "trials": 1,
+                "recovery_s": min(self.rest_s, 30.0),
+            },
+            GRID: {
+                "locations_mm": [list(place) for place in self.locations_mm()],
+                "strains_percent": list(self.strains_percent),
+                "trials": self.trials,
+                "hold_s": self.hold_s,
+                "rest_s": self.rest_s,
+                "initial_rest_s": 0.0,
+            },
+            CHECK: {
+                "count": self.checks,
+                "strain_percent": [15.0, 30.0],
+                "rest_s": max(self.rest_s, _CHECK_REST_S),
+                "initial_rest_s": max(_CHECK_REST_S - self.rest_s, 0.0),
+            },
         }
-        grid = {
-            "name": GRID,
-            "sequence": "location-grid",
-            "label": "C",
-            "locations_mm": [list(place) for place in self.locations_mm()],
-            "strains_percent": list(self.strains_percent),
-            "trials": self.trials,
-            "hold_s": self.hold_s,
-            "rest_s": self.rest_s,
-            "initial_rest_s": 0.0,
-            "find_surface": True,
-        }
-        check = {
-            "name": CHECK,
-            "sequence": "random-loads",
-            "count": self.checks,
-            "radius_mm": [0.0, RADIUS_MM],
-            "strain_percent": [15.0, 30.0],
-            "hold_s": _LONG_S,
-            "rest_s": max(self.rest_s, _CHECK_REST_S),
-            "initial_rest_s": max(_CHECK_REST_S - self.rest_s, 0.0),
-        }
-        return [start, grid, check] if self.checks else [start, grid]
+        if not self.checks:
+            del own[CHECK]
+        return [{**phase, **own[phase["name"]]} for phase in base if phase["name"] in own]
 
 
 def held_out_phase(count: int) -> dict[str, Any]:
-    """Return the phase of random loads used to test simulated sensors, pressed as in the paper."""
-    return {
-        "name": HELD_OUT,
-        "sequence": "random-loads",
-        "stream": "held-out",
-        "count": count,
-        "radius_mm": [0.0, RADIUS_MM],
-        "strain_percent": [5.0, 30.0],
-        "hold_s": _LONG_S,
-        "rest_s": 60.0,
-        "initial_rest_s": 0.0,
-    }
+    """Return the phase of random loads used to test simulated sensors, pressed as in the base (and the paper)."""
+    (check,) = (phase for phase in shipped(DocumentKind.RECIPE, BASE)["phases"] if phase["name"] == CHECK)
+    return {**check, "name": HELD_OUT, "stream": "held-out", "count": count, "initial_rest_s": 0.0}
 
 
 def sunflower_mm(count: int) -> tuple[tuple[float, float], ...]:

@@ -1,9 +1,10 @@
-"""Sweeps of station time: ways to calibrate, and their results.
+"""Sweeps of station time: ways to calibrate, and their results as points of the frontier.
 
 Long runs are simulated once per seed; cheaper ways with fewer presses or shorter holds reuse their stored frames.
 Other ways (shorter rests, other frame times) are simulated separately.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,25 +12,33 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import farthest_first
+import cbsr_qa
 from cbsr_qa.domain import CbsrError, finite_numbers
 from cbsr_qa.domain.results import RunObservation
 from cbsr_qa.domain.run import LoadRecord, RunRecord
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
+from cbsr_qa.studies.frontier.recommend import compared
 from cbsr_qa.studies.frontier.sensors import analysis_of, observed, simulated_sensor
 from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
-from cbsr_qa.studies.frontier.trial import errors_of, grid_places, least_sure_first, only
+from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, only
+from cbsr_qa.studies.sweep import Work
 
 #: Random loads to test a simulated sensor, unknown to all settings.
 TEST_LOADS: Final = 30
 
 SEEDS: Final = tuple(range(2001, 2005))
 QUICK_SEEDS: Final = (2001,)
+#: Version of simulation and evaluation: pieces of other versions are computed again.
+_VERSION: Final = 3
 
 #: The paper's campaign: nine locations, six strains, three trials, a minute on and a minute off.
 PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
 #: Thirty places at one strain, held as long; fewer in the quick sweep.
 EVEN: Final = Setting(30)
 QUICK_EVEN: Final = Setting(16)
+
+#: Settings, each with its series.
+Ways = Sequence[tuple[str, Setting]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,33 +55,25 @@ class Tried:
         finite_numbers(list(self.errors.values()), "errors")
 
 
-def subsets_of_paper(*, quick: bool) -> list[tuple[str, Setting]]:
+def parts_of_paper() -> Ways:
     """Parts of the paper's campaign, beginning with the whole."""
-    strains = (PAPER.strains_percent, (10.0, 20.0, 30.0), (20.0,))
-    trials = (3, 1)
-    every = [
-        ("strains and trials", replace(PAPER, strains_percent=some, trials=count))
-        for count in trials
-        for some in strains
+    return [
+        ("strains and trials", replace(PAPER, strains_percent=strains, trials=trials))
+        for trials in (3, 1)
+        for strains in (PAPER.strains_percent, (10.0, 20.0, 30.0), (20.0,))
     ]
-    return [every[0], every[-1]] if quick else every
 
 
-def subsets_of_even(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Parts of thirty places (fewer in the quick sweep) held for a minute, beginning with the whole."""
-    if quick:
-        short = [replace(QUICK_EVEN, hold_s=15.0, predicted=predicted) for predicted in (False, True)]
-        return [("hold", setting) for setting in (QUICK_EVEN, *short)]
-    holds = [
-        ("hold", replace(EVEN, hold_s=hold_s, predicted=predicted))
-        for hold_s in (30.0, 20.0, 15.0, 10.0)
-        for predicted in (False, True)
-    ]
-    frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (1, 2, 8)]
-    return [("hold", EVEN), *holds, ("frames averaged", EVEN), *frames]
+def parts_of_even(*, quick: bool) -> Ways:
+    """Parts of thirty places (16 in the quick sweep) held for a minute, beginning with the whole."""
+    whole, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
+    short = [replace(whole, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)]
+    holds = [("hold", setting) for setting in (whole, *short)]
+    frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (4, 1, 2, 8)]
+    return holds if quick else [*holds, *frames]
 
 
-def choices_of_even() -> list[tuple[str, Setting]]:
+def choices_of_even() -> Ways:
     """Ways to choose fewer of the thirty places."""
     return [
         ("choice of places", replace(EVEN, places=count, choice=choice))
@@ -81,8 +82,8 @@ def choices_of_even() -> list[tuple[str, Setting]]:
     ]
 
 
-def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Ways with other rests or frame times; one of them belongs to several series, and is simulated once."""
+def simulated_alone(*, quick: bool) -> Ways:
+    """Ways with other rests or frame times; one of them belongs to several series."""
     short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
     rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
     places = [("places", replace(short, places=count)) for count in (9, 12, 16, 20, 26)]
@@ -91,70 +92,75 @@ def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
     return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
 
 
-def tried_on_paper(seed: int, *, quick: bool) -> list[Tried]:
-    """Simulate the paper's campaign on one sensor, and try it and its parts."""
-    run = _Simulated(PAPER, seed, whole_holds=False)
-    return [
-        run.tried(series, setting, run.strains_and_trials(setting))
-        for series, setting in subsets_of_paper(quick=quick)
-    ]
+def station_work(*, quick: bool) -> Iterator[Work]:
+    """Yield simulations, longest first, whose results are :class:`Tried`."""
+    mode, seeds, even = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
+    sweep, choices = f"station {_VERSION}/{cbsr_qa.__version__}", [] if quick else choices_of_even()
+    for seed in seeds:
+        if not quick:
+            paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
+            yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
+        parts = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
+        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", parts)
+    alone: dict[Setting, list[str]] = {}
+    for series, setting in simulated_alone(quick=quick):
+        alone.setdefault(setting, []).append(series)
+    for setting, names in alone.items():
+        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
+        for seed in seeds:
+            run = partial(try_ways, setting, seed, [(name, setting) for name in names])
+            key = f"{sweep}/alone/{'+'.join(names)}/{what}/{seed}"
+            yield Work(key, f"{names[0]}: {setting.places} places, sensor {seed}", run)
 
 
-def tried_on_even(seed: int, *, quick: bool) -> list[Tried]:
-    """Simulate thirty places (16 in the quick sweep) on one sensor, and try them and shorter holds."""
-    run = _Simulated(QUICK_EVEN if quick else EVEN, seed)
-    settings = subsets_of_even(quick=quick) + ([] if quick else choices_of_even())
-    return [run.tried(series, setting) for series, setting in settings]
+def try_ways(whole: Setting, seed: int, ways: Ways, *, whole_holds: bool = True) -> list[Tried]:
+    """Simulate a setting on one sensor, and try ways that are parts of it.
 
-
-def tried_alone(seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
-    """Simulate one way on one sensor, for every series it belongs to."""
-    tried = _Simulated(setting, seed).tried(series[0], setting)
-    return [replace(tried, series=name) for name in series]
+    Parameters
+    ----------
+    whole_holds : False to take only the last frames of the grid's holds, for ways with the same hold.
+    """
+    run = _Simulated(whole, seed, whole_holds=whole_holds)
+    results = {setting: run.errors(setting) for setting in dict.fromkeys(setting for _, setting in ways)}
+    return [Tried(series, setting, seed, *results[setting]) for series, setting in ways]
 
 
 class _Simulated:
     """One sensor after a setting's recipe and thirty more random loads held for a minute."""
 
-    def __init__(self, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
-        self._seed = seed
+    def __init__(self, setting: Setting, seed: int, *, whole_holds: bool) -> None:
         recipe = setting.recipe()
         recipe["phases"].append(held_out_phase(TEST_LOADS))
-        self._sensor = simulated_sensor(recipe, seed, setting.frame_period_s, whole_holds)
-        run = observed(self._sensor.record, analysis_of(recipe))
-        own = only(run, lambda load: load.phase != HELD_OUT)
-        self._seen = {(setting.hold_s, setting.steady_frames): own}
+        self._record, self._design = simulated_sensor(recipe, seed, setting.frame_period_s, whole_holds)
+        run = observed(self._record, analysis_of(recipe))
+        self._seen = {(setting.hold_s, setting.steady_frames): only(run, lambda load: load.phase != HELD_OUT)}
         self._held_out = only(run, lambda load: load.phase == HELD_OUT)
 
-    def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
-        """Select the grid's loads of a setting with fewer strains or trials."""
+    def errors(self, setting: Setting) -> tuple[Mapping[str, float], str]:
+        """Errors of a setting by name, or why nothing could be learned."""
+        try:
+            run = self._observed(setting)
+            chosen = self._chosen(run, setting)
+            own = only(run, lambda load: load.phase != GRID or chosen(load.record))
+            return errors_of(own, self._held_out, self._design), ""
+        except CbsrError as refusal:
+            return {}, refusal.reason
+
+    @staticmethod
+    def _chosen(run: RunObservation, setting: Setting) -> Callable[[LoadRecord], bool]:
+        """Select the grid's loads of a setting with fewer places, strains or trials."""
+        if setting.choice != SUNFLOWER:
+            places = set(CHOICES[setting.choice](run, setting.places))
+            return lambda load: load.index in places
         strains = [percent / 100 for percent in setting.strains_percent]
         return lambda load: load.load.trial < setting.trials and bool(np.isclose(load.load.strain, strains).any())
-
-    def _chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
-        """Select the grid's loads of a setting with fewer places."""
-        run = self._observed(setting)
-        if setting.choice == LEAST_SURE:
-            numbers = set(least_sure_first(run, setting.places))
-        else:
-            numbers = set(farthest_first(grid_places(run), setting.places))
-        return lambda load: load.index in numbers
-
-    def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda load: True) -> Tried:
-        try:
-            chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
-            own = only(self._observed(setting), lambda load: load.phase != GRID or chosen(load.record))
-            errors = errors_of(own, self._held_out, self._sensor.design)
-        except CbsrError as refusal:
-            return Tried(series, setting, self._seed, {}, refusal.reason)
-        return Tried(series, setting, self._seed, errors)
 
     def _observed(self, setting: Setting) -> RunObservation:
         """The loads of the run as a setting would have held and averaged them."""
         key = (setting.hold_s, setting.steady_frames)
         analysis = analysis_of(setting.recipe())
         if key not in self._seen:
-            run = observed(shortened(self._sensor.record, setting.hold_s), analysis)
+            run = observed(shortened(self._record, setting.hold_s), analysis)
             self._seen[key] = only(run, lambda load: load.phase != HELD_OUT)
         return replace(self._seen[key], settings=analysis)
 
@@ -180,22 +186,41 @@ def shortened(record: RunRecord, hold_s: float) -> RunRecord:
     return replace(record, phases=phases)
 
 
-def station_work(*, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:
-    """Yield simulations, longest first: key, description, function."""
-    seeds: Sequence[int] = QUICK_SEEDS if quick else SEEDS
-    mode = "quick" if quick else "full"
-    for seed in seeds:
-        if not quick:
-            paper = partial(tried_on_paper, seed, quick=quick)
-            yield f"paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper
-        even = partial(tried_on_even, seed, quick=quick)
-        yield f"even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even
-    alone: dict[Setting, list[str]] = {}
-    for series, setting in simulated_alone(quick=quick):
-        alone.setdefault(setting, []).append(series)
-    for setting, names in alone.items():
-        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
-        for seed in seeds:
-            run = partial(tried_alone, seed, tuple(names), setting)
-            key = f"alone/{'+'.join(names)}/{what}/{seed}"
-            yield key, f"{names[0]}: {setting.places} places, sensor {seed}", run
+def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
+    """Combine the trials of each setting, with its station time [s], and mark those worth it.
+
+    Values are root mean squares over the sensors; their standard error is that of the mean square, to first order.
+    A setting is worth its time if no other of any series has as small a force error in less time.
+    """
+    groups: dict[tuple[str, Setting], list[Tried]] = {}
+    for tried in trials:
+        groups.setdefault((tried.series, tried.setting), []).append(tried)
+    points = [_point(series, setting, group, seconds(setting)) for (series, setting), group in groups.items()]
+    return list(zip((setting for _, setting in groups), worth_the_station(points), strict=True))
+
+
+def worth_the_station(points: Sequence[Point]) -> list[Point]:
+    """Mark which points no other of any series equals in less station time; settings refused on a sensor are not."""
+    return compared(points, lambda point: point.station_s, ["force_error"], across_series=True)
+
+
+def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
+    refused = [tried.why for tried in group if tried.why]
+    notes = [f"refused on {len(refused)} of {len(group)} sensors: {refused[0]}"] if refused else []
+    accuracy = {}
+    for name in () if refused else UNITS:
+        errors = [tried.errors[name] for tried in group if name in tried.errors]
+        if len(errors) == len(group):
+            accuracy[name] = _accuracy(errors, UNITS[name])
+        elif errors:
+            notes.append(f"{name.replace('_', ' ')} not determined on {len(group) - len(errors)} of {len(group)}")
+    knobs, note = setting.knobs, "; ".join(notes)
+    return Point(TimeBasis.STATION, series, knobs, accuracy, None, station_s, len(group), note)
+
+
+def _accuracy(errors: Sequence[float], unit: str) -> Accuracy:
+    squares = np.square(errors)
+    value = math.sqrt(float(squares.mean()))
+    if len(squares) < 2 or value == 0:
+        return Accuracy(value, None, unit)
+    return Accuracy(value, float(squares.std(ddof=1)) / math.sqrt(len(squares)) / (2 * value), unit)

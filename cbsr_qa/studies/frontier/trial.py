@@ -11,10 +11,11 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from cbsr_qa.analysis.run import RunForce, farthest_first, force_tests, gauge_factor, hold_traces, learned_from
-from cbsr_qa.calibration.fits import TimedValues, common_settling_time, fit_common_relaxation
+from cbsr_qa.analysis.run import farthest_first, force_tests, gauge_factor, hold_traces, learned_from
+from cbsr_qa.calibration.fits import common_settling_time, fit_common_relaxation
 from cbsr_qa.calibration.force import LearnedForce
 from cbsr_qa.calibration.runtime import interpolated
 from cbsr_qa.calibration.sheet import sheet_places
@@ -22,7 +23,7 @@ from cbsr_qa.domain import Array, CbsrError
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM
+from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, LEAST_SURE, RADIUS_MM
 
 #: Share of the steady change within which a hold counts as settled (paper, 4.3).
 _TOLERANCE: Final = 0.15
@@ -62,12 +63,21 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     force = learned_from(run)
     assert force.learned is not None
     errors = _forces(force.learned, held_out)
-    errors["map_error"] = _map_error(force.learned, design, run.record.indenter.radius_mm)
+    model, material = force.learned.model, run.record.material
+    places = sheet_places(model)
+    truth = true_response(design, places, run.record.indenter.radius_mm)
+    near = np.hypot(*places.T) <= RADIUS_MM
+    mapped = np.exp(interpolated(model, model.log_response, places[near]))
+    errors["map_error"] = _rms(mapped / mapped.mean() / (truth[near] / truth[near].mean()) - 1)
     traces = hold_traces(run, long_holds(run))
     with suppress(CbsrError):
-        errors["gauge_factor_error"] = _gauge_factor(run, force, design, traces)
+        gauge, _ = gauge_factor(run, force, traces=traces)
+        errors["gauge_factor_error"] = gauge.value / (material.against_strain.slope.value * float(truth.mean())) - 1
     with suppress(CbsrError):
-        errors["settling_error"] = _settling(run, traces)
+        window_s = max(float(times[-1]) for times, _ in traces)
+        settled, _ = common_settling_time(fit_common_relaxation(traces), window_s=window_s, tolerance=_TOLERANCE)
+        if settled.value_s is not None and not settled.censored:
+            errors["settling_error"] = settled.value_s / true_settling_s(material.loading_relaxation) - 1
     return {name: value for name, value in errors.items() if np.isfinite(value)}
 
 
@@ -87,15 +97,11 @@ def _forces(learned: LearnedForce, held_out: RunObservation) -> dict[str, float]
     known = [test.known_N - test.measured_N for test in tests]
     estimated = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
     errors = {"force_error": known, "force_error_found": estimated}
-    return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in errors.items() if values}
+    return {name: _rms(values) for name, values in errors.items() if values}
 
 
-def _map_error(learned: LearnedForce, design: SheetDesign, radius_mm: float) -> float:
-    places = sheet_places(learned.model)
-    places = places[np.hypot(*places.T) <= RADIUS_MM]
-    mapped = np.exp(interpolated(learned.model, learned.model.log_response, places))
-    truth = true_response(design, places, radius_mm)
-    return float(np.sqrt(np.mean((mapped / mapped.mean() / (truth / truth.mean()) - 1) ** 2)))
+def _rms(values: ArrayLike) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def true_response(design: SheetDesign, places_mm: Array, radius_mm: float) -> Array:
@@ -105,22 +111,6 @@ def true_response(design: SheetDesign, places_mm: Array, radius_mm: float) -> Ar
     about = np.stack([np.outer(reach, np.cos(turn)), np.outer(reach, np.sin(turn))], axis=-1).reshape(-1, 2)
     mean: Array = np.mean([design.response_at(places_mm + step) for step in about], axis=0)
     return mean
-
-
-def _gauge_factor(run: RunObservation, force: RunForce, design: SheetDesign, traces: Sequence[TimedValues]) -> float:
-    assert force.learned is not None
-    value, _ = gauge_factor(run, force, traces=traces)
-    places = sheet_places(force.learned.model)
-    mean = float(true_response(design, places, run.record.indenter.radius_mm).mean())
-    return value.value / (run.record.material.against_strain.slope.value * mean) - 1
-
-
-def _settling(run: RunObservation, traces: Sequence[TimedValues]) -> float:
-    window_s = max(float(times[-1]) for times, _ in traces)
-    settled, _ = common_settling_time(fit_common_relaxation(traces), window_s=window_s, tolerance=_TOLERANCE)
-    if settled.value_s is None or settled.censored:
-        return float("nan")
-    return settled.value_s / true_settling_s(run.record.material.loading_relaxation) - 1
 
 
 def true_settling_s(relaxation: Relaxation) -> float:
@@ -152,20 +142,14 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
     CbsrError
         If no map can be learned from the first loads.
     """
-    grid = [load for load in run.loads if load.phase == GRID]
-    places = _places(grid)
+    places = grid_places(run)
     chosen = farthest_first(places, min(FIRST, count))
     while len(chosen) < count:
-        some = {id(grid[k]) for k in chosen}
-        force = learned_from(only(run, _wanted(some)))
+        force = learned_from(only(run, lambda load: load.phase != GRID or load.record.index in chosen))
         assert force.learned is not None
         _, variance = force.learned.response.predict(places)
-        chosen += _next(places, variance, chosen, min(_AT_A_TIME, count - len(chosen)))
+        chosen.extend(_next(places, variance, chosen, min(_AT_A_TIME, count - len(chosen))))
     return chosen
-
-
-def _wanted(some: set[int]) -> Callable[[LoadObservation], bool]:
-    return lambda load: load.phase != GRID or id(load) in some
 
 
 def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
@@ -180,10 +164,16 @@ def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> 
     return picked
 
 
-def _places(loads: Sequence[LoadObservation]) -> Array:
-    return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
+def farthest(run: RunObservation, count: int) -> list[int]:
+    """Choose places of a run's grid, each as far as possible from those before it; indices of its loads."""
+    return farthest_first(grid_places(run), count)
 
 
 def grid_places(run: RunObservation) -> Array:
     """Places (n, 2) of the grid's loads, in order."""
-    return _places([load for load in run.loads if load.phase == GRID])
+    loads = [load.record.load for load in run.loads if load.phase == GRID]
+    return np.array([(load.x_mm, load.y_mm) for load in loads]).reshape(-1, 2)
+
+
+#: Ways to choose fewer places than a run pressed.
+CHOICES: Final = {FARTHEST: farthest, LEAST_SURE: least_sure_first}

@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report import unit_shown
-from cbsr_qa.report.draw import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, light_grid, svg_of
+from cbsr_qa.domain import Array
+from cbsr_qa.report import unit_column
+from cbsr_qa.report.draw import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, drawn, light_grid
 from cbsr_qa.stats import d2_d3
 from cbsr_qa.stats.gauge import Components, Study
 
@@ -20,27 +21,22 @@ _LEGEND_COLUMNS: Final = 3
 _LEGEND_ROW_IN: Final = 0.15
 
 
-def six_panels(study: Study, components: Components, unit: str) -> str:
+@drawn
+def six_panels(study: Study, components: Components, unit: str) -> Canvas:
     """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
-    shown, who = unit_shown(unit), study.appraiser
-
-    def axis(of: str) -> str:
-        return f"{of} [{shown}]" if shown else of
-
-    def build() -> Canvas:
-        figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
-        _components(axes[0], components)
-        _by_sensor(axes[1], study)
-        _ranges(axes[2], study, who)
-        _by_appraiser(axes[3], study, who)
-        _means(axes[4], study, who)
-        _interaction(axes[5], study, who)
-        names = ("share [%]", axis("each run"), axis("range"), axis("each run"), axis("mean"), axis("mean"))
-        for panel, name in zip(axes, names, strict=True):
-            panel.set_ylabel(name)
-        return figure
-
-    return svg_of(build)
+    figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
+    who, values = study.appraiser, study.values
+    _components(axes[0], components)
+    axes[1].set_title("by sensor")
+    _dots(axes[1], values, study.sensors)
+    _ranges(axes[2], study)
+    axes[3].set_title(f"by {who}")
+    _dots(axes[3], values.swapaxes(0, 1), study.stations)
+    _means(axes[4], study)
+    _interaction(axes[5], study)
+    for panel, name in zip(axes, ("share", "each run", "range", "each run", "mean", "mean"), strict=True):
+        panel.set_ylabel(unit_column(name, "%" if name == "share" else unit))
+    return figure
 
 
 def _panels(below: float) -> tuple[Canvas, list[Axes]]:
@@ -68,40 +64,32 @@ def _components(axes: Axes, components: Components) -> None:
     _legend_below(axes, 0.24)
 
 
-def _by_sensor(axes: Axes, study: Study) -> None:
-    axes.set_title("by sensor")
-    _dots(axes, [study.values[row].ravel() for row in range(study.shape[0])], study.sensors)
-
-
-def _by_appraiser(axes: Axes, study: Study, appraiser: str) -> None:
-    axes.set_title(f"by {appraiser}")
-    _dots(axes, [study.values[:, column].ravel() for column in range(study.shape[1])], study.stations)
-
-
-def _dots(axes: Axes, groups: Sequence[np.ndarray], names: Sequence[str]) -> None:
+def _dots(axes: Axes, values: Array, names: Sequence[str]) -> None:
+    """Draw the values of each name, (n, …), and their means."""
     light_grid(axes)
+    groups = values.reshape(len(names), -1)
     for place, group in enumerate(groups):
         axes.plot(np.full(len(group), place), group, "o", color=FAINT, markersize=2.4)
-    axes.plot(range(len(groups)), [group.mean() for group in groups], "o-", color=BLUE, markersize=3.4)
+    axes.plot(range(len(groups)), groups.mean(axis=1), "o-", color=BLUE, markersize=3.4)
     _names(axes, names)
 
 
-def _ranges(axes: Axes, study: Study, appraiser: str) -> None:
+def _ranges(axes: Axes, study: Study) -> None:
     ranges = np.ptp(study.values, axis=2)
     d2, d3 = d2_d3(study.shape[2])
     mean = float(ranges.mean())
     low, high = max(0.0, mean * (1 - 3 * d3 / d2)), mean * (1 + 3 * d3 / d2)
-    axes.set_title(f"range of repeated runs, by {appraiser}")
+    axes.set_title(f"range of repeated runs, by {study.appraiser}")
     _cells(axes, ranges, study, mean, low, high)
     axes.set_ylim(bottom=0)
 
 
-def _means(axes: Axes, study: Study, appraiser: str) -> None:
+def _means(axes: Axes, study: Study) -> None:
     means = study.values.mean(axis=2)
     d2, _ = d2_d3(study.shape[2])
     half = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
     mean = float(means.mean())
-    axes.set_title(f"mean of repeated runs, by {appraiser}")
+    axes.set_title(f"mean of repeated runs, by {study.appraiser}")
     _cells(axes, means, study, mean, mean - half, mean + half)
 
 
@@ -124,9 +112,9 @@ def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: floa
     axes.set_xticks([])
 
 
-def _interaction(axes: Axes, study: Study, appraiser: str) -> None:
+def _interaction(axes: Axes, study: Study) -> None:
     light_grid(axes)
-    axes.set_title(f"sensor by {appraiser}")
+    axes.set_title(f"sensor by {study.appraiser}")
     means = study.values.mean(axis=2)
     for column, name in enumerate(study.stations):
         colour, dashes = CYCLE[column % len(CYCLE)], ("-", "--", ":")[column // len(CYCLE) % 3]

@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cbsr_qa.config import DocumentKind, FileModel, open_document, validated
-from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain import NumericsError, RefusedError, filled
 from cbsr_qa.domain.results import RunLine
 from cbsr_qa.plugin import Table, echo
 from cbsr_qa.stats import Estimate
@@ -123,7 +123,7 @@ class ReferenceTable(Table):
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
 
     def to_domain(self) -> ReferenceValue:
-        return ReferenceValue(self.serial, self.metric, self.value, self.uncertainty, self.unit)
+        return filled(ReferenceValue, self)
 
 
 class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):

@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from cbsr_qa.config import DocumentKind, FileModel, line_of, open_document, validated
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import MetricKey, RunSelection
 from cbsr_qa.plugin import KeyPath, Problem, Table, dotted, echo
 from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
@@ -181,9 +181,7 @@ class MetricTable(Table):
         return same and (self.phase == other.phase or not self.phase or not other.phase)
 
     def to_domain(self) -> MetricWanted:
-        return MetricWanted(
-            self.name, self.phase, self.qualifier, self.unit or "", self.lower, self.upper, self.tolerance
-        )
+        return filled(MetricWanted, self, unit=self.unit or "")
 
 
 class StudyFile(FileModel[GaugeRequest]):
@@ -223,19 +221,12 @@ class StudyFile(FileModel[GaugeRequest]):
     def to_domain(self) -> GaugeRequest:
         """Return the request, with per cent as a fraction."""
         study = self.study
-        return GaugeRequest(
-            runs=RunSelection(
-                serials=tuple(study.serials or ()),
-                recipe=study.recipe,
-                stations=tuple(study.stations or ()),
-                operators=tuple(study.operators or ()),
-                since=study.since,
-                until=study.until,
-            ),
+        names = {key: tuple(getattr(study, key) or ()) for key in ("serials", "stations", "operators")}
+        return filled(
+            GaugeRequest,
+            study,
+            runs=filled(RunSelection, study, **names),
             metrics=tuple(metric.to_domain() for metric in self.metrics or ()),
-            by_location=study.by_location,
-            appraiser=study.appraiser,
-            largest_balanced=study.largest_balanced,
             references=tuple(reference.to_domain() for reference in self.reference or ()),
             confidence=study.confidence_percent / 100,
             source=StudySource(study.name, "", "", ""),

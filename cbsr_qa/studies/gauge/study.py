@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import NumericsError, RefusedError, of_kind
+from cbsr_qa.domain import NumericsError, RefusedError, filled, of_kind
 from cbsr_qa.domain.results import FleetTable, MetricKey, RunLine, RunSelection
 from cbsr_qa.report import named, plural
 from cbsr_qa.stats.gauge import (
@@ -168,14 +168,12 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         notes += likeness_notes(store, lines)
     metrics = tuple(_metric(toleranced, request) for toleranced in wanted)
     _check_any(metrics, largest_balanced=request.largest_balanced)
-    return GaugeStudy(
+    return filled(
+        GaugeStudy,
+        request,
         study=request.source,
-        appraiser=request.appraiser,
-        confidence=request.confidence,
         since=request.runs.since,
         until=request.runs.until,
-        by_location=request.by_location,
-        largest_balanced=request.largest_balanced,
         recipe=lines[0].recipe,
         sensors=tuple(sorted({line.serial for line in lines})),
         stations=tuple(sorted({line.station for line in lines})),
@@ -193,12 +191,10 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
     why = _never_repeated(sensors, appraisers, request.appraiser)
     missing = () if why else missing_runs(sensors, appraisers, request.appraiser)
-    bare = MetricGauge(
-        name=key.name,
+    bare = filled(
+        MetricGauge,
+        key,
         unit=series.unit,
-        phase=key.phase,
-        qualifier=key.qualifier,
-        location=key.location,
         lower=series.lower,
         upper=series.upper,
         tolerance=wanted.tolerance,

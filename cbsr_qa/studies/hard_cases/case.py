@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from time import perf_counter
 from types import FrameType
-from typing import Final, TypeAlias, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain import CbsrError, filled
 
 #: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
@@ -68,9 +69,7 @@ class HardCase:
     refuses: type[CbsrError] | None = None
 
 
-_Answers: TypeAlias = Callable[[], Answer]
-_Refused: TypeAlias = Callable[[], None]
-_Run = TypeVar("_Run", _Answers, _Refused)
+_Run = TypeVar("_Run", bound=Callable[[], Answer | None])
 
 
 class Area:
@@ -83,15 +82,15 @@ class Area:
         self.name = name
         self.cases: list[HardCase] = []
 
-    def against(self, truth: str) -> Callable[[_Answers], _Answers]:
+    def against(self, truth: str) -> Callable[[_Run], _Run]:
         """Add a case whose answer is compared with a truth."""
-        return lambda run: self._added(run, truth, None)
+        return partial(self._added, truth, None)
 
-    def refused(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Refused], _Refused]:
+    def refused(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Run], _Run]:
         """Add a case that must raise an error."""
-        return lambda run: self._added(run, truth, error)
+        return partial(self._added, truth, error)
 
-    def _added(self, run: _Run, truth: str, refuses: type[CbsrError] | None) -> _Run:
+    def _added(self, truth: str, refuses: type[CbsrError] | None, run: _Run) -> _Run:
         hard = " ".join((inspect.getdoc(run) or "").split())
         self.cases.append(HardCase(run.__name__.replace("_", "-"), self.name, hard, truth, run, refuses))
         return run
@@ -137,19 +136,35 @@ def conditioned(error: float, condition: float, *, unit: str = "1", note: str = 
 def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
     """Run a case; a warning of numpy or scipy, or a timeout, counts as an unexplained answer."""
     started_s = perf_counter()
+    answer, reason, remedy, outcome = None, "", "", Ending.BROKEN
     try:
         with warnings.catch_warnings(), _within(longest_s):
             warnings.simplefilter("error")
             answer = case.run()
+        reason = _why_broken(case, answer)
+        outcome = Ending.BROKEN if reason else Ending.OK
     except CbsrError as refusal:
-        expected = case.refuses is not None and isinstance(refusal, case.refuses)
-        outcome = Ending.REFUSED if expected and refusal.reason else Ending.BROKEN
-        reason = refusal.reason if expected else f"refused without need: {refusal.reason}"
-        return _result(case, outcome, started_s, reason=reason, remedy=refusal.remedy)
+        reason, remedy = refusal.reason, refusal.remedy
+        if case.refuses is None or not isinstance(refusal, case.refuses):
+            reason = f"refused without need: {reason}"
+        elif reason:
+            outcome = Ending.REFUSED
     except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
-        return _result(case, Ending.BROKEN, started_s, reason=f"{type(error).__name__}: {error}")
-    reason = _why_broken(case, answer)
-    return _result(case, Ending.BROKEN if reason else Ending.OK, started_s, answer, reason)
+        reason = f"{type(error).__name__}: {error}"
+    given = answer or Answer(math.nan, math.nan)
+    return filled(
+        CaseResult,
+        case,
+        outcome=outcome,
+        error=_finite(given.error),
+        bound=_finite(given.bound),
+        unit=given.unit if answer else None,
+        condition=_finite(given.condition),
+        reason=reason or None,
+        remedy=remedy or None,
+        note=given.note or None,
+        seconds=round(perf_counter() - started_s, 3),
+    )
 
 
 @contextmanager
@@ -180,32 +195,6 @@ def _why_broken(case: HardCase, answer: Answer | None) -> str:
         return "its error or its bound is no finite number"
     within = 0 <= answer.error <= answer.bound
     return "" if within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
-
-
-def _result(
-    case: HardCase,
-    outcome: Ending,
-    started_s: float,
-    answer: Answer | None = None,
-    reason: str = "",
-    remedy: str = "",
-) -> CaseResult:
-    given = answer or Answer(math.nan, math.nan)
-    return CaseResult(
-        name=case.name,
-        area=case.area,
-        hard=case.hard,
-        truth=case.truth,
-        outcome=outcome,
-        error=_finite(given.error),
-        bound=_finite(given.bound),
-        unit=given.unit if answer else None,
-        condition=_finite(given.condition),
-        reason=reason or None,
-        remedy=remedy or None,
-        note=given.note or None,
-        seconds=round(perf_counter() - started_s, 3),
-    )
 
 
 def _finite(value: float | None) -> float | None:

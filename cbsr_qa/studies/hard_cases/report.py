@@ -1,8 +1,7 @@
 """Report of numerically hard cases: the result of each, by area, and how to read it."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from cbsr_qa.domain.results import Banner, Block, Cell, CommandOutcome, Figure, Outcome, Page, Paragraph, Section
@@ -72,30 +71,24 @@ def _page(cases: Sequence[CaseResult]) -> Page:
 def _how_to_read(cases: Sequence[CaseResult]) -> Iterator[Block]:
     yield from map(Paragraph, _READING)
     if any(case.condition is not None for case in cases):
-        yield _figure(_CONDITIONS, cases, _draw_conditions)
+        yield _figure(_CONDITIONS, cases, "conditions_svg")
 
 
-def _draw_conditions(cases: Sequence[CaseResult]) -> str:
-    from cbsr_qa.studies.hard_cases.figures import conditions_svg  # loads matplotlib
+def _figure(caption: str, cases: Sequence[CaseResult], plot: str) -> Figure:
+    def draw() -> str:
+        from cbsr_qa.studies.hard_cases import figures  # loads matplotlib
 
-    return conditions_svg(cases)
+        svg: str = getattr(figures, plot)(cases)
+        return svg
 
-
-def _draw_errors(cases: Sequence[CaseResult]) -> str:
-    from cbsr_qa.studies.hard_cases.figures import errors_svg
-
-    return errors_svg(cases)
-
-
-def _figure(caption: str, cases: Sequence[CaseResult], draw: Callable[[Sequence[CaseResult]], str]) -> Figure:
-    return Figure(caption, _ALTERNATIVE.format(cases=plural(len(cases), "case")), partial(draw, cases))
+    return Figure(caption, _ALTERNATIVE.format(cases=plural(len(cases), "case")), draw)
 
 
 def _area(area: str, cases: Sequence[CaseResult]) -> Iterator[Block]:
     own = [case for case in cases if case.area == area]
     answered = [case for case in own if case.unit is not None]
     if answered:
-        yield _figure(_ERRORS, answered, _draw_errors)
+        yield _figure(_ERRORS, answered, "errors_svg")
     columns = ("case", "error", "bound", "unit", "condition", "outcome")
     yield text_table(f"{area.capitalize()}: cases", columns, [_row(case) for case in own], (1, 2, 4))
     for case in own:

@@ -9,30 +9,11 @@ from typing import Final
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.studies.hard_cases.case import CaseResult, HardCase, examine
-from cbsr_qa.studies.hard_cases.cases import (
-    calibration,
-    forward,
-    forward_exact,
-    forward_loads,
-    geometry,
-    imaging,
-    loads,
-    readings,
-    reconstruction,
-    relaxation,
-    smoothness,
-    statistics,
-    time,
-)
+from cbsr_qa.studies.hard_cases.cases import all_cases
 from cbsr_qa.studies.sweep import finished
 
-_AREAS: Final = (
-    forward.AREA, forward_exact.AREA, forward_loads.AREA, readings.AREA, reconstruction.AREA, smoothness.AREA,
-    imaging.AREA, geometry.AREA, relaxation.AREA, calibration.AREA, loads.AREA, time.AREA, statistics.AREA,
-)  # fmt: skip
 #: Every case, in order of area.
-CASES: Final[tuple[HardCase, ...]] = tuple(case for area in _AREAS for case in area.cases)
-
+CASES: Final = all_cases()
 #: Areas, in the order of display.
 AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))
 #: Number of names that fit in a message.
@@ -41,23 +22,22 @@ _FEW: Final = 10
 
 def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
     """Return the cases of some areas or with some names; all if neither is given. ConfigError for unknown ones."""
-    for what, wanted, known in (("area", areas, AREAS), ("case", names, [case.name for case in CASES])):
-        for name in wanted:
-            if name not in known:
-                raise ConfigError(f"there is no {what} {name!r}", remedy=_nearest(what, name, known))
-    if not areas and not names:
-        return CASES
-    return tuple(case for case in CASES if case.area in areas or case.name in names)
+    for area in areas:
+        if area not in AREAS:
+            raise ConfigError(f"there is no area {area!r}", remedy=f"there are: {', '.join(AREAS)}")
+    known = [case.name for case in CASES]
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"there is no case {name!r}", remedy=_nearest(name, known))
+    return tuple(case for case in CASES if case.area in areas or case.name in names or not (areas or names))
 
 
-def _nearest(what: str, name: str, known: Sequence[str]) -> str:
-    """Suggest names: all of a few; of many, those that look alike or contain the same word."""
-    if len(known) <= _FEW:
-        return f"there are: {', '.join(known)}"
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """Suggest names of cases that contain the same word or look alike."""
     near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
     if near:
         return f"did you mean one of: {', '.join(near[:_FEW])}"
-    return f"cbsr-qa stability --area {AREAS[0]!r} lists the {what}s of an area; areas are: {', '.join(AREAS)}"
+    return f"cbsr-qa stability --area {AREAS[0]!r} lists the cases of an area; areas are: {', '.join(AREAS)}"
 
 
 @dataclass(frozen=True, slots=True)

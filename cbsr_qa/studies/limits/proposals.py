@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final
 
-from cbsr_qa.domain import RefusedError, did_you_mean
+from cbsr_qa.domain import RefusedError, did_you_mean, filled
 from cbsr_qa.domain.results import Limit, Measurement, MetricKey, Outcome
 from cbsr_qa.plugin import echo
 from cbsr_qa.stats import (
@@ -201,8 +201,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
     uncertainty, width, source = _guard(group, bounds, lot, terms)
     of_run = RunUncertainty(None, None, None, None, source)
     if uncertainty is not None:
-        known = uncertainty.standard, uncertainty.coverage_factor, uncertainty.expanded, uncertainty.freedom
-        of_run = RunUncertainty(*known, source)
+        of_run = filled(RunUncertainty, uncertainty, degrees_of_freedom=uncertainty.freedom)
     lower, upper = _ends(limits)
     limit = Limit(key.name, group.unit, lower, upper, width, key.phase, key.qualifier)
     found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)

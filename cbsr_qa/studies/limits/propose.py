@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.config import database_url, limits_digest, toml_document
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import Limit
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import plural
@@ -95,12 +95,11 @@ def propose_limits(
     proposals = tuple(propose(group, lot, terms) for group in groups_of(lot, names, everything))
     _check_any(proposals, names)
     limits = tuple(proposal for proposal in proposals if isinstance(proposal, ProposedLimit))
-    proposed = ProposedLimits(
+    proposed = filled(
+        ProposedLimits,
+        terms,
         version=version or f"{made.isoformat()}-{digest[:8]}",
         date=made,
-        coverage=terms.coverage,
-        confidence=terms.confidence,
-        guard_factor=terms.guard_factor,
         rule=RULE.format(factor=terms.guard_factor),
         data_sha256=digest,
         lot=lot,

@@ -14,42 +14,37 @@ from cbsr_qa.report.draw import (
     QUIET,
     VERMILION,
     canvas,
+    drawn,
     fit_left,
     light_grid,
     name_rows,
-    svg_of,
 )
 from cbsr_qa.studies.reproduce.compare import ComparedRow, Ours, Printed
 from cbsr_qa.studies.reproduce.reproduce import CentreForces
 
 
-def bars_svg(table: Sequence[ComparedRow]) -> str:
+@drawn
+def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
     """Draw every row with the paper's mean and ± beside ours, one panel per quantity."""
     names = list(dict.fromkeys(row.name for row in table))
     groups = list(dict.fromkeys(row.group for row in table))
-
-    def build() -> Canvas:
-        height = 0.75 + 0.3 * len(groups)
-        figure, low = canvas(height), 0.42 / height
-        grid = figure.add_gridspec(1, len(names), left=0.16, right=0.985, bottom=low, top=1 - 0.9 * low, wspace=0.08)
-        panels = [figure.add_subplot(grid[column]) for column in range(len(names))]
-        for axes, name in zip(panels, names, strict=True):
-            light_grid(axes, "x")
-            rows = [row for row in table if row.name == name]
-            for row in rows:
-                _bars(axes, groups.index(row.group), row)
-            axes.set_title(f"{name} [{rows[0].unit}]", fontweight="normal")
-            axes.set_xlim(*_limits(rows))
-            name_rows(axes, groups)
-            axes.tick_params(labelleft=axes is panels[0])
-        for place, (label, colour) in enumerate(
-            (("paper", QUIET), ("simulated", BLUE), ("bench, simulated", ORANGE))
-        ):
-            figure.text(0.62 + 0.12 * place, 0.012, label, color=colour, fontsize=7, va="bottom")
-        fit_left(figure, grid, panels[:1])
-        return figure
-
-    return svg_of(build)
+    height = 0.75 + 0.3 * len(groups)
+    figure, low = canvas(height), 0.42 / height
+    grid = figure.add_gridspec(1, len(names), left=0.16, right=0.985, bottom=low, top=1 - 0.9 * low, wspace=0.08)
+    panels = [figure.add_subplot(grid[column]) for column in range(len(names))]
+    for axes, name in zip(panels, names, strict=True):
+        light_grid(axes, "x")
+        rows = [row for row in table if row.name == name]
+        for row in rows:
+            _bars(axes, groups.index(row.group), row)
+        axes.set_title(f"{name} [{rows[0].unit}]", fontweight="normal")
+        axes.set_xlim(*_limits(rows))
+        name_rows(axes, groups)
+        axes.tick_params(labelleft=axes is panels[0])
+    for place, (label, colour) in enumerate((("paper", QUIET), ("simulated", BLUE), ("bench, simulated", ORANGE))):
+        figure.text(0.62 + 0.12 * place, 0.012, label, color=colour, fontsize=7, va="bottom")
+    fit_left(figure, grid, panels[:1])
+    return figure
 
 
 def _bars(axes: Axes, place: int, row: ComparedRow) -> None:
@@ -73,18 +68,16 @@ def _limits(rows: Sequence[ComparedRow]) -> tuple[float, float]:
     return 0.0, 1.06 * max(ends)
 
 
-def _two_panels(height_in: float, draw: Callable[[list[Axes]], None]) -> str:
-    def build() -> Canvas:
-        figure = canvas(height_in)
-        grid = figure.add_gridspec(1, 2, left=0.08, right=0.985, bottom=0.42 / height_in, top=0.88, wspace=0.12)
-        panels = [figure.add_subplot(grid[column]) for column in range(2)]
-        for axes in panels:
-            light_grid(axes)
-        draw(panels)
-        fit_left(figure, grid, panels[:1])
-        return figure
-
-    return svg_of(build)
+@drawn
+def _two_panels(height_in: float, draw: Callable[[list[Axes]], None]) -> Canvas:
+    figure = canvas(height_in)
+    grid = figure.add_gridspec(1, 2, left=0.08, right=0.985, bottom=0.42 / height_in, top=0.88, wspace=0.12)
+    panels = [figure.add_subplot(grid[column]) for column in range(2)]
+    for axes in panels:
+        light_grid(axes)
+    draw(panels)
+    fit_left(figure, grid, panels[:1])
+    return figure
 
 
 def settling_svg(table: Sequence[ComparedRow]) -> str:

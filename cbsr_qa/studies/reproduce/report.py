@@ -66,29 +66,19 @@ def _table(table: ComparedTable, reproduction: Reproduction) -> Iterator[Block]:
 
 
 def _figures(table: ComparedTable, reproduction: Reproduction) -> Iterator[Figure]:
-    # loads matplotlib
+    def draw() -> str:
+        from cbsr_qa.studies.reproduce import draw  # loads matplotlib
 
-    def bars() -> str:
-        from cbsr_qa.studies.reproduce.draw import bars_svg
-
-        return bars_svg(table.rows)
-
-    def settling() -> str:
-        from cbsr_qa.studies.reproduce.draw import settling_svg
-
-        return settling_svg(table.rows)
-
-    def force() -> str:
-        from cbsr_qa.studies.reproduce.draw import force_svg
-
-        return force_svg(reproduction.presses)
+        if table is reproduction.force:
+            return draw.force_svg(reproduction.presses)
+        return draw.settling_svg(table.rows) if table is reproduction.settling else draw.bars_svg(table.rows)
 
     if table in (reproduction.table3, reproduction.table4, reproduction.table5, reproduction.tableF6):
-        yield Figure(_BARS, _BARS_ALTERNATIVE.format(title=table.title, rows=len(table.rows)), bars)
+        yield Figure(_BARS, _BARS_ALTERNATIVE.format(title=table.title, rows=len(table.rows)), draw)
     elif table is reproduction.settling:
-        yield Figure(_SETTLING, _SETTLING_ALTERNATIVE, settling)
+        yield Figure(_SETTLING, _SETTLING_ALTERNATIVE, draw)
     elif table is reproduction.force and any(forces.uniform_N for forces in reproduction.presses):
-        yield Figure(_FORCE, _FORCE_ALTERNATIVE, force)
+        yield Figure(_FORCE, _FORCE_ALTERNATIVE, draw)
 
 
 def _letter(place: int) -> str:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     )
     from .setting import (
         SceneSetup as SceneSetup,
-        effects_of as effects_of,
         made_world as made_world,
         set_up as set_up,
     )

@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from cbsr_qa.domain import PluginError
@@ -10,7 +11,7 @@ from cbsr_qa.domain.plan import SceneSetting
 from cbsr_qa.plugin import Kind, Plugins, discover
 from cbsr_qa.simulate import NOT_MODELLED, build_chain
 from cbsr_qa.studies.scenes.costs import Costs, Watched, measured_costs
-from cbsr_qa.studies.scenes.setting import SceneSetup, effects_of, naming, set_up
+from cbsr_qa.studies.scenes.setting import SceneSetup, naming, set_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,8 @@ def explain_scene(
     """
     plugins = discover()
     setup = set_up(scene, plugins, recorded=False)
-    watched = Watched(effects_of(plugins))
+    factory = partial(plugins.factory, Kind.EFFECT)
+    watched = Watched(factory)
     setting = SceneSetting(
         setup.sensor_type.value,
         setup.material.value,
@@ -92,7 +94,7 @@ def explain_scene(
     costs = None
     if measure:
         tell("measuring the cost of effects")
-        costs = measured_costs(setup, effects_of(plugins), progress=progress)
+        costs = measured_costs(setup, factory, progress=progress)
     return Explained(
         scene=setup.plan.scene.name,
         effects=(*_on(setup, watched, costs), *_off(setup, plugins)),

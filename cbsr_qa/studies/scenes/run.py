@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -11,12 +12,13 @@ import numpy as np
 
 import cbsr_qa
 from cbsr_qa.config import edge_remarks
+from cbsr_qa.domain import filled
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.plugin import Kind, Plugins, discover
 from cbsr_qa.simulate import NOT_MODELLED, PressedLoad, RecordedScene, SimulatedWorld, planned_middles_s, record_scene
 from cbsr_qa.studies.scenes.files import Target, Written, checked_targets, made_folder, write_all
-from cbsr_qa.studies.scenes.setting import SceneSetup, effects_of, made_world, naming, set_up
+from cbsr_qa.studies.scenes.setting import SceneSetup, made_world, naming, set_up
 
 _MOST_REHEARSED: Final = 200  # frames
 
@@ -102,8 +104,7 @@ def run_scene(
     setup = set_up(request.scene, plugins, recorded=True)
     seed = setup.plan.seed or 0 if request.seed is None else request.seed
     targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
-    tell("creating the sheet")
-    world = made_world(setup, effects_of(plugins), seed=seed)
+    world = _world(setup, plugins, seed, tell)
     with naming(setup.label):
         _rehearse(world, setup, targets)
     with made_folder(targets[0].path.parent, request.output):
@@ -138,11 +139,15 @@ def simulate_to_memory(
     plugins = discover()
     setup = set_up(scene, plugins, recorded=True)
     chosen = setup.plan.seed or 0 if seed is None else seed
-    tell("creating the sheet")
-    world = made_world(setup, effects_of(plugins), seed=chosen)
+    world = _world(setup, plugins, chosen, tell)
     recorded, remarks = _recorded(world, setup, plugins, tell, progress)
     run = _scene_run(setup, chosen, recorded, (), remarks)
     return SimulatedScene(run, recorded.recording, setup.sensor_type.value)
+
+
+def _world(setup: SceneSetup, plugins: Plugins, seed: int, tell: Callable[[str], None]) -> SimulatedWorld:
+    tell("creating the sheet")
+    return made_world(setup, partial(plugins.factory, Kind.EFFECT), seed=seed)
 
 
 def _recorded(
@@ -214,18 +219,15 @@ def _labelled(
 
 def _load(pressed: PressedLoad, remark: str | None) -> RecordedLoad:
     load, record, press = pressed.load, pressed.record, pressed.press
-    return RecordedLoad(
+    return filled(
+        RecordedLoad,
+        record,
         label=record.load.label,
         head=load.head,
         x_mm=load.x_mm,
         y_mm=load.y_mm,
         strain_percent=100 * load.strain,
-        press_start_s=record.press_start_s,
         touch_s=load.start_s,
-        hold_start_s=record.hold_start_s,
-        release_start_s=record.release_start_s,
-        clear_s=record.clear_s,
-        release_end_s=record.release_end_s,
         true_x_mm=None if press is None else press.x_mm,
         true_y_mm=None if press is None else press.y_mm,
         true_strain_percent=100 * pressed.true_strain,

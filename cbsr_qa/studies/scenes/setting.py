@@ -8,7 +8,7 @@ from cbsr_qa.config import Loaded, check_plan, load_material, load_scene_plan, l
 from cbsr_qa.domain import CbsrError, ConfigError
 from cbsr_qa.domain.plan import ScenePlan
 from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Kind, Plugins
+from cbsr_qa.plugin import Plugins
 from cbsr_qa.simulate import EffectFactory, SimulatedSheet, SimulatedWorld
 
 #: Sensor and material used to explain a scene that leaves them to a station.
@@ -115,11 +115,6 @@ def made_world(
             effect_factory=effect_factory,
             sheet=sheet,
         )
-
-
-def effects_of(plugins: Plugins) -> EffectFactory:
-    """Return a function that finds an effect's factory by name; only requested effects are imported."""
-    return lambda name: plugins.factory(Kind.EFFECT, name)
 
 
 @contextmanager

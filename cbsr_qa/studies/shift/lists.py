@@ -287,21 +287,15 @@ def _decided(runs: Sequence[ListedRun]) -> list[ListedRun]:
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
     last, decided = runs[-1], _decided(runs)
     first = [run.passed for run in decided if not run.earlier]
-    return SensorEntry(
-        serial=last.serial,
-        batch=last.batch,
-        sensor_type=last.sensor_type,
-        recipe=last.recipe,
+    return filled(
+        SensorEntry,
+        last,
         runs=len(runs),
         tries=sum(run.finished for run in runs),
         first=runs[0].started_at,
         last=last.started_at,
-        station=last.station,
-        operator=last.operator,
-        end=last.end,
         verdict=decided[-1].verdict if decided else None,
         reason=decided[-1].reason if decided else "",
         failed_limits=tuple(key.label for run in decided[-1:] for key in failed_limits(run)),
         first_pass=first[0] if first else None,
-        run=last.run,
     )

@@ -2,6 +2,7 @@
 
 import json
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,13 +52,8 @@ def shifted(tmp_path_factory):
 
 
 @pytest.fixture
-def command(capsys):
-    def run(database, *arguments):
-        code = guarded(["charts", "--database", str(database), *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return run
+def command(run_command):
+    return partial(run_command, "charts", "--database")
 
 
 @pytest.fixture
@@ -157,7 +153,7 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
     with open_store(f"sqlite:///{path}", durable=False) as store:
         run = store.new_id()
         here = SimpleNamespace(**{**_fields(identity(run, "S-900")), "station": STATION})
-        found = charts_after(store, here, judged(10.9))
+        found = charts_after(store, STATION, here, judged(10.9))
         (signal,) = found.signals
         assert (signal.since_run, signal.runs) == (run, 1)
         (warning,) = found.warnings()
@@ -167,9 +163,8 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
         blocks = chart_blocks(found)
         assert "1 of 1 control chart" in blocks[0].text
         assert "1: one point beyond 3σ" in blocks[1].text
-        assert charts_after(store, here, judged(10.0)).signals == ()
-        elsewhere = SimpleNamespace(**{**_fields(here), "station": "bench-b"})
-        assert charts_after(store, elsewhere, judged(10.9)) is None
+        assert charts_after(store, STATION, here, judged(10.0)).signals == ()
+        assert charts_after(store, "bench-b", here, judged(10.9)) is None
 
 
 def _fields(one):

@@ -2,6 +2,7 @@
 
 import json
 from datetime import timedelta
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,13 +19,8 @@ pytestmark = pytest.mark.rest
 
 
 @pytest.fixture
-def command(capsys):
-    def run(database, *arguments):
-        code = guarded(["charts", "--database", str(database), "--station", STATION, *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, " ".join(said.out.split()), " ".join(said.err.split())
-
-    return run
+def command(run_in_words):
+    return partial(run_in_words, "charts", "--station", STATION, "--database")
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -93,7 +89,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     assert command(path, "--retire", "i-mr", "--operator", "Ada", "--output", page)[0] == 0
     assert "Nothing is charted now." in page.read_text()
     with open_store(f"sqlite:///{path}") as store:
-        assert charts_after(store, store.identity(store.find_runs()[0].run)) is None
+        assert charts_after(store, store.find_runs()[0].station) is None
     assert "no reference period is stored" in command(path)[2]
     assert command(path, *NEW, "--chart", "cusum")[0] == 1
     assert "1 of 1 chart" in command(path)[1]
@@ -142,7 +138,9 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
         run = store_run(store, "S-700", odd, station=STATION, day=30)
         # At the end of a run too: it is no value there, neither of its units alone.
         there = store.identity(run)
-        assert charts_after(store, there).signals == charts_after(store, there, odd).signals == ()
+        assert (
+            charts_after(store, there.station).signals == charts_after(store, there.station, there, odd).signals == ()
+        )
     out = command(path)[1]
     assert "values are in several units within the run, N/V and kN/V: S-700, " in out
     assert "could not be measured" not in out

@@ -7,10 +7,11 @@ import pytest
 from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_recipe
 from cbsr_qa.studies.frontier import study as app
-from cbsr_qa.studies.frontier.point import Accuracy, Point, Task, TimeBasis
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.report import alike_in, notes_of
 from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried
+from cbsr_qa.studies.sweep import Work
 
 SHORT = Setting(12, hold_s=15.0, rest_s=5.0, predicted=True)
 CHOSEN = Setting(9, rest_s=5.0, choice=FARTHEST)  # no recipe chooses as it goes
@@ -33,15 +34,10 @@ def measured():
 def sweeps(monkeypatch, tmp_path):
     """Replace both sweeps by one piece each; return how often they were worked out."""
     worked = []
-
-    def station(*, quick):
-        yield "all", "all of it", lambda: worked.append("station") or trials()
-
-    def computer(*, quick=False):
-        return [Task("images", "images", lambda: worked.append("computer") or measured())]
-
-    monkeypatch.setattr(app, "station_work", station)
-    monkeypatch.setattr(app, "computer_tasks", computer)
+    station = Work("all", "all of it", lambda: worked.append("station") or trials())
+    computer = Work("images", "images", lambda: worked.append("computer") or [measured()])
+    monkeypatch.setattr(app, "station_work", lambda quick: [station])
+    monkeypatch.setattr(app, "computer_work", lambda quick: [computer])
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     return worked
 

@@ -1,6 +1,7 @@
 """Points of the frontier: what a document keeps of them, and which ones are worth their time."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, strategies as st
@@ -8,7 +9,7 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import NumericsError, StoreError
 from cbsr_qa.report import json_document
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
-from cbsr_qa.studies.frontier.recommend import joint_stderr, undominated_within_errors
+from cbsr_qa.studies.frontier.recommend import compared, joint_stderr
 
 numbers = st.floats(-1e6, 1e6)
 figures = st.builds(
@@ -34,7 +35,6 @@ points = st.builds(
     st.none() | st.booleans(),
 )
 # Few different numbers, so that ties and dominance are common.
-pairs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(0, 4)), max_size=12)
 measured = st.lists(
     st.tuples(
         st.integers(0, 3),
@@ -51,17 +51,9 @@ def _point(cost: float, figures: dict[str, tuple[float, float | None]], *, bette
     return Point(TimeBasis.COMPUTER, "made up", {"cost": cost}, accuracy, float(cost), None, 1)
 
 
-def _cost(point: Point) -> float | None:
-    return point.compute_s
-
-
-def _exact(rows):
-    """Whether no other row is as small in everything, and smaller in something."""
-
-    def dominates(one, other):
-        return one != other and all(a <= b for a, b in zip(one, other, strict=True))
-
-    return tuple(not any(dominates(one, other) for one in rows) for other in rows)
+def _worth(points, *names):
+    """Whether each of some points is worth its computing time."""
+    return tuple(point.pareto for point in compared(points, lambda point: point.compute_s, names))
 
 
 @given(points)
@@ -107,7 +99,7 @@ def test_an_accuracy_is_finite_or_absent(value, stderr):
 @given(measured)
 def test_within_errors_some_are_kept_and_each_other_has_a_reason_among_them(rows):
     tried = [_point(cost, figures) for cost, figures in rows]
-    kept = undominated_within_errors(tried, _cost)
+    kept = _worth(tried)
     assert any(kept) == bool(tried)
     front = [point for point, on in zip(tried, kept, strict=True) if on]
     for point, on in zip(tried, kept, strict=True):
@@ -130,46 +122,46 @@ def _reason(one: Point, point: Point) -> bool:
 @given(measured, st.integers(0, 9))
 def test_within_errors_a_dominated_setting_left_out_changes_nothing(rows, which):
     tried = [_point(cost, figures) for cost, figures in rows]
-    kept = undominated_within_errors(tried, _cost)
+    kept = _worth(tried)
     if which < len(tried) and not kept[which]:
         fewer = tried[:which] + tried[which + 1 :]
-        assert undominated_within_errors(fewer, _cost) == kept[:which] + kept[which + 1 :]
+        assert _worth(fewer) == kept[:which] + kept[which + 1 :]
 
 
 @given(measured, st.randoms(use_true_random=False))
 def test_the_order_of_settings_does_not_matter(rows, random):
     tried = [_point(cost, figures) for cost, figures in rows]
     order = random.sample(range(len(tried)), len(tried))
-    kept = undominated_within_errors(tried, _cost)
-    assert undominated_within_errors([tried[at] for at in order], _cost) == tuple(kept[at] for at in order)
-
-
-@given(pairs)
-def test_without_errors_of_their_own_both_rules_agree(rows):
-    tried = [_point(cost, {"a": (first, None), "b": (second, 0.0)}) for cost, first, second in rows]
-    assert undominated_within_errors(tried, _cost) == _exact(rows)
+    kept = _worth(tried)
+    assert _worth([tried[at] for at in order]) == tuple(kept[at] for at in order)
 
 
 def test_a_dearer_setting_is_kept_only_where_it_is_better_by_more_than_chance():
     cheap, alike, better = (_point(cost, {"E": (value, 0.3)}) for cost, value in ((1, 1.0), (2, 0.7), (3, 0.5)))
     assert joint_stderr(cheap.accuracy["E"], alike.accuracy["E"]) == pytest.approx(0.3 * math.sqrt(2))
-    assert undominated_within_errors([cheap, alike, better], _cost) == (True, False, True)
+    assert _worth([cheap, alike, better]) == (True, False, True)
 
 
 def test_more_is_better_where_a_figure_says_so():
     low, high = (_point(cost, {"A_OL": (value, 1.0)}, better="more") for cost, value in ((1, 60.0), (2, 90.0)))
     worse = _point(3, {"A_OL": (70.0, 1.0)}, better="more")
-    assert undominated_within_errors([low, high, worse], _cost) == (True, True, False)
+    assert _worth([low, high, worse]) == (True, True, False)
 
 
 def test_only_the_accuracies_asked_for_count():
     one, other = _point(1, {"a": (1, None), "b": (5, None)}), _point(2, {"a": (1, None), "b": (1, None)})
-    assert undominated_within_errors([one, other], _cost) == (True, True)
-    assert undominated_within_errors([one, other], _cost, ["a"]) == (True, False)
+    assert _worth([one, other]) == (True, True)
+    assert _worth([one, other], "a") == (True, False)
 
 
-def test_a_setting_without_a_cost_is_refused():
-    with pytest.raises(NumericsError, match="costs None"):
-        undominated_within_errors(
-            [Point(TimeBasis.STATION, "x", {}, {}, None, None, 1)], lambda point: point.station_s
-        )
+def test_a_setting_without_a_cost_or_an_accuracy_asked_for_is_not_worth_it():
+    free = Point(TimeBasis.COMPUTER, "x", {}, {"a": Accuracy(0.0, None, "mm")})
+    other = _point(2, {"a": (1, None)})
+    assert _worth([free, other, _point(1, {"b": (0, None)})], "a") == (False, True, False)
+
+
+@pytest.mark.parametrize("across_series", [False, True])
+def test_settings_are_compared_within_their_series_unless_asked_otherwise(across_series):
+    cheap, dear = _point(1, {"a": (1, None)}), replace(_point(2, {"a": (2, None)}), series="another")
+    found = compared([cheap, dear], lambda point: point.compute_s, across_series=across_series)
+    assert [point.pareto for point in found] == [True, not across_series]

@@ -16,9 +16,9 @@ from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
     choices_of_even,
+    parts_of_even,
+    parts_of_paper,
     simulated_alone,
-    subsets_of_even,
-    subsets_of_paper,
 )
 from cbsr_qa.studies.simulated import configuration_of
 
@@ -132,16 +132,16 @@ def test_held_out_loads_are_drawn_by_themselves():
 
 
 def test_every_setting_of_the_sweeps_is_within_what_is_simulated_for_it():
-    for _, setting in subsets_of_paper(quick=False):
+    for _, setting in parts_of_paper():
         assert set(setting.strains_percent) <= set(PAPER.strains_percent)
         assert setting.trials <= PAPER.trials
         assert (setting.places, setting.hold_s, setting.rest_s) == (PAPER.places, PAPER.hold_s, PAPER.rest_s)
-    for _, setting in (*subsets_of_even(quick=False), *choices_of_even()):
+    for _, setting in (*parts_of_even(quick=False), *choices_of_even()):
         assert setting.places <= EVEN.places
         assert setting.hold_s <= EVEN.hold_s
         assert (setting.strains_percent, setting.rest_s) == (EVEN.strains_percent, EVEN.rest_s)
     for quick in (True, False):
-        everything = [*subsets_of_paper(quick=quick), *subsets_of_even(quick=quick), *simulated_alone(quick=quick)]
+        everything = [*parts_of_paper(), *parts_of_even(quick=quick), *simulated_alone(quick=quick)]
         assert len(set(everything)) == len(everything)
         for _, setting in everything:
             assert dry(setting).violations == ()

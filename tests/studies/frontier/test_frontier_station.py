@@ -9,19 +9,19 @@ import pytest
 from cbsr_qa.studies.frontier import station
 from cbsr_qa.studies.frontier.sensors import simulated_sensor, station_seconds
 from cbsr_qa.studies.frontier.setting import CHECK, GRID, Setting
-from cbsr_qa.studies.frontier.station import shortened, tried_alone
+from cbsr_qa.studies.frontier.station import shortened, try_ways
 from cbsr_qa.studies.frontier.trial import UNITS, true_settling_s
 
 SHORT = Setting(6, hold_s=15.0, rest_s=10.0, first_rest_s=60.0)
+FEW = replace(SHORT, places=3, hold_s=30.0, checks=1)
 SEED = 5
 
 
 @pytest.mark.rest
 def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypatch):
     monkeypatch.setattr(station, "TEST_LOADS", 6)
-    ((averaged,), (predicted,)) = (
-        tried_alone(SEED, ("tried",), replace(SHORT, predicted=predicted)) for predicted in (False, True)
-    )
+    ways = [("tried", replace(SHORT, predicted=predicted)) for predicted in (False, True)]
+    averaged, predicted = try_ways(SHORT, SEED, ways)
     for one in (averaged, predicted):
         assert (one.series, one.seed, one.why) == ("tried", SEED, "")
         assert one.errors.keys() == UNITS.keys()
@@ -34,22 +34,20 @@ def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypat
 
 @pytest.fixture(scope="module")
 def few():
-    recipe = replace(SHORT, places=3, hold_s=30.0, checks=1).recipe("few")
-    return recipe, simulated_sensor(recipe, SEED)
+    record, _ = simulated_sensor(FEW.recipe(), SEED)
+    return record
 
 
 def test_the_dry_run_says_what_a_run_takes(few):
-    recipe, sensor = few
-    spent, said_s = dict(sensor.record.spent), station_seconds(recipe)
-    assert sum(spent.values()) == pytest.approx(sensor.record.station_s)
+    said_s = station_seconds(FEW)
+    assert sum(dict(few.spent).values()) == pytest.approx(few.station_s)
     # The simulated head begins at home, where a dry run goes first: 6.6 s. Surfaces are found at the first touch.
-    assert 0 <= said_s - sensor.record.station_s < 10.0
+    assert 0 <= said_s - few.station_s < 10.0
 
 
 def test_a_shortened_run_is_the_same_up_to_the_end_of_its_holds(few):
-    _, sensor = few
-    short = shortened(sensor.record, 12.0)
-    for before, after in zip(sensor.record.phases, short.phases, strict=True):
+    short = shortened(few, 12.0)
+    for before, after in zip(few.phases, short.phases, strict=True):
         assert after.frames is before.frames
         for one, other in zip(before.loads, after.loads, strict=True):
             if before.name != GRID:
@@ -65,12 +63,11 @@ def test_a_shortened_run_is_the_same_up_to_the_end_of_its_holds(few):
 
 
 def test_holds_that_are_no_longer_than_asked_for_stay(few):
-    _, sensor = few
-    assert shortened(sensor.record, 30.0 + 1e-6).phases == sensor.record.phases
+    assert shortened(few, 30.0 + 1e-6).phases == few.phases
 
 
 def test_the_true_settling_time_is_that_of_the_kernel(few):
-    relaxation = few[1].record.material.loading_relaxation
+    relaxation = few.material.loading_relaxation
     settled_s = true_settling_s(relaxation)
     weights, taus = np.array(relaxation.weights), np.array(relaxation.time_constants_s)
     assert abs(weights @ np.exp(-settled_s / taus)) == pytest.approx(0.15)

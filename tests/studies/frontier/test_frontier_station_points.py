@@ -9,9 +9,8 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import StoreError
 from cbsr_qa.report import json_document
 from cbsr_qa.studies.frontier.point import TimeBasis, stored
-from cbsr_qa.studies.frontier.points import station_points, worth_the_station
 from cbsr_qa.studies.frontier.setting import FARTHEST, LEAST_SURE, SUNFLOWER, Setting
-from cbsr_qa.studies.frontier.station import Tried
+from cbsr_qa.studies.frontier.station import Tried, station_points, worth_the_station
 from cbsr_qa.studies.frontier.trial import UNITS
 
 SETTING = Setting(9)
@@ -125,6 +124,5 @@ def test_what_is_worth_the_station_is_compared_over_all_series():
 
     refused = station_points([tried(1, why="no")], lambda setting: 1.0)[0][1]
     cheap, dear, better = point(10, 0.2), point(20, 0.3, "b"), point(30, 0.1, "b", settling_error=9.0)
-    assert worth_the_station([dear, cheap, refused, better]) == (False, True, False, True)
-    assert worth_the_station([refused]) == (False,)
-    assert worth_the_station([]) == ()
+    assert [one.pareto for one in worth_the_station([dear, cheap, refused, better])] == [False, True, False, True]
+    assert [one.pareto for one in worth_the_station([refused])] == [False]

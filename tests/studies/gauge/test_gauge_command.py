@@ -2,13 +2,13 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
 from filled_databases import filled
 from stored_lots import store_run
 
-from cbsr_qa.cli import guarded
 from cbsr_qa.domain.results import Limit, Measurement
 from cbsr_qa.stats.gauge import gauge_anova, largest_balanced, missing_runs, study
 from cbsr_qa.store import open_store
@@ -52,13 +52,8 @@ def crossed(tmp_path_factory):
 
 
 @pytest.fixture
-def command(capsys):
-    def run(database, *arguments):
-        code = guarded(["gauge", "--database", str(database), *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return run
+def command(run_command):
+    return partial(run_command, "gauge", "--database")
 
 
 @pytest.fixture

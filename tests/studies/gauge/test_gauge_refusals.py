@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from matplotlib.figure import Figure as Canvas
 from stored_lots import store_run
 from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
-from cbsr_qa.cli import guarded
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Measurement
 from cbsr_qa.stats.gauge import gauge_anova, missing_runs, study
@@ -20,13 +20,8 @@ pytestmark = pytest.mark.rest
 
 
 @pytest.fixture
-def command(capsys):
-    def run(*arguments):
-        code = guarded(["gauge", *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, " ".join(said.out.split()), " ".join(said.err.split())
-
-    return run
+def command(run_in_words):
+    return partial(run_in_words, "gauge")
 
 
 @pytest.fixture(scope="module")

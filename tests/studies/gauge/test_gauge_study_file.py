@@ -54,15 +54,13 @@ def crossed(tmp_path_factory):
 
 
 @pytest.fixture
-def studied(crossed, tmp_path, capsys):
+def studied(crossed, tmp_path, run_command):
     """Study a file; returns exit code, stdout and stderr."""
 
     def run(text, *arguments):
         path = tmp_path / "gain.toml"
         path.write_text(text)
-        code = guarded(["gauge", str(path), "--database", str(crossed), *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
+        return run_command("gauge", path, "--database", crossed, *arguments)
 
     return run
 

@@ -1,12 +1,11 @@
 """Fixtures of the tests of ``limits propose``: stored lots, and the command run on them."""
 
 import json
+from functools import partial
 
 import pytest
 from filled_databases import filled as fill
 from stored_lots import lot_runs
-
-from cbsr_qa.cli import guarded
 
 
 @pytest.fixture(scope="session")
@@ -30,15 +29,9 @@ def database(tmp_path):
 
 
 @pytest.fixture
-def propose(capsys):
-    """Run the command; returns its exit code, what it said, and on stderr."""
-
-    def run(database, *arguments):
-        code = guarded(["limits", "propose", "--database", str(database), *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return run
+def propose(run_command):
+    """Run the command on a database; returns its exit code, what it said, and on stderr."""
+    return partial(run_command, "limits", "propose", "--database")
 
 
 @pytest.fixture

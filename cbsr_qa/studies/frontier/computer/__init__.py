@@ -5,6 +5,6 @@ from typing import TYPE_CHECKING
 from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
-    from .sweeps import computer_tasks as computer_tasks, worth_their_time as worth_their_time
+    from .sweeps import computer_work as computer_work, worth_their_time as worth_their_time
 
 door(__name__, __file__)

@@ -4,9 +4,10 @@ Time is processor time of one core, independent of the machine's other load.
 """
 
 import time
+import timeit
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, partial
 from typing import Final, TypeVar
 
 import numpy as np
@@ -25,13 +26,10 @@ from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 
 T = TypeVar("T")
 
-SERIES_ARCS: Final = "forward-model, electrodes on the edge"
-SERIES_PINS: Final = "forward-model, pins"
-
-#: Sizes of elements [mm] by their order, coarse to fine.
-SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
-    "arc": {1: (6.0, 4.0, 3.0, 2.0, 1.4), 2: (10.0, 7.5, 6.0, 5.0, 4.0)},
-    "pin": {1: (6.0, 4.0, 3.0, 2.25, 1.6), 2: (12.0, 8.0, 6.0, 5.0, 3.5)},
+#: Series by the kind of electrodes.
+SERIES_FORWARD: Final[Mapping[str, str]] = {
+    "arc": "forward-model, electrodes on the edge",
+    "pin": "forward-model, pins",
 }
 
 _ARC_HALF_RAD: Final = 0.05  # an arc of 5 mm on a sheet of 50 mm
@@ -41,7 +39,7 @@ _INCLUSION: Final = (0.5, 3.0)  # radius over the sheet's, and conductance over 
 _HEAD_MM, _CONTRAST = 6.5, 0.5
 _ENTRY_BYTES: Final = 12  # a double and its index
 _LEAST_S: Final = 2e-3  # shorter bursts are below the clock's resolution on some systems
-_REPEATS: Final = 7
+REPEATS: Final = 7
 
 
 def timed(run: Callable[[], T]) -> tuple[T, float]:
@@ -51,25 +49,12 @@ def timed(run: Callable[[], T]) -> tuple[T, float]:
     return result, time.process_time() - before
 
 
-def fastest_s(run: Callable[[], object], repeats: int = _REPEATS) -> float:
-    """Processor time of one call [s]: the fastest of several bursts of two milliseconds."""
-    calls = _calls(run)
-    return min(_burst_s(run, calls) for _ in range(repeats)) / calls
-
-
-def _calls(run: Callable[[], object]) -> int:
-    """Number of calls per burst; the first ones also fill caches."""
-    calls = 1
-    while _burst_s(run, calls) < _LEAST_S:
+def fastest_s(run: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Processor time of one call [s]: the fastest of several bursts of two milliseconds, after one to fill caches."""
+    timer, calls = timeit.Timer(run, timer=time.process_time), 1
+    while timer.timeit(calls) < _LEAST_S:
         calls *= 2
-    return calls
-
-
-def _burst_s(run: Callable[[], object], calls: int) -> float:
-    before = time.process_time()
-    for _ in range(calls):
-        run()
-    return time.process_time() - before
+    return min(timer.repeat(repeats, calls)) / calls
 
 
 def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
@@ -90,19 +75,19 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     order : of the elements.
     size_mm : edge length far from the electrodes.
     """
-    sensor, contact_mm = (_arc_sensor(), _ARC_CONTACT_MM) if electrodes == "arc" else (_disc(), _PIN_CONTACT_MM)
+    sensor, contact_mm = _disc(), _PIN_CONTACT_MM
+    if electrodes == "arc":
+        sensor, contact_mm = replace(sensor, electrodes=_arcs()), _ARC_CONTACT_MM
     model, setup_s = timed(partial(_model, sensor, contact_mm, order, size_mm))
     accuracy = _arc_errors(model) if electrodes == "arc" else _pin_errors(model)
     return Point(
         TimeBasis.COMPUTER,
-        SERIES_ARCS if electrodes == "arc" else SERIES_PINS,
+        SERIES_FORWARD[electrodes],
         {"element_order": order, "element_size_mm": size_mm},
         {name: Accuracy(error, None, "1") for name, error in accuracy.items()},
         fastest_s(lambda: model.changed().voltages()),
-        None,
-        1,
-        f"{len(model.mesh.elements)} elements",
-        {
+        note=f"{len(model.mesh.elements)} elements",
+        costs={
             "setup_s": setup_s,
             "unknowns": float(model.elements.count),
             "memory_bytes": memory_bytes(model.elements, sensor.electrodes.count),
@@ -145,12 +130,13 @@ def _arc_errors(model: ForwardModel) -> dict[str, float]:
 def _pin_errors(model: ForwardModel) -> dict[str, float]:
     local, used = LocalUpdate(model), model.pattern.usable()
     reference, errors = model.voltages(), []
-    for (x_mm, y_mm), exact in zip(NINE_LOCATIONS_MM, _exact_loads(), strict=True):
+    unloaded, changes = _exact_pins()
+    for (x_mm, y_mm), exact in zip(NINE_LOCATIONS_MM, changes, strict=True):
         covered = cover(model.elements, RoundFootprint(x_mm, y_mm, _HEAD_MM))
         pressed = local.voltages(covered.elements, covered.change(model.conductance, _CONTRAST))
         errors.append(np.linalg.norm((pressed - reference)[used] - exact) / np.linalg.norm(exact))
     return {
-        "voltage_error": _error(model, model.readings(_exact_pins())),
+        "voltage_error": _error(model, model.readings(unloaded)),
         "load_signal_error": float(np.mean(errors)),
     }
 
@@ -160,43 +146,28 @@ def _error(model: ForwardModel, exact: Array) -> float:
     return float(np.linalg.norm((model.voltages() - exact)[used]) / np.linalg.norm(exact[used]))
 
 
-@lru_cache(maxsize=1)
+@cache
 def _disc() -> SensorType:
     return load_sensor_type("disc-100mm").value
 
 
-@lru_cache(maxsize=1)
-def _arc_sensor() -> SensorType:
-    """The shipped disc, with electrodes on its edge instead of pins."""
-    return replace(_disc(), electrodes=_arcs())
-
-
 def _arcs() -> ElectrodeLayout:
+    """Electrodes on the edge of the shipped disc instead of its pins."""
     radius_mm = _disc().radius_mm
     return ElectrodeLayout(16, ElectrodeKind.ARC, radius_mm, 2 * _ARC_HALF_RAD * radius_mm, 0.0, True)
 
 
-@lru_cache(maxsize=2)
+@cache
 def _exact_arcs(inclusion: float) -> Array:
-    radius_mm = _disc().radius_mm
+    radius_mm, angles = _disc().radius_mm, _arcs().angles_rad()
     sheet = ConcentricSheet(radius_mm, 1.0, inclusion * radius_mm, _INCLUSION[1])
-    angles = _arcs().angles_rad()
     return arc_transfer_impedance(sheet, angles, _ARC_HALF_RAD, _ARC_CONTACT_MM, modes=30, harmonics=60_000)
 
 
-@lru_cache(maxsize=1)
-def _pinned() -> PinnedDisc:
-    return PinnedDisc(_disc().radius_mm, _disc().electrodes, _PIN_CONTACT_MM)
-
-
-@lru_cache(maxsize=1)
-def _exact_pins() -> Array:
-    return _pinned().transfer_impedance()
-
-
-@lru_cache(maxsize=1)
-def _exact_loads() -> Array:
-    """Changes of the used readings under each of the nine loads alone, (9, m)."""
+@cache
+def _exact_pins() -> tuple[Array, Array]:
+    """Voltages of the unloaded disc, and changes of the used readings under each of the nine loads alone (9, m)."""
+    pinned = PinnedDisc(_disc().radius_mm, _disc().electrodes, _PIN_CONTACT_MM)
     pattern, count = _disc().pattern, len(NINE_LOCATIONS_MM)
     loads = RoundLoads.of_contrast(np.array(NINE_LOCATIONS_MM), np.full(count, _HEAD_MM), np.full(count, _CONTRAST))
-    return RoundLoadModel(_pinned(), pattern).readings(loads).change[:, pattern.usable()]
+    return pinned.transfer_impedance(), RoundLoadModel(pinned, pattern).readings(loads).change[:, pattern.usable()]

@@ -5,7 +5,7 @@ For imaging matrices: digits lost and time saved by single precision and large b
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cache, partial
 from typing import Any, Final, get_type_hints
 from zlib import crc32
 
@@ -18,15 +18,13 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import image_jacobian, imaging_problem, nominal_model
 from cbsr_qa.eit.mesh import image_mesh
 from cbsr_qa.plugin import Kind, Reconstruction, discover, options_of
-from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
+from cbsr_qa.studies.frontier.computer.forward import REPEATS, fastest_s, timed
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 
 Floats = NDArray[np.floating[Any]]
 
-SERIES: Final = "applying the matrix"
-PRECISIONS: Final = ("float32", "float64")
-BATCHES: Final = (1, 16, 256, 4096)
+SERIES_PRECISION: Final = "applying the matrix"
 SERIES_METHODS: Final = "reconstruction"
 SERIES_MESHES: Final = "image mesh"  # and the method's name
 
@@ -35,7 +33,6 @@ FACTORS: Final[Mapping[str, tuple[float, ...]]] = {
     "hyperparameter": (0.03, 0.1, 0.3, 3.0, 10.0, 30.0),
     "components": (0.25, 0.5, 0.75, 1.5, 2.0),
 }
-IMAGE_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0)
 USUAL_IMAGE_SIZE_MM: Final = 3.0
 
 _SLOW_SEEDS: Final = 2  # for methods that are not a single matrix: a frame takes them a thousand times as long
@@ -43,7 +40,6 @@ _SLOW_SEEDS: Final = 2  # for methods that are not a single matrix: a frame take
 _DIGITS: Final = 4096
 _CHOOSING: Final = frozenset({"noise_figure", "choose"})
 
-Options = tuple[tuple[str, Knob], ...]
 Prepare = Callable[[ImagingProblem], PreparedReconstruction]
 
 
@@ -52,8 +48,12 @@ class MethodSetting:
     """A registered reconstruction, its options that are not default, and the option that gives λ (empty if none)."""
 
     name: str
-    options: Options = ()
+    options: tuple[tuple[str, Knob], ...] = ()
     smoothing: str = ""
+
+    def knobs(self, **more: float) -> dict[str, Knob]:
+        """Its name, its options, and what else is set."""
+        return {"method": self.name, **dict(self.options), **more}
 
 
 #: Method of the shipped recipes.
@@ -77,14 +77,9 @@ def registered_methods() -> Iterator[MethodSetting]:
             factory()
         except CbsrError:
             continue
-        yield MethodSetting(name, (), _smoothing_of(factory))
-
-
-def _smoothing_of(factory: Callable[..., Any]) -> str:
-    if get_type_hints(getattr(factory, "prepare", None) or object).get("return") is not LinearReconstruction:
-        return ""
-    known = options_of(factory).model_fields
-    return next((option for option in FACTORS if option in known), "")
+        one_matrix = get_type_hints(getattr(factory, "prepare", object)).get("return") is LinearReconstruction
+        known = options_of(factory).model_fields if one_matrix else {}
+        yield MethodSetting(name, (), next((option for option in FACTORS if option in known), ""))
 
 
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
@@ -97,50 +92,44 @@ def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
     factor : λ, or the number of components, relative to the method's own choice.
     seeds : simulated sensors; methods that are not one matrix get two.
     """
-    knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
-    problem = imaging_problem(base_scene_readings(seeds).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
-
-    def ready() -> Prepare:
-        if factor == 1.0:
-            return made(method).prepare
-        return partial(_smoothed, method, _own_choice(method) * factor)
-
-    return _imaged(SERIES_METHODS, knobs, problem, ready, seeds, {})
+    knobs = method.knobs(smoothing_over_own=factor)
+    return _imaged(SERIES_METHODS, knobs, _problem(seeds=seeds), partial(_prepare, method, factor), seeds)
 
 
 def mesh_point(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
     """Measure one density of the image's mesh; ``setup_s`` is mesh, Jacobian, and the method with its own λ."""
-    readings = base_scene_readings(seeds)
-    knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "image_size_mm": image_size_mm}
-    problem = imaging_problem(readings.sensor_type, image_size_mm=image_size_mm)
-    _, jacobian_s = timed(partial(_linearise, readings.sensor_type, image_size_mm))
-    series = f"{SERIES_MESHES}, {method.name}"
-    return _imaged(series, knobs, problem, lambda: made(method).prepare, seeds, {"setup_s": jacobian_s})
+    problem = _problem(image_size_mm, seeds)
+    _, jacobian_s = timed(partial(_linearise, base_scene_readings(seeds).sensor_type, image_size_mm))
+    series, knobs = f"{SERIES_MESHES}, {method.name}", method.knobs(image_size_mm=image_size_mm)
+    return _imaged(series, knobs, problem, partial(_prepare, method, 1.0), seeds, jacobian_s)
 
 
 def _imaged(
     series: str,
     knobs: Mapping[str, Knob],
     problem: ImagingProblem,
-    ready: Callable[[], Prepare],
+    method: Callable[[], Prepare],
     seeds: int,
-    costs: Mapping[str, float],
+    problem_s: float = 0.0,
 ) -> Point:
-    unknowns = {"unknowns": float(len(problem.mesh.elements))}
+    """Measure a method on a problem; the time to set that up counts only if given [s]."""
+    costs = {"unknowns": float(len(problem.mesh.elements))}
     try:
-        prepared, setup_s = timed(partial(ready(), _unseen(problem, knobs)))
-        seeds = seeds if isinstance(prepared, LinearReconstruction) else min(seeds, _SLOW_SEEDS)
+        prepared, setup_s = timed(partial(method(), _unseen(problem, knobs)))
+        matrix = prepared.matrix if isinstance(prepared, LinearReconstruction) else None
+        seeds = min(seeds, _SLOW_SEEDS) if matrix is None else seeds
         readings = base_scene_readings(seeds)
         accuracy = figures_of_merit(prepared, readings)
     except CbsrError as refusal:
-        return Point(TimeBasis.COMPUTER, series, knobs, {}, None, None, seeds, refusal.reason, {**unknowns, **costs})
+        costs |= {"setup_s": problem_s} if problem_s else {}
+        return Point(TimeBasis.COMPUTER, series, knobs, {}, seeds=seeds, note=refusal.reason, costs=costs)
     frame, choice = sensor_changes(readings, 0, prepared)[1][:1], prepared.choice
     note = f"{choice.name} {choice.value:.3g}, noise figure {choice.noise_figure:.2f}"
-    costs = {**unknowns, **costs, "setup_s": setup_s + costs.get("setup_s", 0.0)}
-    if isinstance(prepared, LinearReconstruction):
-        costs["memory_bytes"] = float(prepared.matrix.nbytes)
-    frame_s = fastest_s(lambda: prepared.images(frame), _repeats(prepared))
-    return Point(TimeBasis.COMPUTER, series, knobs, accuracy, frame_s, None, seeds, note, costs)
+    costs["setup_s"] = setup_s + problem_s
+    if matrix is not None:
+        costs["memory_bytes"] = float(matrix.nbytes)
+    frame_s = fastest_s(lambda: prepared.images(frame), 1 if matrix is None else REPEATS)
+    return Point(TimeBasis.COMPUTER, series, knobs, accuracy, frame_s, seeds=seeds, note=note, costs=costs)
 
 
 def _unseen(problem: ImagingProblem, knobs: Mapping[str, Knob]) -> ImagingProblem:
@@ -151,10 +140,6 @@ def _unseen(problem: ImagingProblem, knobs: Mapping[str, Knob]) -> ImagingProble
     reference = problem.reference.copy()
     reference[0] *= 1 + (1 + crc32(repr(knobs).encode()) % _DIGITS) * np.finfo(np.float64).eps
     return replace(problem, reference=reference)
-
-
-def _repeats(prepared: PreparedReconstruction) -> int:
-    return 7 if isinstance(prepared, LinearReconstruction) else 1
 
 
 def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
@@ -172,11 +157,19 @@ def made(method: MethodSetting, **instead: float) -> Reconstruction:
     return made
 
 
-@lru_cache(maxsize=64)
+def _problem(image_size_mm: float = USUAL_IMAGE_SIZE_MM, seeds: int = 1) -> ImagingProblem:
+    return imaging_problem(base_scene_readings(seeds).sensor_type, image_size_mm=image_size_mm)
+
+
+def _prepare(method: MethodSetting, factor: float) -> Prepare:
+    """What prepares the method with its own λ, or a multiple of it."""
+    return made(method).prepare if factor == 1.0 else partial(_smoothed, method, _own_choice(method) * factor)
+
+
+@cache
 def _own_choice(method: MethodSetting) -> float:
     """λ, or its equivalent, chosen by a method on the sensor type's nominal problem."""
-    problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
-    return made(method).prepare(problem).choice.value
+    return made(method).prepare(_problem()).choice.value
 
 
 def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> PreparedReconstruction:
@@ -196,7 +189,7 @@ def precision_point(precision: str, batch: int) -> Point:
     ``compute_s`` is the time of one frame of a block, rounding of the readings included. The error is the largest
     ‖x − x₀‖/‖x₀‖ of nine loads' images, with x₀ computed in the longest floating-point numbers of the machine.
     """
-    matrix, changes = _matrix(), _changes()
+    matrix, changes = _recipes_matrix()
     block = np.resize(changes, (batch, changes.shape[1]))
     apply = applied(matrix, precision)
     exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
@@ -205,14 +198,12 @@ def precision_point(precision: str, batch: int) -> Point:
     size = np.dtype(precision).itemsize
     return Point(
         TimeBasis.COMPUTER,
-        SERIES,
+        SERIES_PRECISION,
         {"precision": precision, "batch": batch},
         {"image_error": Accuracy(relative_error(np.concatenate(images), exact), None, "1")},
         fastest_s(lambda: apply(block)) / batch,
-        None,
-        1,
-        f"{matrix.shape[1]} readings to {matrix.shape[0]} elements",
-        {
+        note=f"{matrix.shape[1]} readings to {matrix.shape[0]} elements",
+        costs={
             "unknowns": float(matrix.shape[0]),
             "memory_bytes": float(size * (matrix.size + batch * sum(matrix.shape))),
         },
@@ -236,15 +227,8 @@ def relative_error(images: Floats, exact: Floats) -> float:
     return float((apart / size).max())
 
 
-@lru_cache(maxsize=1)
-def _matrix() -> Array:
-    problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
-    return linear(made(RECIPES_METHOD).prepare(problem)).matrix
-
-
-@lru_cache(maxsize=1)
-def _changes() -> Array:
-    """Changes of a simulated sensor for the nine loads, (9, m)."""
-    readings = base_scene_readings(1)
-    problem = imaging_problem(readings.sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
-    return sensor_changes(readings, 0, made(RECIPES_METHOD).prepare(problem))[1]
+@cache
+def _recipes_matrix() -> tuple[Array, Array]:
+    """Matrix (e, m) of the shipped recipes, and changes of a simulated sensor for the nine loads (9, m)."""
+    prepared = linear(made(RECIPES_METHOD).prepare(_problem()))
+    return prepared.matrix, sensor_changes(base_scene_readings(1), 0, prepared)[1]

@@ -1,21 +1,23 @@
 """Places and sizes of nine loads in images, from simulated noisy readings of the base scene."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, Final, Literal
+from functools import lru_cache, partial
+from typing import Final
 
 import numpy as np
+from scipy.stats import sem
 
 from cbsr_qa.config import load_material, load_scene_plan, load_sensor_type
 from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.results import Image, PreparedReconstruction
-from cbsr_qa.domain.sensor import Mesh, SensorType
-from cbsr_qa.eit.imaging import contour_regions, floored, nearest_blob, noise_floor, spatial_figures
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.imaging import SpatialFigures, contour_regions, floored, nearest_blob, noise_floor, spatial_figures
 from cbsr_qa.eit.inverse import changes, scale_of
-from cbsr_qa.plugin import Kind, Plugins, discover
-from cbsr_qa.simulate import PressedLoad, SimulatedSheet, SimulatedWorld, press_loads
-from cbsr_qa.studies.frontier.point import Accuracy
+from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, press_loads
+from cbsr_qa.studies.frontier.point import Accuracy, Better
 
 NOISE_FRAMES: Final = 8  # as in the recipes: frames of the noise floor
 REFERENCE_FRAMES: Final = 4
@@ -55,59 +57,43 @@ def base_scene_readings(seeds: int) -> SimulatedReadings:
     if seeds < 1:
         raise ConfigError(f"{seeds} seeds, and no sensor to simulate", remedy="simulate at least one sensor")
     plan = load_scene_plan(_SCENE).value
-    sensor_type = load_sensor_type(str(plan.sensor_type)).value
-    heads = tuple(plan.indenter.at(*load.place_mm) for load in plan.loads)
-    plugins, unloaded, loaded = discover(), [], []
+    loads = (
+        replace(load, start_s=_FIRST_S + number * _APART_S, hold_s=_HOLD_S) for number, load in enumerate(plan.loads)
+    )
+    end_s = _FIRST_S + len(plan.loads) * _APART_S
+    plan = replace(plan, loads=tuple(loads), duration_s=end_s)
+    sensor_type, material = load_sensor_type(str(plan.sensor_type)).value, load_material(str(plan.material)).value
+    factory = partial(discover().factory, Kind.EFFECT)
     sheet: SimulatedSheet | None = None
+    unloaded, loaded = [], []
     for seed in range(1, seeds + 1):
-        world = _world(plugins, sensor_type, seed, sheet)
-        sheet = world.sheet  # the base scene's is the same for each seed
-        loads = tuple(
-            replace(load, start_s=_FIRST_S + number * _APART_S, hold_s=_HOLD_S)
-            for number, load in enumerate(plan.loads)
+        world = SimulatedWorld(
+            plan.scene, sensor_type, material, plan.indenter, seed=seed, effect_factory=factory, sheet=sheet
         )
-        end_s = _FIRST_S + len(loads) * _APART_S
-        pressed = press_loads(world, replace(plan, loads=loads, duration_s=end_s), end_s)
-        unloaded.append([_frame(world, index) for index in range(NOISE_FRAMES + REFERENCE_FRAMES)])
-        loaded.append([_steady(world, load) for load in pressed])
+        sheet = world.sheet  # the base scene's is the same for each seed
+        unloaded.append(_frames(world, 0, NOISE_FRAMES + REFERENCE_FRAMES))
+        steady = []
+        for pressed in press_loads(world, plan, end_s):
+            last = int(pressed.record.release_start_s / world.setting.frame_period_s)
+            steady.append(_frames(world, last - STEADY_FRAMES, last).mean(axis=0))
+        loaded.append(steady)
+    heads = tuple(plan.indenter.at(*load.place_mm) for load in plan.loads)
     return SimulatedReadings(sensor_type, heads, np.array(unloaded), np.array(loaded))
 
 
-def _world(plugins: Plugins, sensor_type: SensorType, seed: int, sheet: SimulatedSheet | None) -> SimulatedWorld:
-    plan = load_scene_plan(_SCENE).value
-
-    def effect(name: str) -> Any:
-        return plugins.factory(Kind.EFFECT, name)
-
-    return SimulatedWorld(
-        plan.scene,
-        sensor_type,
-        load_material(str(plan.material)).value,
-        plan.indenter,
-        seed=seed,
-        effect_factory=effect,
-        sheet=sheet,
-    )
-
-
-def _frame(world: SimulatedWorld, index: int) -> Array:
-    return world.voltages_V((index + 0.5) * world.setting.frame_period_s, index)
-
-
-def _steady(world: SimulatedWorld, pressed: PressedLoad) -> Array:
-    last = int(pressed.record.release_start_s / world.setting.frame_period_s)
-    frames = np.array([_frame(world, index) for index in range(last - STEADY_FRAMES, last)])
-    mean: Array = frames.mean(axis=0)
-    return mean
+def _frames(world: SimulatedWorld, first: int, end: int) -> Array:
+    """Readings (k, drives, measures) of consecutive frames [V]."""
+    period_s = world.setting.frame_period_s
+    return np.array([world.voltages_V((index + 0.5) * period_s, index) for index in range(first, end)])
 
 
 _MASK: Final = 0.85  # the recipes' main mask
 _ROUNDING: Final = 1e-9  # smaller values are not signal, however quiet the unloaded frames
-#: Figures of merit: unit, and direction of improvement.
-_FIGURES: Final[dict[str, tuple[str, Literal["more", "less"]]]] = {
-    "E_CoM": ("mm", "less"),
-    "A_OL": ("%", "more"),
-    "SD": ("mm²", "less"),
+#: Figures of merit: attribute, unit, and direction of improvement.
+_FIGURES: Final[dict[str, tuple[str, str, Better]]] = {
+    "E_CoM": ("error_mm", "mm", "less"),
+    "A_OL": ("overlap_percent", "%", "more"),
+    "SD": ("deviation_mm2", "mm²", "less"),
 }
 
 
@@ -117,12 +103,14 @@ def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadin
     As a run of the shipped recipes does: changes against the mean of the reference frames, the noise floor of the
     unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
     """
-    seen = np.array([_sensor(prepared, readings, number) for number in range(len(readings.loaded))])
-    figures = {"missed": _mean(np.isnan(seen[:, :, 0]).mean(axis=1), "1")}
-    known = seen[~np.isnan(seen[:, :, 0]).all(axis=1)]
-    for column, (name, (unit, better)) in enumerate(_FIGURES.items()):
-        if len(known):
-            figures[name] = _mean(np.nanmean(known[:, :, column], axis=1), unit, better)
+    seen = [_sensor(prepared, readings, number) for number in range(len(readings.loaded))]
+    found = [[figures for figures in sensor if figures is not None] for sensor in seen]
+    missed = [1 - len(some) / len(readings.heads) for some in found]
+    figures = {"missed": _mean(missed, "1")}
+    for name, (attribute, unit, better) in _FIGURES.items():
+        means = [np.mean([getattr(each, attribute) for each in some]) for some in found if some]
+        if means:
+            figures[name] = _mean(means, unit, better)
     return figures
 
 
@@ -135,27 +123,21 @@ def sensor_changes(readings: SimulatedReadings, number: int, prepared: PreparedR
     return changes(quiet, reference, problem, scale), changes(loaded, reference, problem, scale)
 
 
-def _sensor(prepared: PreparedReconstruction, readings: SimulatedReadings, number: int) -> list[Array]:
-    """Figures of each load of one sensor, (n, 3); NaN without a blob."""
+def _sensor(
+    prepared: PreparedReconstruction, readings: SimulatedReadings, number: int
+) -> list[SpatialFigures | None]:
+    """Figures of each load of one sensor; None without a region."""
     quiet, loaded = sensor_changes(readings, number, prepared)
     floor = max(noise_floor(prepared.images(quiet)), _ROUNDING)
-    # One frame at a time, as on a rig: an image must not depend on its neighbours.
-    return [
-        _load(prepared.images(change[None])[0], prepared.problem.mesh, head, floor)
-        for change, head in zip(loaded, readings.heads, strict=True)
-    ]
+    seen: list[SpatialFigures | None] = []
+    for change, head in zip(loaded, readings.heads, strict=True):
+        (image,) = prepared.images(change[None])  # one frame at a time, as on a rig: independent of its neighbours
+        regions = contour_regions(Image(prepared.problem.mesh, floored(image, floor)), _MASK)
+        seen += spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
+    return seen
 
 
-def _load(image: Array, mesh: Mesh, head: Footprint, floor: float) -> Array:
-    regions = contour_regions(Image(mesh, floored(image, floor)), _MASK)
-    (figures,) = spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
-    if figures is None:
-        return np.full(len(_FIGURES), np.nan)
-    return np.array([figures.error_mm, figures.overlap_percent, figures.deviation_mm2])
-
-
-def _mean(values: Array, unit: str, better: Literal["more", "less"] = "less") -> Accuracy:
+def _mean(values: Sequence[float], unit: str, better: Better = "less") -> Accuracy:
     """Mean over sensors with its standard error, which needs at least two."""
-    count = len(values)
-    stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
-    return Accuracy(float(values.mean()), stderr, unit, better)
+    stderr = float(sem(values)) if len(values) > 1 else None
+    return Accuracy(float(np.mean(values)), stderr, unit, better)

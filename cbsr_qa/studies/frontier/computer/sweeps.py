@@ -1,7 +1,6 @@
-"""Sweeps of computing time: tasks that can be measured in any order and any process."""
+"""Sweeps of computing time: work that can be measured in any order and any process."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -10,127 +9,108 @@ import scipy
 
 import cbsr_qa
 from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.studies.frontier.computer.forward import SERIES_ARCS, SERIES_PINS, SIZES_MM, forward_point
+from cbsr_qa.studies.frontier.computer.forward import SERIES_FORWARD, forward_point
 from cbsr_qa.studies.frontier.computer.imaging import (
-    BATCHES,
     FACTORS,
-    IMAGE_SIZES_MM,
-    PRECISIONS,
     RECIPES_METHOD,
-    SERIES as SERIES_PRECISION,
     SERIES_MESHES,
     SERIES_METHODS,
+    SERIES_PRECISION,
     MethodSetting,
     mesh_point,
     method_point,
     precision_point,
     registered_methods,
 )
-from cbsr_qa.studies.frontier.point import Knob, Point, Task
-from cbsr_qa.studies.frontier.recommend import undominated_within_errors
+from cbsr_qa.studies.frontier.point import Knob, Point
+from cbsr_qa.studies.frontier.recommend import compared
+from cbsr_qa.studies.sweep import Work
 
-SEEDS: Final = 8
-QUICK_SEEDS: Final = 3
-
-_VERSION: Final = 1  # of the measured quantity: points of different versions are not comparable
-_QUICK_SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
-    "arc": {1: (3.0,), 2: (10.0, 7.5)},
-    "pin": {1: (3.0,), 2: (12.0, 8.0)},
+# Of the whole sweep (False) and of the quick one (True).
+_SEEDS: Final = {False: 8, True: 3}
+#: Sizes of elements [mm] by electrodes and order, coarse to fine.
+_SIZES_MM: Final[Mapping[bool, Mapping[tuple[str, int], tuple[float, ...]]]] = {
+    False: {
+        ("arc", 1): (6.0, 4.0, 3.0, 2.0, 1.4),
+        ("arc", 2): (10.0, 7.5, 6.0, 5.0, 4.0),
+        ("pin", 1): (6.0, 4.0, 3.0, 2.25, 1.6),
+        ("pin", 2): (12.0, 8.0, 6.0, 5.0, 3.5),
+    },
+    True: {("arc", 1): (3.0,), ("arc", 2): (10.0, 7.5), ("pin", 1): (3.0,), ("pin", 2): (12.0, 8.0)},
 }
+_BATCHES: Final = {False: (1, 16, 256, 4096), True: (1, 256)}
 _LAPLACE: Final = MethodSetting("gauss-newton-laplace", (), "hyperparameter")
 _GREIT: Final = MethodSetting("greit", (), "hyperparameter")
-#: Settings of image and mesh in the quick sweep.
 _QUICK_METHODS: Final = ((RECIPES_METHOD, 0.3), (RECIPES_METHOD, 1.0), (RECIPES_METHOD, 3.0), (_LAPLACE, 1.0))
-_QUICK_MESHES: Final = ((RECIPES_METHOD, 6.0), (RECIPES_METHOD, 3.0), (_GREIT, 6.0))
-_GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds on finer meshes
-_QUICK_BATCHES: Final = (1, 256)
+#: Sizes of the image's elements by method, coarse to fine; GREIT's training takes seconds on finer meshes.
+_IMAGE_SIZES_MM: Final[Mapping[bool, Mapping[MethodSetting, tuple[float, ...]]]] = {
+    False: {RECIPES_METHOD: (8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0), _GREIT: (8.0, 6.0, 5.0, 4.0, 3.0)},
+    True: {RECIPES_METHOD: (6.0, 3.0), _GREIT: (6.0,)},
+}
+
+_VERSION: Final = 1  # of the measured quantity: points of different versions are not comparable
 
 
-def computer_tasks(*, quick: bool = False) -> list[Task]:
-    """Return the tasks of computing time; for the quick sweep a few of each series."""
-    return [
-        *_forward(_QUICK_SIZES_MM if quick else SIZES_MM),
-        *_precision(_QUICK_BATCHES if quick else BATCHES),
-        *_methods(quick),
-        *_meshes(quick),
-    ]
+def computer_work(*, quick: bool = False) -> Iterator[Work]:
+    """Yield measurements of computing time, whose result is one point each; for the quick sweep a few of a series."""
+    for (electrodes, order), sizes_mm in _SIZES_MM[quick].items():
+        for size_mm in sizes_mm:
+            knobs: dict[str, Knob] = {"element_order": order, "element_size_mm": size_mm}
+            yield _work(SERIES_FORWARD[electrodes], knobs, partial(forward_point, electrodes, order, size_mm))
+    for precision in ("float32", "float64"):
+        for batch in _BATCHES[quick]:
+            run = partial(precision_point, precision, batch)
+            yield _work(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
+    seeds = _SEEDS[quick]
+    for method, factor in _QUICK_METHODS if quick else _methods():
+        run = partial(method_point, method, factor, seeds)
+        yield _of_method(SERIES_METHODS, method, run, seeds, smoothing_over_own=factor)
+    for method, sizes_mm in _IMAGE_SIZES_MM[quick].items():
+        for size_mm in sizes_mm:
+            run = partial(mesh_point, method, size_mm, seeds)
+            yield _of_method(f"{SERIES_MESHES}, {method.name}", method, run, seeds, image_size_mm=size_mm)
 
 
-def worth_their_time(points: Sequence[Point]) -> tuple[bool, ...]:
-    """Return for every point whether it is undominated within errors among those of its series.
+def worth_their_time(points: Sequence[Point]) -> list[Point]:
+    """Mark which points are undominated within errors among those of their series.
 
     Settings with one matrix of the same size do the same arithmetic: measured differences are chance, and each gets
     the lowest cost. A refused setting is never worth its time.
     """
-    costs = _shared_costs(points)
-    flags = [False] * len(points)
-    for series in {point.series for point in points}:
-        members = [at for at, point in enumerate(points) if point.series == series and at in costs]
-        priced = [replace(points[at], compute_s=costs[at]) for at in members]
-        kept = undominated_within_errors(priced, lambda point: point.compute_s)
-        for at, on in zip(members, kept, strict=True):
-            flags[at] = on
-    return tuple(flags)
+    measured = [point for point in points if point.compute_s is not None and point.accuracy]
+    least: dict[float, float] = {}
+    for point in measured:
+        size = _matrix_bytes(point)
+        least[size] = min(least.get(size, np.inf), point.compute_s or 0.0)
+
+    def shared_s(point: Point) -> float | None:
+        shared = least.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
+        return shared if point.accuracy else None
+
+    return compared(points, shared_s)
 
 
-def _forward(sizes_mm: Mapping[str, Mapping[int, tuple[float, ...]]]) -> Iterator[Task]:
-    for electrodes, by_order in sizes_mm.items():
-        series = SERIES_ARCS if electrodes == "arc" else SERIES_PINS
-        for order, sizes in by_order.items():
-            for size in sizes:
-                knobs: dict[str, Knob] = {"element_order": order, "element_size_mm": size}
-                yield _task(series, knobs, partial(forward_point, electrodes, order, size))
+def _methods() -> Iterator[tuple[MethodSetting, float]]:
+    for method in (*registered_methods(), RECIPES_METHOD):
+        for factor in sorted((1.0, *FACTORS.get(method.smoothing, ()))):
+            yield method, factor
 
 
-def _precision(batches: Sequence[int]) -> Iterator[Task]:
-    for precision in PRECISIONS:
-        for batch in batches:
-            run = partial(precision_point, precision, batch)
-            yield _task(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
+def _of_method(series: str, method: MethodSetting, run: Callable[[], Point], seeds: int, **knob: float) -> Work:
+    registered = (plugin for plugin in discover().registrations(Kind.RECONSTRUCTION) if plugin.name == method.name)
+    distribution = next((f"{plugin.distribution} {plugin.version}" for plugin in registered), "")
+    return _work(series, method.knobs(**knob), run, seeds=seeds, plugin=distribution)
 
 
-def _methods(quick: bool) -> Iterator[Task]:
-    seeds = QUICK_SEEDS if quick else SEEDS
-    settings = list(_QUICK_METHODS) if quick else []
-    for method in () if quick else (*registered_methods(), RECIPES_METHOD):
-        settings += [(method, factor) for factor in sorted((1.0, *FACTORS.get(method.smoothing, ())))]
-    for method, factor in settings:
-        knobs = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
-        run = partial(method_point, method, factor, seeds)
-        yield _task(SERIES_METHODS, knobs, run, seeds=seeds, plugin=_distribution(method))
-
-
-def _meshes(quick: bool) -> Iterator[Task]:
-    every = [(RECIPES_METHOD, size) for size in IMAGE_SIZES_MM] + [(_GREIT, size) for size in _GREIT_SIZES_MM]
-    seeds = QUICK_SEEDS if quick else SEEDS
-    for method, size in _QUICK_MESHES if quick else every:
-        knobs = {"method": method.name, **dict(method.options), "image_size_mm": size}
-        run = partial(mesh_point, method, size, seeds)
-        yield _task(f"{SERIES_MESHES}, {method.name}", knobs, run, seeds=seeds, plugin=_distribution(method))
-
-
-def _task(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **more: Any) -> Task:
+def _work(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **more: Any) -> Work:
     setting = ", ".join(f"{name}={value}" for name, value in knobs.items())
     versions = {"cbsr-qa": cbsr_qa.__version__, "numpy": np.__version__, "scipy": scipy.__version__}
     known = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
-    return Task(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", run)
+    return Work(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", partial(_measured, run))
 
 
-def _distribution(method: MethodSetting) -> str:
-    registered = (plugin for plugin in discover().registrations(Kind.RECONSTRUCTION) if plugin.name == method.name)
-    return next((f"{plugin.distribution} {plugin.version}" for plugin in registered), "")
-
-
-def _shared_costs(points: Sequence[Point]) -> dict[int, float]:
-    """Time of every point that has one, by index [s]."""
-    costs, least = {}, dict[tuple[str, float], float]()
-    for at, point in enumerate(points):
-        if point.compute_s is not None and point.accuracy:
-            costs[at] = point.compute_s
-            if size := _matrix_bytes(point):
-                key = (point.series, size)
-                least[key] = min(least.get(key, point.compute_s), point.compute_s)
-    return {at: least.get((points[at].series, _matrix_bytes(points[at])), cost) for at, cost in costs.items()}
+def _measured(run: Callable[[], Point]) -> list[Point]:
+    return [run()]
 
 
 def _matrix_bytes(point: Point) -> float:

@@ -5,9 +5,8 @@ from typing import Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from cbsr_qa.report.draw import BLUE, FAINT, INK, VERMILION, canvas, dots, drawn, plot
+from cbsr_qa.report.draw import BLUE, FAINT, INK, VERMILION, canvas, dots, drawn, plain_ticks, plot
 from cbsr_qa.studies.frontier.point import Point
 from cbsr_qa.studies.frontier.presses.needed import PLACE
 
@@ -39,10 +38,7 @@ def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], wish_mm: float
         held.text(1.01, stated, f"{stated} %", transform=held.get_yaxis_transform(), va="center", fontsize=7)
     held.set_ylim(min(40.0, held.get_ylim()[0]), 103)
     for axis in (error.xaxis, held.xaxis, error.yaxis):
-        low, high = axis.get_view_interval()
-        axis.set_major_locator(FixedLocator([tick for tick in _TICKS if low <= tick <= high]))
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        plain_ticks(axis, _TICKS)
     error.legend(frameon=False, fontsize=7, loc="lower left")
     return figure
 

@@ -5,8 +5,8 @@ nothing of the presses located is known. Registering takes half the time of a dr
 400, which registering once on all presses would save.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,9 +17,10 @@ from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, Ref
 from cbsr_qa.report import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
 from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, loose_regions, recommended_presses
-from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, try_presses
-from cbsr_qa.studies.frontier.recommend import undominated_within_errors
+from cbsr_qa.studies.frontier.presses.trial import Trial, try_presses
+from cbsr_qa.studies.frontier.recommend import compared
 from cbsr_qa.studies.frontier.study import Frontier
+from cbsr_qa.studies.sweep import Tell
 
 AT_RANDOM: Final = "drawn at random"
 IN_ORDER: Final = "first of the session, locating its last"
@@ -35,15 +36,8 @@ _MOST_LOCATED: Final = 500
 _LEARNED: Final = {True: 100, False: 400}
 _DRAWS: Final = {True: (1, 3), False: (2, 20)}
 
-Tell = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Draw:
-    series: str
-    presses: LabelledPresses
-    learned: Indices
-    located: Indices
+#: Series, presses (without times if drawn at random), and the rows learned from and located.
+_Draw = tuple[str, LabelledPresses, Indices, Indices]
 
 
 def press_frontier(
@@ -76,18 +70,17 @@ def press_frontier(
     labelled = labelled.some(np.flatnonzero(changed))
     draws = list(_draws(labelled, quick=quick))
     tried: dict[tuple[str, int], list[Trial | str]] = {}
-    for done, draw in enumerate(draws):
-        tell(done, len(draws), f"{len(draw.learned)} presses, {draw.series}")
-        tried.setdefault((draw.series, len(draw.learned)), []).append(_tried(draw))
+    for done, (series, presses, learned, located) in enumerate(draws):
+        tell(done, len(draws), f"{len(learned)} presses, {series}")
+        tried.setdefault((series, len(learned)), []).append(_tried(presses, learned, located))
     tell(len(draws), len(draws), "")
     pace_s = _pace_s(labelled.presses.time_s)
     unchanged = int((~changed).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
-    found = (_point(*key, trials, pace_s, note) for key, trials in tried.items())
-    points = _compared([point for point in found if point is not None])
+    found = [_point(*key, trials, pace_s, note) for key, trials in tried.items()]
+    points = compared([each for each in found if isinstance(each, Point)], _presses, [PLACE])
     if not points:
-        why = next(each for trials in tried.values() for each in trials if isinstance(each, str))
-        raise RefusedError(f"nothing can be learned from any draw of these presses: {why}")
+        raise RefusedError(f"nothing can be learned from any draw of these presses: {found[0]}")
     chosen = recommended_presses([point for point in points if point.series == AT_RANDOM], wish_mm)
     return Frontier(quick, tuple(points), chosen)
 
@@ -113,13 +106,15 @@ def numbers_of(total: int) -> list[int]:
 def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
     places_mm = labelled.presses.place_mm
     visits, total = visits_of(places_mm - places_mm.mean(axis=0)), len(places_mm)
-    numbers, still = numbers_of(total), in_random_order(labelled)
+    numbers = numbers_of(total)
+    # Randomly drawn presses lie between those located, and need no drift.
+    timeless = replace(labelled, presses=replace(labelled.presses, time_s=None))
     for number in numbers:
         for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
             random = np.random.default_rng([*b"presses", number, split])
             located = _at_some_places(visits, _left_out(total), random)
             others = random.permutation(np.setdiff1d(np.arange(total), located))
-            yield _Draw(AT_RANDOM, still, others[:number], located[:_MOST_LOCATED])
+            yield AT_RANDOM, timeless, others[:number], located[:_MOST_LOCATED]
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
     early = [number for number in numbers if number <= total / 2]
@@ -127,7 +122,7 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
         learned, last = session[:number], session[-_left_out(total) :][-_MOST_LOCATED:]
         last = last[~np.isin(visits[last], visits[learned])]
         if len(last) >= _FEWEST_LOCATED:
-            yield _Draw(IN_ORDER, labelled, learned, last)
+            yield IN_ORDER, labelled, learned, last
 
 
 def _left_out(total: int) -> int:
@@ -143,10 +138,10 @@ def _at_some_places(visits: Indices, count: int, random: np.random.Generator) ->
     return random.permutation(np.flatnonzero(np.isin(visits, places[order[:drawn]])))
 
 
-def _tried(draw: _Draw) -> Trial | str:
+def _tried(presses: LabelledPresses, learned: Indices, located: Indices) -> Trial | str:
     """Result of a draw, or why nothing could be learned from it."""
     try:
-        return try_presses(draw.presses, draw.learned, draw.located)
+        return try_presses(presses, learned, located)
     except (RecordingError, CalibrationError) as error:
         return error.reason
 
@@ -158,17 +153,17 @@ def _pace_s(time_s: Array | None) -> float | None:
     return float(np.median(np.diff(np.sort(time_s))))
 
 
-def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None, note: str) -> Point | None:
+def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None, note: str) -> Point | str:
+    """Combine the draws of a number, or return why nothing could be learned from any."""
     whole = [each for each in trials if isinstance(each, Trial)]
-    if not whole:
-        return None
     refused = [each for each in trials if isinstance(each, str)]
+    if not whole:
+        return refused[0]
     failed = f"nothing learned from {len(refused)} of {len(trials)} draws: {refused[0]}" if refused else ""
-    inside = [each.inside.T.astype(float) for each in whole]
     accuracy = {
         PLACE: _mean(whole, [each.error_mm for each in whole], "mm", "less"),
-        COVERED["68"]: _mean(whole, [each[0] for each in inside], "1", "stated"),
-        COVERED["95"]: _mean(whole, [each[1] for each in inside], "1", "stated"),
+        COVERED["68"]: _mean(whole, [each.inside[:, 0].astype(float) for each in whole], "1", "stated"),
+        COVERED["95"]: _mean(whole, [each.inside[:, 1].astype(float) for each in whole], "1", "stated"),
         "in_model": _mean(whole, [each.in_model.astype(float) for each in whole], "1", "more"),
     }
     return Point(
@@ -200,11 +195,5 @@ def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: B
     return Accuracy(float(np.mean(means)), float(np.sqrt(between / len(means) + within / different)), unit, better)
 
 
-def _compared(points: Sequence[Point]) -> list[Point]:
-    """The same with what is worth its presses marked, within each series."""
-    compared = []
-    for series in dict.fromkeys(point.series for point in points):
-        members = [point for point in points if point.series == series]
-        worth = undominated_within_errors(members, lambda point: float(point.knobs["presses"]), [PLACE])
-        compared += [replace(point, pareto=on) for point, on in zip(members, worth, strict=True)]
-    return compared
+def _presses(point: Point) -> float:
+    return float(point.knobs["presses"])

@@ -1,7 +1,7 @@
 """One draw of presses, learned as by ``cbsr-qa calibrate``; others are located."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -33,11 +33,6 @@ class Trial:
     in_model: Mask
     learning_s: float
     frame_s: float
-
-
-def in_random_order(labelled: LabelledPresses) -> LabelledPresses:
-    """The same without times: randomly drawn presses lie between those located, and need no drift."""
-    return replace(labelled, presses=replace(labelled.presses, time_s=None))
 
 
 def try_presses(labelled: LabelledPresses, learned: Indices, located: Indices) -> Trial:

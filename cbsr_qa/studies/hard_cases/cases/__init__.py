@@ -1,24 +1,18 @@
 """Hard cases, by area."""
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import Final
 
-from cbsr_qa.lazy import door
+from cbsr_qa.studies.hard_cases.case import HardCase
 
-if TYPE_CHECKING:
-    from . import (
-        calibration as calibration,
-        forward as forward,
-        forward_exact as forward_exact,
-        forward_loads as forward_loads,
-        geometry as geometry,
-        imaging as imaging,
-        loads as loads,
-        readings as readings,
-        reconstruction as reconstruction,
-        relaxation as relaxation,
-        smoothness as smoothness,
-        statistics as statistics,
-        time as time,
-    )
+#: Modules of cases, in the order of display.
+_MODULES: Final = (
+    *("forward", "forward_exact", "forward_loads", "readings", "reconstruction", "smoothness", "imaging"),
+    *("geometry", "relaxation", "calibration", "loads", "time", "statistics"),
+)
 
-door(__name__, __file__)
+
+def all_cases() -> tuple[HardCase, ...]:
+    """Every case, in order of area."""
+    areas = (import_module(f"{__name__}.{name}").AREA for name in _MODULES)
+    return tuple(case for area in areas for case in area.cases)

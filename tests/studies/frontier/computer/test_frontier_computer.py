@@ -15,11 +15,7 @@ from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice, linear
 from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.report import json_document
-from cbsr_qa.studies.frontier.computer import (
-    forward as computer_forward,
-    imaging as computer_imaging,
-    imaging as computer_precision,
-)
+from cbsr_qa.studies.frontier.computer import forward as computer_forward, imaging as computer_imaging
 from cbsr_qa.studies.frontier.computer.forward import fastest_s, forward_point, timed
 from cbsr_qa.studies.frontier.computer.imaging import (
     RECIPES_METHOD,
@@ -32,9 +28,9 @@ from cbsr_qa.studies.frontier.computer.imaging import (
     relative_error,
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
-from cbsr_qa.studies.frontier.computer.sweeps import computer_tasks, worth_their_time
+from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
-from cbsr_qa.studies.frontier.station import choices_of_even, simulated_alone, subsets_of_even, subsets_of_paper
+from cbsr_qa.studies.frontier.station import choices_of_even, parts_of_even, parts_of_paper, simulated_alone
 from cbsr_qa.testing import assert_expected_order
 
 
@@ -46,7 +42,7 @@ def _untimed(monkeypatch):
         run()
         return 1e-3
 
-    for module in (computer_forward, computer_imaging, computer_precision):
+    for module in (computer_forward, computer_imaging):
         monkeypatch.setattr(module, "fastest_s", once)
 
 
@@ -196,7 +192,7 @@ def test_a_setting_that_is_refused_is_a_point_that_says_why():
     assert point.accuracy == {}
     assert point.compute_s is None
     assert "cannot be reached" in point.note
-    assert worth_their_time([point]) == (False,)
+    assert not worth_their_time([point])[0].pareto
 
 
 def test_a_count_that_would_part_a_pair_takes_the_next():
@@ -267,11 +263,9 @@ def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision(
 def test_the_page_has_a_table_of_every_series():
     page = Path(__file__).parents[4] / "docs" / "explanation" / "what-accuracy-costs.md"
     tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
-    computer = {task.what.split(": ")[0] for task in computer_tasks()}
-    station = {
-        series for found in (subsets_of_paper, subsets_of_even, simulated_alone) for series, _ in found(quick=False)
-    }
-    station |= {series for series, _ in choices_of_even()}
+    computer = {work.what.split(": ")[0] for work in computer_work()}
+    ways = (*parts_of_paper(), *parts_of_even(quick=False), *choices_of_even(), *simulated_alone(quick=False))
+    station = {series for series, _ in ways}
     assert {name for name, _ in tables} == computer | station
     assert all(len(table.splitlines()) > 4 for _, table in tables)
 
@@ -282,17 +276,15 @@ def test_the_page_has_a_table_of_every_series():
 @pytest.mark.rest
 def test_tasks_have_keys_of_their_own_that_stay_the_same():
     for quick in (True, False):
-        tasks = computer_tasks(quick=quick)
-        keys = [task.key for task in tasks]
+        keys = [work.key for work in computer_work(quick=quick)]
         assert len(set(keys)) == len(keys)
-        assert keys == [task.key for task in computer_tasks(quick=quick)]
-        assert keys == [task.key for task in pickle.loads(pickle.dumps(tasks))]
-    assert {task.key for task in computer_tasks(quick=True)} != set(keys)
+        assert keys == [work.key for work in computer_work(quick=quick)]
+    assert {work.key for work in computer_work(quick=True)} != set(keys)
 
 
 def test_a_task_is_the_same_point_in_another_process_and_out_of_a_file():
-    task = next(task for task in computer_tasks(quick=True) if "reconstruction" in task.what)
-    here, there = task.run(), pickle.loads(pickle.dumps(task)).run()
+    work = next(work for work in computer_work(quick=True) if "reconstruction" in work.what)
+    (here,), (there,) = work.run(), pickle.loads(pickle.dumps(work)).run()
     assert there.accuracy == here.accuracy
     assert there.knobs == here.knobs
     assert stored(Point, json_document(here)) == here
@@ -303,11 +295,14 @@ def test_settings_of_the_same_arithmetic_are_not_told_apart_by_the_clock():
         accuracy = {"E_CoM": Accuracy(error, 0.1, "mm")}
         return Point(TimeBasis.COMPUTER, series, {}, accuracy, compute_s, None, 3, "", {"memory_bytes": size})
 
+    def worth(*points):
+        return [point.pareto for point in worth_their_time(points)]
+
     one, other = point("reconstruction", 1.0, 1.0e-4, 8.0), point("reconstruction", 0.95, 1.1e-4, 8.0)
-    assert worth_their_time([one, other]) == (False, True)
+    assert worth(one, other) == [False, True]
     larger = replace(other, costs={"memory_bytes": 16.0})  # that it takes longer is then its own doing
-    assert worth_their_time([one, larger]) == (True, False)
-    assert worth_their_time([one, replace(other, series="another")]) == (True, True)
+    assert worth(one, larger) == [True, False]
+    assert worth(one, replace(other, series="another")) == [True, True]
 
 
 def test_a_burst_is_timed_as_a_whole_and_what_comes_of_it_kept():

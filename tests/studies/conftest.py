@@ -1,0 +1,27 @@
+"""Commands of studies, run in this process."""
+
+import pytest
+
+from cbsr_qa.cli import guarded
+
+
+@pytest.fixture
+def run_command(capsys):
+    """Run a command; returns its exit code, what it wrote to stdout, and to stderr."""
+
+    def run(*arguments):
+        code = guarded([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def run_in_words(run_command):
+    """The same with both texts on one line each, whatever their layout."""
+
+    def run(*arguments):
+        code, *texts = run_command(*arguments)
+        return code, *(" ".join(text.split()) for text in texts)
+
+    return run
