@@ -19,7 +19,7 @@ from cbsr_qa.studies.frontier import PAPER, Setting, Tried, try_ways
 
 Array = NDArray[np.float64]
 
-#: What ``cbsr-qa frontier`` recommends without a wish.
+#: What ``cbsr-qa frontier`` recommends without a target.
 RECOMMENDED = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
 #: Of both errors, place known and place estimated.
 FIGURES = {"force_error": "place known", "force_error_found": "place found"}

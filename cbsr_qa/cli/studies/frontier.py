@@ -88,7 +88,7 @@ def frontier(
     given = given_options(context)
     if recording is not None:
         _refuse(given & _SIMULATED, "is not for --recording but for the simulated sweep")
-        wish_mm = _amount("--place-error", place_error, _MILLIMETRES, "a distance above 0 with its unit, e.g. 2mm")
+        target_mm = _amount("--place-error", place_error, _MILLIMETRES, "a distance above 0 with its unit, e.g. 2mm")
         if presses is None or sensor_type is None:
             missing = "--presses" if presses is None else "--sensor-type"
             raise RefusedError(f"--recording needs {missing}", remedy="give it as to cbsr-qa calibrate")
@@ -96,12 +96,12 @@ def frontier(
         from cbsr_qa.analysis.recording import PressFiles
 
         files = PressFiles(recording, presses, sensor_type, pattern, differences, rest)
-        show(_of_presses(files, wish_mm, quick=quick), output=output, as_json=as_json)
+        show(_of_presses(files, target_mm, quick=quick), output=output, as_json=as_json)
         return
     _refuse(given & _RECORDED, "is for presses of your own, and --recording is missing")
-    from cbsr_qa.studies.frontier import Files, TimeBasis, Wish, frontier as sweep, frontier_outcome, write_png
+    from cbsr_qa.studies.frontier import Files, Target, TimeBasis, frontier as sweep, frontier_outcome, write_png
 
-    wish = Wish(
+    target = Target(
         _amount("--force-error", force_error, _NEWTONS, "a force above 0 with its unit, e.g. 0.5N or 80mN"),
         _amount("--budget", budget, _SECONDS, "a time above 0 with its unit, e.g. 20min, 1.5h or 900s"),
     )
@@ -112,7 +112,7 @@ def frontier(
         counting.stage("what accuracy costs in time")
         swept = sweep(
             tuple(TimeBasis(time) for time in _CLOCKS[clock]),
-            wish,
+            target,
             Files(recipe, output, png),
             quick=quick,
             fresh=fresh,
@@ -126,15 +126,15 @@ def frontier(
     show(frontier_outcome(swept), output=output, as_json=as_json)
 
 
-def _of_presses(files: "PressFiles", wish_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
+def _of_presses(files: "PressFiles", target_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
     from cbsr_qa.analysis.recording import read_labelled_presses
     from cbsr_qa.studies.frontier.presses import press_frontier, press_outcome
 
     with Counting("draws of presses") as counting:
         counting.stage("what accuracy costs in presses")
         labelled, _ = read_labelled_presses(files)
-        swept = press_frontier(labelled, wish_mm, quick=quick, tell=lambda done, of, _: counting.count(done, of))
-    return press_outcome(swept, files.readings.name, wish_mm)
+        swept = press_frontier(labelled, target_mm, quick=quick, tell=lambda done, of, _: counting.count(done, of))
+    return press_outcome(swept, files.readings.name, target_mm)
 
 
 def _refuse(wrong: Set[str], why: str) -> None:

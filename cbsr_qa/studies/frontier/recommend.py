@@ -79,15 +79,15 @@ def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str,
     return max(differences, default=0.0) <= 0 and any(differences)
 
 
-#: Without a wish: longest time, and largest ratio of errors to the paper's campaign.
+#: Without a target: longest time, and largest ratio of errors to the paper's campaign.
 USUAL_BUDGET_S: Final = 25 * 60.0
 USUAL_ROOM: Final = 1.2
 _FORCE: Final = "force_error"
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """Wished force error [N] and station time [s], at most."""
+class Target:
+    """Force error [N] and station time [s], at most."""
 
     force_error_N: float | None = None
     budget_s: float | None = None
@@ -108,7 +108,7 @@ class Recommendation:
 
     Parameters
     ----------
-    needed : presses for a wish beyond those tried; None unless their errors can be extrapolated to it.
+    needed : presses for a target beyond those tried; None unless their errors can be extrapolated to it.
     way, seeds : the setting of the station, and the number of its sensors; not in documents.
     """
 
@@ -126,18 +126,18 @@ class Recommendation:
         return cls(point.knobs, point.accuracy, point.station_s, why, way=way, seeds=point.seeds)
 
 
-def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Point | None) -> Recommendation:
+def recommend(tried: Sequence[tuple[Setting, Point]], target: Target, *, paper: Point | None) -> Recommendation:
     """Choose a setting.
 
-    With a wished accuracy, the cheapest setting whose force error plus its standard error meets it. With a budget
+    With a target accuracy, the cheapest setting whose force error plus its standard error meets it. With a budget
     alone, the most accurate within it. Without either, the most accurate within 25 minutes, which must come within 20
     % of the paper's campaign if that was tried.
 
-    RefusedError if no tried setting meets the wish; names the nearest.
+    RefusedError if no tried setting meets the target; names the nearest.
     """
     usable = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
-    no_wish, force_N = wish == Wish(), wish.force_error_N
-    budget_s = USUAL_BUDGET_S if no_wish else wish.budget_s
+    no_target, force_N = target == Target(), target.force_error_N
+    budget_s = USUAL_BUDGET_S if no_target else target.budget_s
     within = [way for way in usable if budget_s is None or _seconds(way) <= budget_s]
     enough = [way for way in within if force_N is None or _upper_N(way) <= force_N]
     if not enough:
@@ -149,7 +149,7 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
         return Recommendation.of(point, why, setting)
     setting, point = min(enough, key=_upper_N)
     why = f"the most accurate of {of}"
-    if no_wish and paper is not None and _FORCE in paper.accuracy:
+    if no_target and paper is not None and _FORCE in paper.accuracy:
         share = point.accuracy[_FORCE].value / paper.accuracy[_FORCE].value
         met = "within" if share <= USUAL_ROOM else "not within"
         why += (

@@ -10,7 +10,7 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.studies.frontier.computer import computer_work, worth_their_time
 from cbsr_qa.studies.frontier.files import Files, write_recipe
 from cbsr_qa.studies.frontier.point import Point, TimeBasis, stored
-from cbsr_qa.studies.frontier.recommend import Recommendation, Wish, recommend
+from cbsr_qa.studies.frontier.recommend import Recommendation, Target, recommend
 from cbsr_qa.studies.frontier.sensors import station_seconds
 from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried, station_points, station_work
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Frontier:
-    """Result of a sweep; a setting is recommended only if the station was swept and one met the wish."""
+    """Result of a sweep; a setting is recommended only if the station was swept and one met the target."""
 
     quick: bool
     points: tuple[Point, ...]
@@ -32,7 +32,7 @@ class Frontier:
 
 
 def frontier(
-    clocks: Sequence[TimeBasis], wish: Wish, files: Files, *, quick: bool = False, fresh: bool = False, tell: Tell
+    clocks: Sequence[TimeBasis], target: Target, files: Files, *, quick: bool = False, fresh: bool = False, tell: Tell
 ) -> Frontier:
     """Run the requested sweep, choose a setting, and write its recipe.
 
@@ -67,20 +67,20 @@ def frontier(
         tried = station_points(trials, station_seconds)
     if TimeBasis.COMPUTER in clocks:
         measured = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
-    recommended = _recommended(tried, wish)
+    recommended = _recommended(tried, target)
     if files.recipe is not None:
         write_recipe(recommended, files.recipe)
         recommended = replace(recommended, recipe=str(files.recipe))
     return Frontier(quick, (*(point for _, point in tried), *measured), recommended)
 
 
-def _recommended(tried: Sequence[tuple[Setting, Point]], wish: Wish) -> Recommendation:
+def _recommended(tried: Sequence[tuple[Setting, Point]], target: Target) -> Recommendation:
     """The recommended setting, or why none is recommended."""
     if not tried:
         return Recommendation(None, None, None, "only the computer's clock was swept")
     paper = next((point for setting, point in tried if setting == PAPER), None)
     usable = {setting: point for setting, point in tried if setting.is_recipe}
     try:
-        return recommend(list(usable.items()), wish, paper=paper)
+        return recommend(list(usable.items()), target, paper=paper)
     except RefusedError as error:
         return Recommendation(None, None, None, f"{error.reason}; {error.remedy}")

@@ -1,4 +1,4 @@
-"""``frontier`` on trials made by hand: wishes, messages, the document, the recipe file, the page and the picture."""
+"""``frontier`` on trials made by hand: targets, messages, the document, the recipe file, the page and the picture."""
 
 import json
 
@@ -77,7 +77,7 @@ def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, capsys
         (("--force-error", "90mN"), 30),
     ],
 )
-def test_wishes_are_understood(sweeps, capsys, arguments, places):
+def test_targets_are_understood(sweeps, capsys, arguments, places):
     assert guarded(["frontier", "--clock", "station", *arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["recommended"]["setting"]["places"] == places
 
@@ -102,7 +102,7 @@ def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
     assert "12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
 
 
-def test_a_wish_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
+def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
     assert guarded(["frontier", "--clock", "station", "--force-error", "1mN", "--json"]) == 0
     recommended = json.loads(capsys.readouterr().out)["recommended"]
     assert recommended["setting"] is None

@@ -15,7 +15,7 @@ _TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 5) for digit in
 
 
 @drawn
-def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], wish_mm: float | None = None) -> Canvas:
+def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], target_mm: float | None = None) -> Canvas:
     """Draw error of place and coverage against presses, each with standard errors.
 
     Parameters
@@ -31,8 +31,8 @@ def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], wish_mm: float
         for covered, look in (("covered_68", "solid"), ("covered_95", "dashed")):
             _draw(held, points, covered, colour, scale=100, line=look)
     error.set_yscale("log")
-    if wish_mm is not None:
-        error.axhline(wish_mm, color=FAINT, linewidth=0.8, zorder=1)
+    if target_mm is not None:
+        error.axhline(target_mm, color=FAINT, linewidth=0.8, zorder=1)
     for stated in (68, 95):
         held.axhline(stated, color=INK, linewidth=0.8, zorder=1)
         held.text(1.01, stated, f"{stated} %", transform=held.get_yaxis_transform(), va="center", fontsize=7)

@@ -1,4 +1,4 @@
-"""Number of presses for a wished error of place: among those tried, or by a power law if the errors follow one."""
+"""Number of presses for a target error of place: among those tried, or by a power law if the errors follow one."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -25,10 +25,10 @@ _CLEARLY: Final = 2.0
 _FURTHEST: Final = 8.0
 
 
-def recommended_presses(points: Sequence[Point], wish_mm: float | None) -> Recommendation:
-    """Choose the smallest number of presses whose error plus its standard error meets the wish.
+def recommended_presses(points: Sequence[Point], target_mm: float | None) -> Recommendation:
+    """Choose the smallest number of presses whose error plus its standard error meets the target.
 
-    Without a wish, the smallest that no larger number beats by more than their joint standard error.
+    Without a target, the smallest that no larger number beats by more than their joint standard error.
     """
     points = sorted(points, key=_number)
     if not points:
@@ -36,21 +36,21 @@ def recommended_presses(points: Sequence[Point], wish_mm: float | None) -> Recom
     most = points[-1]
     best = min(points, key=lambda point: point.accuracy[PLACE].value)
     error = best.accuracy[PLACE]
-    if wish_mm is None:
+    if target_mm is None:
         enough = [point for point in points if _alike(point.accuracy[PLACE], error)]
         why = "the fewest that no larger number beats by more than the joint standard error"
         why += "; more presses may still be better" if enough[0] is most else ""
     else:
-        enough = [point for point in points if point.accuracy[PLACE].upper <= wish_mm]
-        asked = f"whose error of place, with its standard error, is at most {wish_mm:g} mm"
+        enough = [point for point in points if point.accuracy[PLACE].upper <= target_mm]
+        asked = f"whose error of place, with its standard error, is at most {target_mm:g} mm"
         why = f"the fewest of {len(points)} numbers that were tried {asked}"
     if enough:
         loose = loose_regions(enough[0].accuracy)
         return Recommendation.of(enough[0], f"{why}; but {loose}, so errors are stated too small" if loose else why)
-    assert wish_mm is not None  # without a wish the best itself is enough
-    needed, words = needed_presses(points, wish_mm)
+    assert target_mm is not None  # without a target the best itself is enough
+    needed, words = needed_presses(points, target_mm)
     left = f"{_number(best)} of them leave {error.value:.2f} ± {error.stderr or 0.0:.2f} mm"
-    why = f"these presses do not reach {wish_mm:g} mm: {left}; {words}"
+    why = f"these presses do not reach {target_mm:g} mm: {left}; {words}"
     return Recommendation(None, None, None, why, needed=needed)
 
 
@@ -64,8 +64,8 @@ def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
     )
 
 
-def needed_presses(points: Sequence[Point], wish_mm: float) -> tuple[Needed | None, str]:
-    """Extrapolate errors to a wish, and describe it; None if no power law fits, or the wish is too far away.
+def needed_presses(points: Sequence[Point], target_mm: float) -> tuple[Needed | None, str]:
+    """Extrapolate errors to a target, and describe it; None if no power law fits, or the target is too far away.
 
     A law error = a n^(−b) is fitted to logarithms with their standard errors, from the smallest number from which it
     fits.
@@ -74,7 +74,7 @@ def needed_presses(points: Sequence[Point], wish_mm: float) -> tuple[Needed | No
     if law is None:
         return None, "how many would is not known: no falling power law fits the errors of the largest numbers"
     (power, offset), covariance, centre = law
-    away = (np.log(wish_mm) - offset) / power
+    away = (np.log(target_mm) - offset) / power
     slope = -np.array([away, 1.0]) / power  # of that by both parameters
     stderr = np.sqrt(slope @ covariance @ slope)
     low, middle, high = (int(float(f"{np.exp(centre + away + k * stderr):.3g}")) for k in (-1, 0, 1))

@@ -26,7 +26,7 @@ _READING: Final = (
 )
 
 
-def press_outcome(frontier: Frontier, name: str, wish_mm: float | None = None) -> CommandOutcome[Frontier]:
+def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None) -> CommandOutcome[Frontier]:
     """Lay out accuracy against the number of presses of a recording called ``name``."""
     series = [
         (each, [point for point in frontier.points if point.series == each])
@@ -37,7 +37,7 @@ def press_outcome(frontier: Frontier, name: str, wish_mm: float | None = None) -
     def draw() -> str:
         from cbsr_qa.studies.frontier.presses.figures import presses_figure  # loads matplotlib
 
-        return presses_figure(series, wish_mm)
+        return presses_figure(series, target_mm)
 
     figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
     sections = (

@@ -42,7 +42,7 @@ _Draw = tuple[str, LabelledPresses, Indices, Indices]
 
 def press_frontier(
     labelled: LabelledPresses,
-    wish_mm: float | None = None,
+    target_mm: float | None = None,
     *,
     quick: bool = False,
     tell: Tell = lambda done, of, what: None,
@@ -54,7 +54,7 @@ def press_frontier(
 
     Parameters
     ----------
-    wish_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
+    target_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
         beats.
     quick : fewer draws, and one number of presses of the session's first part.
 
@@ -81,7 +81,7 @@ def press_frontier(
     points = compared([each for each in found if isinstance(each, Point)], _presses, [PLACE])
     if not points:
         raise RefusedError(f"nothing can be learned from any draw of these presses: {found[0]}")
-    chosen = recommended_presses([point for point in points if point.series == AT_RANDOM], wish_mm)
+    chosen = recommended_presses([point for point in points if point.series == AT_RANDOM], target_mm)
     return Frontier(quick, tuple(points), chosen)
 
 

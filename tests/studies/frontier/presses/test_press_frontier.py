@@ -142,13 +142,13 @@ def test_draws_that_teach_nothing_are_noted_and_none_at_all_is_refused(labelled,
         press_frontier(labelled)
 
 
-@pytest.mark.parametrize(("wish_mm", "presses"), [(3.2, 18), (2.9, 36), (None, 288)])
-def test_the_fewest_presses_that_reach_a_wish_are_recommended(wish_mm, presses):
+@pytest.mark.parametrize(("target_mm", "presses"), [(3.2, 18), (2.9, 36), (None, 288)])
+def test_the_fewest_presses_that_reach_a_target_are_recommended(target_mm, presses):
     """Errors are 12.9/√n; 3.04 ± 0.09 mm of 18 presses reaches 3.2 mm but not 2.9 mm."""
-    assert recommended_presses(points(lambda n: 12.9 / np.sqrt(n)), wish_mm).setting == {"presses": presses}
+    assert recommended_presses(points(lambda n: 12.9 / np.sqrt(n)), target_mm).setting == {"presses": presses}
 
 
-def test_without_a_wish_presses_that_buy_nothing_are_not_recommended():
+def test_without_a_target_presses_that_buy_nothing_are_not_recommended():
     assert recommended_presses(points(lambda n: 2 + 30 * (n < 30)), None).setting == {"presses": 36}
 
 
@@ -178,15 +178,15 @@ def test_a_power_law_is_extrapolated_within_its_error():
 
 
 @pytest.mark.parametrize(
-    ("error_mm", "wish_mm", "why"),
+    ("error_mm", "target_mm", "why"),
     [
         (lambda n: np.hypot(1.5, 60 / n), 1.0, "no falling power law fits"),
         (lambda n: 2.0, 1.0, "no falling power law fits"),
         (lambda n: n**-0.2, 0.1, "too far to tell"),
     ],
 )
-def test_what_follows_no_law_or_is_too_far_is_not_extrapolated(error_mm, wish_mm, why):
-    recommended = recommended_presses(points(error_mm, 0.01), wish_mm)
+def test_what_follows_no_law_or_is_too_far_is_not_extrapolated(error_mm, target_mm, why):
+    recommended = recommended_presses(points(error_mm, 0.01), target_mm)
     assert recommended.setting is None
     assert recommended.needed is None
     assert why in recommended.why
