@@ -17,7 +17,7 @@ from cbsr_qa.domain import Array, ConfigError, InstrumentError
 from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import AddressLock
 from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
-from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
+from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 
 _DRIVER: Final = "phidget-bridge"
@@ -89,7 +89,7 @@ class PhidgetSource(DriverBase):
     def __init__(self, context: StationContext, options: BridgeOptions) -> None:
         serial = "any" if options.device_serial is None else options.device_serial
         super().__init__(context, _DRIVER, f"phidget:{serial}:{options.channel}")
-        self._options, self._scale = options, Scale.of(options, "g")
+        self._options = options
         self._log = SampleLog()
         self._attached = False
         self._said = ""  # the last thing the library complained of
@@ -182,7 +182,7 @@ class PhidgetSource(DriverBase):
     def _on_ratio(self, bridge: Any, ratio: float) -> None:
         now_s = self._clock.now()
         if now_s > self._log.last_s:  # a virtual clock may not have moved: one sample a moment
-            self._log.append(now_s, self._scale.force_N(ratio))
+            self._log.append(now_s, self._options.force_N(ratio, "g"))
 
     def _failed(self, what: str, error: Exception) -> InstrumentError:
         details = getattr(error, "details", "") or getattr(error, "description", "") or error

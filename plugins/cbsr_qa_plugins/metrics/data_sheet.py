@@ -160,17 +160,14 @@ class Creep(WithOptions):
         return tuple(self._one(kind, loads, run.settings.steady_frames, how) for kind in _KINDS)
 
     def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:
+        from_s = self.options.from_s
         try:
-            estimate = self._estimate(kind, loads, frames)
+            if kind:
+                return percent("creep", creep(loads, kind, from_s=from_s, frames=frames), how, qualifier=kind)
+            estimate = creep_at_constant_stress(loads, from_s=from_s, frames=frames)
         except NumericsError as error:
             return refused("creep", "%", error, qualifier=kind)
-        words = how if kind else f"conductance minus stress, {how}"
-        return percent("creep", estimate, words, qualifier=kind)
-
-    def _estimate(self, kind: str, loads: tuple[LoadObservation, ...], frames: int) -> Estimate:
-        if kind:
-            return creep(loads, kind, from_s=self.options.from_s, frames=frames)
-        return creep_at_constant_stress(loads, from_s=self.options.from_s, frames=frames)
+        return percent("creep", estimate, f"conductance minus stress, {how}")
 
 
 class ZeroReturn:

@@ -71,10 +71,9 @@ def _qualifier(seen: RelaxationObservation) -> str:
 
 
 def _of_load(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
-    settling, fit = seen.settling, seen.fit
-    how = settling.why or f"{fit.status}, R² {fit.r_squared:.3f}"
-    bound = _bound(settling.censored)
-    return at_load(load, "settling_time", settling.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
+    time, how = seen.settling, seen.settling.why or f"{seen.fit.status}, R² {seen.fit.r_squared:.3f}"
+    bound = _bound(time.censored)
+    return at_load(load, "settling_time", time.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
 
 
 def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
@@ -120,15 +119,8 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
     )
     how = f"{_in_words(common.fit)}; {common.traces} traces fitted together"
     how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
-    return Measurement(
-        "common_settling_time",
-        settling.value_s,
-        "s",
-        stderr_s,
-        qualifier=qualifier,
-        how=how,
-        bound=_bound(settling.censored),
-    )
+    name, bound = "common_settling_time", _bound(settling.censored)
+    return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
 
 
 def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
@@ -229,12 +221,9 @@ def said_of_time(pair: DirectedAgreement) -> str:
 
 
 def _not_compared(pair: DirectedAgreement) -> str:
-    about = (
-        f" (the first is of the {pair.first})"
-        if "the first" in pair.found.why or "the second" in pair.found.why
-        else ""
-    )
-    return f"not compared: {pair.found.why}{about}"
+    why = pair.found.why
+    about = f" (the first is of the {pair.first})" if "the first" in why or "the second" in why else ""
+    return f"not compared: {why}{about}"
 
 
 class BlobAndImageRelaxation:
@@ -250,21 +239,12 @@ class BlobAndImageRelaxation:
     measures: ClassVar[dict[str, str]] = {"relaxation_shape_difference": "1", "relaxation_time_ratio": "1"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        taken = []
-        for pair in image_against_blobs(run):
-            agreement, qualifier = pair.found, Dimensions("image against conductance", pair.direction).text
-            shape, time = said_of_shape(pair), said_of_time(pair)
-            taken += [
-                Measurement(
-                    "relaxation_shape_difference", agreement.shape_difference, "1", agreement.shape_stderr,
-                    qualifier=qualifier, how=shape,
-                ),
-                Measurement(
-                    "relaxation_time_ratio", agreement.time_ratio, "1", agreement.time_ratio_stderr,
-                    qualifier=qualifier, how=time,
-                ),
-            ]  # fmt: skip
-        return tuple(taken)
+        names = ("relaxation_shape_difference", "relaxation_time_ratio")
+        return tuple(
+            measured
+            for pair in image_against_blobs(run)
+            for measured in _compared(pair, Dimensions("image against conductance", pair.direction).text, names)
+        )
 
 
 class SheetAndStripRelaxation:
@@ -289,16 +269,25 @@ class SheetAndStripRelaxation:
     needs_force: ClassVar[bool] = True
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        return tuple(taken for pair in sheet_against_strip(run) for taken in _measured(pair))
+        names = ("strip_relaxation_difference", "strip_relaxation_time_ratio")
+        bounds = ("strip_relaxation_difference_bound", "strip_relaxation_time_bound")
+        return tuple(
+            measured
+            for pair in sheet_against_strip(run)
+            for measured in _compared(pair, pair.direction, names, bounds)
+        )
 
 
-def _measured(pair: DirectedAgreement) -> Iterator[Measurement]:
-    agreement = pair.found
-    shape, time = said_of_shape(pair), said_of_time(pair)
-    for name, value, stderr, how in (
-        ("strip_relaxation_difference", agreement.shape_difference, agreement.shape_stderr, shape),
-        ("strip_relaxation_difference_bound", agreement.shape_reach, None, shape),
-        ("strip_relaxation_time_ratio", agreement.time_ratio, agreement.time_ratio_stderr, time),
-        ("strip_relaxation_time_bound", agreement.time_reach, None, time),
-    ):
-        yield Measurement(name, value, "1", stderr, qualifier=pair.direction, how=how)
+def _compared(
+    pair: DirectedAgreement, qualifier: str, names: tuple[str, str], bounds: tuple[str, str] = ("", "")
+) -> Iterator[Measurement]:
+    """Yield difference of the curves and ratio of the times, each followed by its bound if that is measured."""
+    found = pair.found
+    values = (
+        (found.shape_difference, found.shape_stderr, found.shape_reach, said_of_shape(pair)),
+        (found.time_ratio, found.time_ratio_stderr, found.time_reach, said_of_time(pair)),
+    )
+    for name, bound, (value, stderr, reach, how) in zip(names, bounds, values, strict=True):
+        yield Measurement(name, value, "1", stderr, qualifier=qualifier, how=how)
+        if bound:
+            yield Measurement(bound, reach, "1", qualifier=qualifier, how=how)
