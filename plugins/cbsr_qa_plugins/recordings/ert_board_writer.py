@@ -121,12 +121,11 @@ class _Port:
         self.now_s = time_s
 
 
+Dumps = dict[int, list[Dump]]
+
+
 def _write_frame(
-    port: _Port,
-    row_s: Sequence[float],
-    counts: Sequence[Sequence[int]],
-    lost: NDArray[np.bool_],
-    dumps: dict[int, list[Dump]],
+    port: _Port, row_s: Sequence[float], counts: Sequence[Sequence[int]], lost: NDArray[np.bool_], dumps: Dumps
 ) -> None:
     """Write a mark and the rows that arrive. The mark is lost if all are."""
     for row, time_s in enumerate(row_s):
@@ -147,8 +146,8 @@ def _write_dump(port: _Port, start_s: float, end_s: float) -> float:
     return end_s
 
 
-def _by_place(dumps: Sequence[Dump]) -> dict[int, dict[int, list[Dump]]]:
-    found: dict[int, dict[int, list[Dump]]] = defaultdict(dict)
+def _by_place(dumps: Sequence[Dump]) -> dict[int, Dumps]:
+    found: dict[int, Dumps] = defaultdict(dict)
     for dump in dumps:
         found[dump.frame].setdefault(dump.row, []).append(dump)
     return found

@@ -207,12 +207,7 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
 
 
 def _frame_lines(
-    recording: Recording,
-    frame: int,
-    times_s: Array,
-    zero_s: float,
-    lost: NDArray[np.bool_],
-    current: str,
+    recording: Recording, frame: int, times_s: Array, zero_s: float, lost: NDArray[np.bool_], current: str
 ) -> list[str]:
     """Lines of one frame, without those of lost rows."""
     scan_s = times_s.T.ravel()
