@@ -108,11 +108,9 @@ class Served(Protocol):
 
     def received(self, data: bytes) -> bytes:
         """Execute received bytes, possibly part of a command or several commands, and return the answers."""
-        ...
 
     def misbehave(self, fault: Fault) -> None:
         """Inject a fault other than one of the link; unknown faults are ignored."""
-        ...
 
 
 @runtime_checkable
@@ -121,7 +119,6 @@ class FreeRunning(Served, Protocol):
 
     def attached(self, line: "Port") -> None:
         """Attach the line, before serving starts."""
-        ...
 
 
 class Port(ABC):

@@ -34,15 +34,12 @@ class Machine(Protocol):
 
     def value(self, name: str) -> Any:
         """Return the value of a name; TspError if it is undefined."""
-        ...
 
     def assign(self, name: str, value: Any) -> None:
         """Set an attribute; TspError if it is read-only, or the value is not allowed."""
-        ...
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         """Call a built-in function; TspError if it does not exist."""
-        ...
 
 
 class Interpreter:

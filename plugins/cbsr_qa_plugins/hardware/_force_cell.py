@@ -31,15 +31,12 @@ class ForceSource(Protocol):
 
     def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and forces [N], both (n,), after a time."""
-        ...
 
     def newest(self, count: int) -> Array:
         """Return the last forces [N], at most so many, (n,)."""
-        ...
 
     def check_alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
-        ...
 
     def close(self) -> None: ...
 

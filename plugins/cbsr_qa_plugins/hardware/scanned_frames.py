@@ -21,7 +21,7 @@ from cbsr_qa.plugin import (
     driver,
 )
 from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
-from cbsr_qa_plugins.hardware._driver import DriverBase
+from cbsr_qa_plugins.hardware._driver import DriverBase, checked
 
 _DRIVER: Final = "scanned-frames"
 Milliampere = Annotated[float, Field(ge=1e-4, le=1000)]
@@ -102,12 +102,14 @@ class ScannedFrames(DriverBase):
         """Look at the contacts by the driven pairs (line ``contacts``), and at the current (``current``)."""
         ohm = self._driven_ohm()
         faults = self._contact_faults(ohm)
-        outcome = CheckOutcome.OK
-        if faults:
-            poor = all(fault.state is ContactState.POOR for fault in faults)
-            outcome = CheckOutcome.WARNING if poor else CheckOutcome.FAILED
-        remedy = "look at the pins and leads that are named" if faults else ""
-        contacts = CheckResult("contacts", outcome, said=self._contacts, remedy=remedy)
+        poor = all(fault.state is ContactState.POOR for fault in faults)
+        contacts = checked(
+            "contacts",
+            not faults,
+            said=self._contacts,
+            remedy="look at the pins and leads that are named",
+            otherwise=CheckOutcome.WARNING if poor else CheckOutcome.FAILED,
+        )
         volts = self._current_A * float(np.nanmax(np.where(np.isfinite(ohm), np.abs(ohm), 0.0)))
         left = f"{volts:.3g} V of the source's {self._meter.compliance_V:g} V on the worst pair"
         return contacts, CheckResult("current", CheckOutcome.OK, 1e3 * self._current_A, "mA", said=left)
