@@ -167,14 +167,11 @@ class EmulatedApplicator:
             return "Error:Printer halted. kill() called!\n" + self._restarted().decode()
         if code == "M105":
             return "ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\n"
-        if code == "M115":
-            return f"{_FIRMWARE[self._firmware]}\nok\n"
         if code == "M118":
             return f"{command.partition(' ')[2]}\nok\n"
-        if code in ("G21", "M17", "M201", "M204"):  # already in millimetres; speeds are constant here
-            return "ok\n"
         if code in ("G90", "G91"):
             self._absolute = code == "G90"
+        if code in ("G21", "G90", "G91", "M17", "M201", "M204"):  # of millimetres and constant speeds
             return "ok\n"
         doing = getattr(self, f"_{code.lower()}", None) if code[:1] in ("G", "M") and code[1:].isdigit() else None
         return f'echo:Unknown command: "{command}"\nok\n' if doing is None else f"{doing(parameters)}ok\n"
@@ -238,6 +235,9 @@ class EmulatedApplicator:
             steps = [round(mm * per_mm) for mm, per_mm in zip(live, self._steps, strict=True)]
             count = f"Count X:{steps[0]} Y:{steps[1]} Z:{steps[2]}"
         return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 {count}\n"
+
+    def _m115(self, parameters: Parameters) -> str:
+        return f"{_FIRMWARE[self._firmware]}\n"
 
     def _m400(self, parameters: Parameters) -> str:
         self._wait_until(self._head.free_at_s)

@@ -13,7 +13,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import CbsrError, InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.plan import CLEARANCE_MM, SEARCH_CONTACT_STEPS, SEARCH_DWELL_S, SEARCH_FROM_MM, SEARCH_STEP_MM
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
@@ -231,7 +231,8 @@ class MarlinApplicator(HeadDriver):
             self._go_to_depth(depth_mm + SEARCH_STEP_MM, press_mm_s, watched=True)
             stepped_s = self._clock.now()
             self._clock.sleep(SEARCH_DWELL_S)
-            forces.append(self._mean_since(watch, stepped_s))
+            with self._axes.lifting_on_error():
+                forces.append(watch.mean_since(stepped_s))
             depths.append(self._depth_mm())
             if len(forces) == 1 and abs(forces[0]) >= self._options.contact_force_N:
                 raise self._given_up(
@@ -239,14 +240,6 @@ class MarlinApplicator(HeadDriver):
                     "tare it with the head in the air, and check 'hover_height_mm' in the applicator's table",
                 )
         return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
-
-    def _mean_since(self, watch: ForceWatch, time_s: float) -> float:
-        try:
-            return watch.mean_since(time_s)
-        except CbsrError:
-            with suppress(InstrumentError):  # up first; what was seen is the message
-                self.safe_state()
-            raise
 
     def _given_up(self, reason: str, remedy: str) -> InstrumentError:
         """Lift the head, and return why the surface was not found."""
