@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 from typing import Any, Final
@@ -15,13 +14,8 @@ from cbsr_qa.simulate.instruments.streams import Fault
 LONGEST_LINE: Final = 96
 
 
-@dataclass(frozen=True, slots=True)
-class NumberedLine:
-    """One line: number, command, and the firmware's error message if it is wrong."""
-
-    number: int | None
-    command: str
-    wrong: str = ""
+#: A line's number, its command, and the firmware's error message if it is wrong.
+NumberedLine = tuple[int | None, str, str]
 
 
 def checksum(text: str) -> int:
@@ -34,18 +28,18 @@ def read_line(raw: bytes, last: int) -> NumberedLine:
     text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
     body, star, given = text.partition("*")
     if not text.startswith("N"):
-        return NumberedLine(None, body.strip(), "No Line Number with checksum" if star else "")
+        return None, body.strip(), "No Line Number with checksum" if star else ""
     digits, _, command = body[1:].partition(" ")
     if not digits.lstrip("-").isdigit():
-        return NumberedLine(None, command, "Line Number is not Last Line Number+1")
+        return None, command, "Line Number is not Last Line Number+1"
     number = int(digits)
     if not star:
-        return NumberedLine(number, command, "No Checksum with line number")
+        return number, command, "No Checksum with line number"
     if not given.isdigit() or int(given) != checksum(body):
-        return NumberedLine(number, command, "checksum mismatch")
+        return number, command, "checksum mismatch"
     if number != last + 1 and "M110" not in command:
-        return NumberedLine(number, command, "Line Number is not Last Line Number+1")
-    return NumberedLine(number, command.strip())
+        return number, command, "Line Number is not Last Line Number+1"
+    return number, command.strip(), ""
 
 
 def words(command: str) -> tuple[str, dict[str, float | None]]:
@@ -152,26 +146,20 @@ class EmulatedApplicator:
         self._last = 0
         self._absolute = True
         self._speed_mm_s = 25.0
-        self._believe((0.0, 0.0, 0.0))
-
-    def _believe(self, position: Position) -> None:
-        """Define the head's current position (G92)."""
-        x, y, z = (true - believed for true, believed in zip(self._head.target_mm, position, strict=True))
-        self._offset: Position = (x, y, z)
+        self._offset: Position = self._head.target_mm  # it takes its place for the origin (G92)
 
     def _obey(self, raw: bytes) -> str:
-        line = read_line(raw, self._last)
-        wrong = line.wrong
-        if line.number is not None and not wrong and Fault.RESEND in self._told:
+        number, command, wrong = read_line(raw, self._last)
+        if number is not None and not wrong and Fault.RESEND in self._told:
             self._told.discard(Fault.RESEND)
             wrong = "checksum mismatch"
         if wrong:
             return f"Error:{wrong}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
-        if line.number is not None:
-            self._last = line.number
-        if not line.command:
-            return "" if line.number is None else "ok\n"
-        return self._done(line.command)
+        if number is not None:
+            self._last = number
+        if not command:
+            return "" if number is None else "ok\n"
+        return self._done(command)
 
     def _done(self, command: str) -> str:
         code, parameters = words(command)
@@ -180,16 +168,15 @@ class EmulatedApplicator:
         if code == "M105":
             return "ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\n"
         if code == "M118":
-            return command.partition(" ")[2] + "\nok\n"
-        if code in ("G21", "M17", "M201", "M204"):  # already in millimetres; speeds are constant here
+            return f"{command.partition(' ')[2]}\nok\n"
+        if code in ("G90", "G91"):
+            self._absolute = code == "G90"
+        if code in ("G21", "G90", "G91", "M17", "M201", "M204"):  # of millimetres and constant speeds
             return "ok\n"
         doing = getattr(self, f"_{code.lower()}", None) if code[:1] in ("G", "M") and code[1:].isdigit() else None
         return f'echo:Unknown command: "{command}"\nok\n' if doing is None else f"{doing(parameters)}ok\n"
 
     # --- commands; each returns its output before its ok ---
-
-    def _g0(self, parameters: Parameters) -> str:
-        return self._g1(parameters)
 
     def _g1(self, parameters: Parameters) -> str:
         while self._head.queued >= _BUFFER:
@@ -206,6 +193,8 @@ class EmulatedApplicator:
         if length > 0:
             self._head.go(self._true((x, y, z)), length / slowest_s)
         return ""
+
+    _g0 = _g1
 
     def _g4(self, parameters: Parameters) -> str:
         self._m400({})
@@ -231,14 +220,6 @@ class EmulatedApplicator:
         self._offset = (x, y, z)
         if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
             self._wait_until(self._rig.clock.now() + _LEVELLING_S)
-        return ""
-
-    def _g90(self, parameters: Parameters) -> str:
-        self._absolute = True
-        return ""
-
-    def _g91(self, parameters: Parameters) -> str:
-        self._absolute = False
         return ""
 
     def _m110(self, parameters: Parameters) -> str:

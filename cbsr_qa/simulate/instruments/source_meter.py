@@ -4,7 +4,6 @@ import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Final
 
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
@@ -23,12 +22,14 @@ _OVERRANGE: Final = 1.02
 #: Share of the requested current that a source at its limit gives, even if the sheet would allow more.
 _STUCK_SHARE: Final = 0.1
 
+_CHANNELS: Final = ("smua", "smub")
 _CONSTANTS: Final[Mapping[str, float]] = {
     "format.ASCII": 1,
     "format.REAL32": 2,
     "format.REAL64": 3,
     "format.NORMAL": 0,
     "format.LITTLEENDIAN": 1,
+    "localnode.linefreq": _LINE_HZ,
 }
 _CHANNEL_CONSTANTS: Final[Mapping[str, float]] = {
     "OUTPUT_OFF": 0,
@@ -45,6 +46,8 @@ _CHANNEL_CONSTANTS: Final[Mapping[str, float]] = {
     "SENSE_LOCAL": 0,
     "SENSE_REMOTE": 1,
 }
+#: Unchanged by a reset.
+_PROMPTS: Final = "localnode.prompts"
 #: Attributes of a channel, their values after a reset, and allowed values.
 _CHANNEL: Final[Mapping[str, tuple[float, float, float]]] = {
     "sense": (0, 0, 1),
@@ -64,13 +67,13 @@ _CHANNEL: Final[Mapping[str, tuple[float, float, float]]] = {
     "measure.delay": (0.0, -1.0, 100.0),
     "nvbuffer1.appendmode": (0, 0, 1),
 }
-_FORMAT: Final[Mapping[str, tuple[float, float, float]]] = {
+_ATTRIBUTES: Final[Mapping[str, tuple[float, float, float]]] = {
     "format.data": (1, 1, 3),
     "format.byteorder": (1, 0, 1),
     "format.asciiprecision": (6, 1, 16),
+    _PROMPTS: (0, 0, 1),
+    **{f"{channel}.{name}": spec for channel in _CHANNELS for name, spec in _CHANNEL.items()},
 }
-#: Unchanged by a reset.
-_NODE: Final[Mapping[str, tuple[float, float, float]]] = {"localnode.prompts": (0, 0, 1)}
 
 
 @dataclass(slots=True)
@@ -121,17 +124,21 @@ class EmulatedSourceMeter:
 
     def value(self, name: str) -> Any:
         """Return the value of an attribute, constant, buffer or column."""
-        if name in self._attributes:
-            return self._attributes[name]
-        if name not in self._names:
-            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to index `{name}' (a nil value)")
-        return self._names[name]()
+        channel, _, rest = name.partition(".")
+        buffer = self._buffers.get(channel)
+        known: dict[str, Any] = {**_CONSTANTS, **self._attributes, "errorqueue.count": len(self._errors)}
+        if buffer is not None:
+            known |= {f"{channel}.{constant}": float(number) for constant, number in _CHANNEL_CONSTANTS.items()}
+            own = f"{channel}.nvbuffer1"
+            known |= {own: buffer, f"{own}.readings": buffer.readings, f"{own}.statuses": buffer.statuses}
+            known[f"{channel}.source.compliance"] = rest == "source.compliance" and self._limited(channel)
+        if name not in known:
+            raise _runtime_error(f"attempt to index `{name}' (a nil value)")
+        return known[name]
 
     def assign(self, name: str, value: Any) -> None:
-        channel, _, rest = name.partition(".")
-        bounds = _FORMAT.get(name) or _NODE.get(name) or (_CHANNEL.get(rest) if channel in self._buffers else None)
-        if bounds is None:
-            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to set `{name}'")
+        if (bounds := _ATTRIBUTES.get(name)) is None:
+            raise _runtime_error(f"attempt to set `{name}'")
         if not isinstance(value, float | int) or not bounds[1] <= value <= bounds[2]:
             raise TspError(_OUT_OF_RANGE, "Parameter data out of range")
         self._attributes[name] = float(value)
@@ -155,7 +162,7 @@ class EmulatedSourceMeter:
         elif name == "errorqueue.next":
             return self._errors.pop(0) if self._errors else (0.0, "Queue Is Empty", 0.0, 1.0)
         else:
-            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to call `{name}' (a nil value)")
+            raise _runtime_error(f"attempt to call `{name}' (a nil value)")
         return ()
 
     # --- what it does ---
@@ -180,41 +187,24 @@ class EmulatedSourceMeter:
         self._errors: list[tuple[float, str, float, float]] = []
         self._said = bytearray()
         self._tsp = Interpreter(self)
-        self._buffers = {"smua": _Buffer(), "smub": _Buffer()}
-        self._names = self._readable()
-        self._attributes = {name: spec[0] for name, spec in _NODE.items()}
+        self._buffers = {channel: _Buffer() for channel in _CHANNELS}
+        self._attributes = {_PROMPTS: 0.0}
         self._reset()
 
-    def _readable(self) -> dict[str, Callable[[], Any]]:
-        fixed = {**_CONSTANTS, "localnode.linefreq": _LINE_HZ}
-        for channel in self._buffers:
-            fixed.update({f"{channel}.{name}": value for name, value in _CHANNEL_CONSTANTS.items()})
-        names: dict[str, Callable[[], Any]] = {name: partial(float, value) for name, value in fixed.items()}
-        names["errorqueue.count"] = lambda: len(self._errors)
-        for channel, buffer in self._buffers.items():
-            own = f"{channel}.nvbuffer1"
-            names[own] = partial(self._buffers.__getitem__, channel)
-            names[f"{own}.readings"] = partial(getattr, buffer, "readings")
-            names[f"{own}.statuses"] = partial(getattr, buffer, "statuses")
-            names[f"{channel}.source.compliance"] = partial(self._limited, channel)
-        return names
-
     def _reset(self) -> None:
-        channels = {f"{c}.{name}": spec[0] for c in ("smua", "smub") for name, spec in _CHANNEL.items()}
-        kept = {name: self._attributes[name] for name in _NODE}
-        self._attributes = {**channels, **{name: spec[0] for name, spec in _FORMAT.items()}, **kept}
+        kept = {_PROMPTS: self._attributes[_PROMPTS]}
+        self._attributes = {name: spec[0] for name, spec in _ATTRIBUTES.items()} | kept
         for buffer in self._buffers.values():
             buffer.clear()
         self._wire()
 
     def _wire(self) -> None:
         """Tell the rig the state of the driving channel."""
-        of = {
-            name: self._attributes[f"{self._drives}.source.{name}"] for name in ("func", "output", "leveli", "limitv")
-        }
-        gives = of["output"] == 1 and of["func"] == 0
-        self._rig.wiring.current_A = of["leveli"] if gives else None
-        self._rig.wiring.limit_V = of["limitv"]
+        func, output, level_A, limit_V = (
+            self._attributes[f"{self._drives}.source.{name}"] for name in ("func", "output", "leveli", "limitv")
+        )
+        self._rig.wiring.current_A = level_A if output == 1 and func == 0 else None
+        self._rig.wiring.limit_V = limit_V
 
     def _of_channel(self, channel: str, rest: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         if rest.startswith("measure"):
@@ -222,8 +212,7 @@ class EmulatedSourceMeter:
         if rest == "nvbuffer1.clear":
             self._buffers[channel].clear()
         elif rest == "reset":
-            for name, spec in _CHANNEL.items():
-                self._attributes[f"{channel}.{name}"] = spec[0]
+            self._attributes |= {f"{channel}.{name}": spec[0] for name, spec in _CHANNEL.items()}
             self._wire()
         return ()
 
@@ -274,8 +263,12 @@ class EmulatedSourceMeter:
             self._said += ", ".join(map(self._shown, values)).encode() + b"\n"
 
     def _shown(self, value: Any) -> str:
-        if value is None or isinstance(value, bool):
-            return {None: "nil", True: "true", False: "false"}[value]
         if isinstance(value, str):
             return value
+        if value is None or isinstance(value, bool):
+            return "nil" if value is None else str(value).lower()
         return f"{value:.{int(self._attributes['format.asciiprecision']) - 1}e}"
+
+
+def _runtime_error(what: str) -> TspError:
+    return TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: {what}")

@@ -84,23 +84,21 @@ class ArmedFaults:
 
     def __init__(self) -> None:
         self._waiting: deque[Fault] = deque()
-        self._lock = threading.Lock()
 
     def arm(self, fault: Fault) -> None:
         """Arm a fault for the next command; several faults hit one command each."""
-        with self._lock:
-            self._waiting.append(fault)
+        self._waiting.append(fault)
 
     @property
     def waiting(self) -> int:
         """Number of faults armed and not yet triggered."""
-        with self._lock:
-            return len(self._waiting)
+        return len(self._waiting)
 
     def met(self) -> Fault | None:
         """Take the fault that hits the current command."""
-        with self._lock:
-            return self._waiting.popleft() if self._waiting else None
+        with suppress(IndexError):
+            return self._waiting.popleft()
+        return None
 
 
 class Served(Protocol):
@@ -108,11 +106,9 @@ class Served(Protocol):
 
     def received(self, data: bytes) -> bytes:
         """Execute received bytes, possibly part of a command or several commands, and return the answers."""
-        ...
 
     def misbehave(self, fault: Fault) -> None:
         """Inject a fault other than one of the link; unknown faults are ignored."""
-        ...
 
 
 @runtime_checkable
@@ -121,7 +117,6 @@ class FreeRunning(Served, Protocol):
 
     def attached(self, line: "Port") -> None:
         """Attach the line, before serving starts."""
-        ...
 
 
 class Port(ABC):
@@ -265,13 +260,12 @@ class PtyPort(Port):
                 return
             if not data:
                 continue
-            answer = self._answered(instrument, data)
-            if answer is None:
+            left = self._answered(instrument, data)
+            if left is None:
                 return self.hang_up()
-            self._write(master, answer)
+            self._write(master, left)
 
-    def _write(self, master: int, answer: bytes) -> None:
-        left = answer
+    def _write(self, master: int, left: bytes) -> None:
         while left and not self._over.is_set():
             _, ready, _ = select.select([], [master], [], _LOOK_S)
             if ready:

@@ -2,20 +2,20 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 #: Codes of the instrument's error queue.
 SYNTAX_ERROR: Final = -285
 RUNTIME_ERROR: Final = -286
 
 _TOKEN: Final = re.compile(
-    r"\s*(?:(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
+    r"(?:(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
     r'|"(?P<text>[^"\\]*)"|(?P<sign>[(),=]))'
 )
 _KEYWORDS: Final = frozenset({"function", "for", "do", "end"})
 _CONSTANTS: Final = {"true": True, "false": False, "nil": None}
 
+T = TypeVar("T")
 Locals = dict[str, Any]
 Statement = Callable[[Locals], object]
 Expression = Callable[[Locals], tuple[Any, ...]]
@@ -34,21 +34,12 @@ class Machine(Protocol):
 
     def value(self, name: str) -> Any:
         """Return the value of a name; TspError if it is undefined."""
-        ...
 
     def assign(self, name: str, value: Any) -> None:
         """Set an attribute; TspError if it is read-only, or the value is not allowed."""
-        ...
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         """Call a built-in function; TspError if it does not exist."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class _Function:
-    parameters: tuple[str, ...]
-    body: tuple[Statement, ...]
 
 
 class Interpreter:
@@ -56,172 +47,134 @@ class Interpreter:
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
-        self._functions: dict[str, _Function] = {}
+        self._functions: dict[str, tuple[list[str], list[Statement]]] = {}
 
     def run(self, line: str) -> None:
         """Run a line.
 
         TspError -285 for a syntax error (nothing is run), -286 or the machine's error if the line fails.
         """
-        parser = _Parser(line, self)
-        statements = parser.block(within=False)
-        for statement in statements:
-            statement({})
-
-    def define(self, name: str, parameters: tuple[str, ...], body: tuple[Statement, ...]) -> None:
-        self._functions[name] = _Function(parameters, body)
-
-    def named(self, name: str, local: Locals) -> Any:
-        if name in _CONSTANTS:
-            return _CONSTANTS[name]
-        return local[name] if name in local else self._machine.value(name)
-
-    def assign(self, name: str, value: Any) -> None:
-        self._machine.assign(name, value)
-
-    def call(self, name: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Call a user-defined function, or else a built-in one."""
-        function = self._functions.get(name)
-        if function is None:
-            return self._machine.call(name, arguments)
-        local = dict(zip(function.parameters, arguments, strict=False))
-        for statement in function.body:
-            statement(local)
-        return ()
-
-
-class _Parser:
-    def __init__(self, line: str, interpreter: Interpreter) -> None:
         self._tokens = _tokens(line)
-        self._at = 0
-        self._interpreter = interpreter
+        _execute(self._block(""), {})
 
-    def block(self, *, within: bool) -> tuple[Statement, ...]:
+    # --- statements ---
+
+    def _block(self, end: str) -> list[Statement]:
+        """Parse statements up to a keyword, or to the end of the line."""
         statements: list[Statement] = []
-        while self._peek() != ("end", "end"):
-            if self._peek() == ("", ""):
-                if within:
-                    raise self._unexpected()
-                return tuple(statements)
+        while self._tokens[0][0] != end:
             statements.append(self._statement())
-        if not within:
-            raise self._unexpected()
-        return tuple(statements)
+        self._expect(end)
+        return statements
 
     def _statement(self) -> Statement:
-        kind, text = self._next()
-        if kind == "function":
+        if self._found("function"):
             return self._definition()
-        if kind == "for":
+        if self._found("for"):
             return self._loop()
-        if kind != "name":
-            self._at -= 1
-            raise self._unexpected()
-        if self._peek()[1] == "(":
-            return self._call(text)
+        name = self._expect("name")
+        if self._tokens[0] == ("sign", "("):
+            return self._call(name)
         self._expect("=")
-        value, interpreter = self._expression(), self._interpreter
-        return lambda local: interpreter.assign(text, _one(value(local)))
+        value = self._expression()
+        return lambda local: self._machine.assign(name, _first(value(local)))
 
     def _definition(self) -> Statement:
-        name = self._expect("name")
-        self._expect("(")
-        parameters: list[str] = []
-        while self._peek()[1] != ")":
-            parameters.append(self._expect("name"))
-            if self._peek()[1] == ",":
-                self._next()
-        self._expect(")")
-        body = self.block(within=True)
-        self._expect("end")
-        return lambda _: self._interpreter.define(name, tuple(parameters), body)
+        name, parameters, body = self._expect("name"), self._listed(self._parameter), self._block("end")
+        return lambda _: self._functions.update({name: (parameters, body)})
 
     def _loop(self) -> Statement:
-        variable = self._expect("name")
-        self._expect("=")
-        first = self._expression()
-        self._expect(",")
-        last = self._expression()
-        self._expect("do")
-        body = self.block(within=True)
-        self._expect("end")
+        variable, _, first = self._expect("name"), self._expect("="), self._expression()
+        _, last, _ = self._expect(","), self._expression(), self._expect("do")
+        body = self._block("end")
 
         def run(local: Locals) -> None:
-            for number in range(int(_one(first(local))), int(_one(last(local))) + 1):
-                local[variable] = number
-                for statement in body:
-                    statement(local)
+            for number in range(int(_first(first(local))), int(_first(last(local))) + 1):
+                _execute(body, {**local, variable: number})
 
         return run
 
-    def _call(self, name: str) -> Expression:
-        self._expect("(")
-        arguments: list[Expression] = []
-        while self._peek()[1] != ")":
-            arguments.append(self._expression())
-            if self._peek()[1] != ")":
-                self._expect(",")
-        self._expect(")")
-        interpreter = self._interpreter
-
-        def run(local: Locals) -> tuple[Any, ...]:
-            values: list[Any] = [_one(argument(local)) for argument in arguments[:-1]]
-            for argument in arguments[-1:]:  # of the last argument all values count, as in Lua
-                values += argument(local)
-            return interpreter.call(name, tuple(values))
-
-        return run
+    # --- expressions ---
 
     def _expression(self) -> Expression:
-        kind, text = self._next()
-        if kind == "number":
-            number = float(text)
-            return lambda _: (number,)
-        if kind == "text":
+        if number := self._found("number"):
+            return lambda _: (float(number),)
+        if self._tokens[0][0] == "text":
+            text = self._expect("text")
             return lambda _: (text,)
-        if kind != "name":
-            self._at -= 1
-            raise self._unexpected()
-        if self._peek()[1] == "(":
-            return self._call(text)
-        interpreter = self._interpreter
-        return lambda local: (interpreter.named(text, local),)
+        name = self._expect("name")
+        return self._call(name) if self._tokens[0] == ("sign", "(") else lambda local: (self._value(name, local),)
 
-    def _peek(self) -> tuple[str, str]:
-        return self._tokens[self._at]
+    def _value(self, name: str, local: Locals) -> Any:
+        known = {**local, **_CONSTANTS}
+        return known[name] if name in known else self._machine.value(name)
 
-    def _next(self) -> tuple[str, str]:
-        self._at += 1
-        return self._tokens[self._at - 1]
+    def _call(self, name: str) -> Expression:
+        """Parse the call of a user-defined function, or else of a built-in one."""
+        arguments = self._listed(self._expression)
+
+        def run(local: Locals) -> tuple[Any, ...]:
+            given: list[Any] = [_first(argument(local)) for argument in arguments[:-1]]
+            for argument in arguments[-1:]:  # of the last argument all values count, as in Lua
+                given += argument(local)
+            if name not in self._functions:
+                return self._machine.call(name, given)
+            parameters, body = self._functions[name]
+            _execute(body, dict(zip(parameters, given, strict=False)))
+            return ()
+
+        return run
+
+    # --- tokens ---
+
+    def _parameter(self) -> str:
+        return self._expect("name")
+
+    def _listed(self, parse: Callable[[], T]) -> list[T]:
+        """Parse what stands in parentheses, with commas between."""
+        self._expect("(")
+        found: list[T] = []
+        while not self._found(")"):
+            if found:
+                self._expect(",")
+            found.append(parse())
+        return found
+
+    def _found(self, wanted: str) -> str:
+        """Take the next token if it is of this kind or this sign; else nothing."""
+        kind, text = self._tokens[0]
+        return self._tokens.pop(0)[1] if wanted == kind or (kind, wanted) == ("sign", text) else ""
 
     def _expect(self, wanted: str) -> str:
-        kind, text = self._peek()
-        if wanted not in (kind, text) or (kind == "text" and wanted != "text"):
-            raise self._unexpected()
-        return self._next()[1]
-
-    def _unexpected(self) -> TspError:
-        near = self._peek()[1] or "<eof>"
-        return TspError(SYNTAX_ERROR, f"TSP Syntax error at line 1: unexpected symbol near `{near}'")
+        kind, text = self._tokens[0]
+        if wanted != kind and (kind, wanted) != ("sign", text):
+            raise _syntax_error(text or "<eof>")
+        return self._tokens.pop(0)[1]
 
 
-def _one(values: tuple[Any, ...]) -> Any:
+def _execute(statements: Sequence[Statement], local: Locals) -> None:
+    for statement in statements:
+        statement(local)
+
+
+def _first(values: tuple[Any, ...]) -> Any:
     return values[0] if values else None
+
+
+def _syntax_error(near: str) -> TspError:
+    return TspError(SYNTAX_ERROR, f"TSP Syntax error at line 1: unexpected symbol near `{near}'")
 
 
 def _tokens(line: str) -> list[tuple[str, str]]:
     """Split a line into (kind, text); keywords are their own kind, the end is two empty texts."""
     tokens: list[tuple[str, str]] = []
-    at = 0
-    line = line.rstrip()
-    while at < len(line):
-        match = _TOKEN.match(line, at)
+    left = line.strip()
+    while left:
+        match = _TOKEN.match(left)
         if match is None:
-            raise TspError(
-                SYNTAX_ERROR, f"TSP Syntax error at line 1: unexpected symbol near `{line[at:].strip()[:1]}'"
-            )
+            raise _syntax_error(left[:1])
         kind = str(match.lastgroup)
         text = match[kind]
         tokens.append((text if text in _KEYWORDS and kind == "name" else kind, text))
-        at = match.end()
+        left = left[match.end() :].lstrip()
     return [*tokens, ("", "")]

@@ -12,6 +12,7 @@ from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import PluginOptions, Problem
 from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, check_at_most
 from cbsr_qa.system import TICK_S
+from cbsr_qa_plugins.effects.readings import ReadingEffect
 
 #: Effects on readings before they are converted.
 BEFORE_CONVERSION: Final = (
@@ -25,7 +26,7 @@ BEFORE_CONVERSION: Final = (
 )
 
 
-class Quantisation(SceneEffect):
+class Quantisation(ReadingEffect):
     """Every reading is rounded to the nearest step of a converter.
 
     A step is 2 × range / 2^bits.
@@ -41,15 +42,13 @@ class Quantisation(SceneEffect):
         bits: Annotated[int, Field(ge=4, le=32)]
 
     after: tuple[str, ...] = BEFORE_CONVERSION
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        self._step_V = 2 * self.options.range_V / 2**self.options.bits
+        self._step_V: float = 2 * self.options.range_V / 2**self.options.bits
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is not None:
-            moment.voltages = self._step_V * np.round(moment.voltages / self._step_V)
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        return self._step_V * np.round(voltages / self._step_V)
 
 
 class ConverterSaturation(SceneEffect):
@@ -75,7 +74,7 @@ class ConverterSaturation(SceneEffect):
             moment.flags |= np.where(beyond, np.uint8(ReadingFlag.SATURATED), np.uint8(0))
 
 
-class ReadingOffset(SceneEffect):
+class ReadingOffset(ReadingEffect):
     """The converter has an offset: a constant is added to every reading.
 
     Parameters
@@ -87,15 +86,13 @@ class ReadingOffset(SceneEffect):
         offset_V: Annotated[float, Field(ge=-1e3, le=1e3)]
 
     after: tuple[str, ...] = ("voltmeter-input",)
-    perturbs = "voltages"
     options: Options
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is not None:
-            moment.voltages = moment.voltages + self.options.offset_V
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        return voltages + self.options.offset_V
 
 
-class ReadingMemory(SceneEffect):
+class ReadingMemory(ReadingEffect):
     """Each reading keeps a share of the one before it, because multiplexer and converter do not settle.
 
     s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the frame before had
@@ -114,19 +111,16 @@ class ReadingMemory(SceneEffect):
         inner: Literal["measure", "drive"] | None = None
 
     after: tuple[str, ...] = ("voltmeter-input",)
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
         self._shares: Array | None = None
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is None:
-            return
+    def read(self, moment: Moment, voltages: Array) -> Array:
         turned = self._order(moment) == "drive"
-        frame = moment.voltages.T if turned else moment.voltages
+        frame = voltages.T if turned else voltages
         mixed = (self._mixed(frame.size) @ frame.ravel()).reshape(frame.shape)
-        moment.voltages = mixed.T if turned else mixed
+        return mixed.T if turned else mixed
 
     def _order(self, moment: Moment) -> str:
         at_s = moment.reading_offsets_s

@@ -17,19 +17,31 @@ REFERENCE_NPLC: Final = 0.01
 Cycles = Annotated[float, Field(gt=0, le=25)]
 
 
-class _RelativeNoise(SceneEffect):
+class ReadingEffect(SceneEffect):
+    """Changes the readings of a frame; there are none where only the force is sampled."""
+
+    perturbs = "voltages"
+
+    def apply(self, moment: Moment) -> None:
+        if moment.voltages is not None:
+            moment.voltages = self.read(moment, moment.voltages)
+
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        """Return what is read in place of these voltages, (drives, measures) [V]."""
+        raise NotImplementedError
+
+
+class _RelativeNoise(ReadingEffect):
     """Adds Gaussian noise, relative to the mean used reading, to every frame: subclasses say how much."""
 
     after: tuple[str, ...] = ("voltmeter-input",)
-    perturbs = "voltages"
 
     def _begin(self, setting: SceneSetting, name: str, relative: float | Array) -> None:
         self._relative, self._stream = relative, RandomStream(setting.seed, name)
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is not None:
-            rms_V = self._relative * moment.reading_scale_V
-            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        drawn = self._stream.normal(moment.index, voltages.shape)
+        return voltages + self._relative * moment.reading_scale_V * drawn
 
 
 class MeasurementNoise(_RelativeNoise):
@@ -96,7 +108,7 @@ class ElectrodeNoise(_RelativeNoise):
         self._begin(setting, "electrode-noise", self.options.relative_noise * (drives[:, None] | measures))
 
 
-class JohnsonNoise(SceneEffect):
+class JohnsonNoise(ReadingEffect):
     """Thermal noise of the resistance of each measured pair, independent between readings.
 
     √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
@@ -113,7 +125,6 @@ class JohnsonNoise(SceneEffect):
         mains_Hz: Positive = 50.0
         temperature_C: Annotated[float, Field(ge=-zero_Celsius, le=300)] = 23.0
 
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
@@ -122,13 +133,13 @@ class JohnsonNoise(SceneEffect):
         self._per_ohm = 4 * Boltzmann * kelvin / (2 * integration_s)
         self._stream = RandomStream(setting.seed, "johnson-noise")
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is not None and moment.measure_ohm is not None:
-            drawn = self._stream.normal(moment.index, moment.voltages.shape)
-            moment.voltages = moment.voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        assert moment.measure_ohm is not None
+        drawn = self._stream.normal(moment.index, voltages.shape)
+        return voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn
 
 
-class MainsHum(SceneEffect):
+class MainsHum(ReadingEffect):
     """A sine at the mains frequency on all readings, averaged over each reading's integration time.
 
     A sinc(N) sin(2π f t + φ) for N power line cycles: nothing is left at whole cycles, nearly all at 0.01. The phase
@@ -147,7 +158,6 @@ class MainsHum(SceneEffect):
         mains_Hz: Annotated[float, Field(gt=0, le=1e3)] = 50.0
 
     needs: tuple[str, ...] = ("time-skew",)
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
@@ -156,10 +166,10 @@ class MainsHum(SceneEffect):
         self._rate_rad_s = 2 * np.pi * options.mains_Hz
         self._phase = float(RandomStream(setting.seed, "mains-hum").generator(0).uniform(0, 2 * np.pi))
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is not None and moment.reading_offsets_s is not None:
-            turned = self._rate_rad_s * (moment.run_s + moment.reading_offsets_s) + self._phase
-            moment.voltages = moment.voltages + self._amplitude_V * np.sin(turned)
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        assert moment.reading_offsets_s is not None  # of the time-skew that it needs
+        turned = self._rate_rad_s * (moment.run_s + moment.reading_offsets_s) + self._phase
+        return voltages + self._amplitude_V * np.sin(turned)
 
 
 class SourceCompliance(SceneEffect):
@@ -187,7 +197,7 @@ class SourceCompliance(SceneEffect):
         moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))
 
 
-class VoltmeterInput(SceneEffect):
+class VoltmeterInput(ReadingEffect):
     """The voltmeter has a finite input resistance and a bias current.
 
     U = (U₀ + i R) R_in/(R_in + R) of a pair that unloaded shows U₀ behind the resistance R (Thévenin): that between
@@ -204,15 +214,13 @@ class VoltmeterInput(SceneEffect):
         input_ohm: Annotated[float, Field(gt=0, le=1e15)] = 1e10
         bias_A: Annotated[float, Field(ge=-1e-3, le=1e-3)] = 0.0
 
-    perturbs = "voltages"
     options: Options
 
-    def apply(self, moment: Moment) -> None:
-        if moment.voltages is None or moment.measure_ohm is None:
-            return
-        ohm = _behind(moment, moment.voltages, moment.measure_ohm)
+    def read(self, moment: Moment, voltages: Array) -> Array:
+        assert moment.measure_ohm is not None
+        ohm = _behind(moment, voltages, moment.measure_ohm)
         input_ohm, bias_A = self.options.input_ohm, self.options.bias_A
-        moment.voltages = (moment.voltages + bias_A * ohm) * (input_ohm / (input_ohm + ohm))
+        return (voltages + bias_A * ohm) * (input_ohm / (input_ohm + ohm))
 
 
 def _behind(moment: Moment, voltages: Array, measure_ohm: Array) -> Array:

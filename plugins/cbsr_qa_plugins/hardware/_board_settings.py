@@ -6,11 +6,10 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_carry_over
 from cbsr_qa.plugin import Array, PluginOptions, Problem, StationContext
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, stream_order
-from cbsr_qa_plugins.hardware._driver import Port
+from cbsr_qa_plugins.hardware._driver import Port, misconfigured
 
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
@@ -92,8 +91,6 @@ def check_sensor(context: StationContext, driver: str) -> None:
     """Refuse a sensor type that is not read by 16 x 16 (ConfigError)."""
     rows, columns = context.sensor_type.pattern.shape
     if (rows, columns) != _SHAPE:
-        raise ConfigError(
-            f"instrument {context.role!r} ({driver}) sends 16 x 16 readings;"
-            f" sensor type {context.sensor_type.name!r} has {rows} x {columns}",
-            remedy="use a sensor type of 16 drive and 16 measure pairs, or another driver",
-        )
+        problem = f" sends 16 x 16 readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}"
+        remedy = "use a sensor type of 16 drive and 16 measure pairs, or another driver"
+        raise misconfigured(context, driver, problem, remedy)

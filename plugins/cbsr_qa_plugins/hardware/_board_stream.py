@@ -1,7 +1,8 @@
 """Frames of counts out of the ERT board's bytes: the board is sent no commands, and it never stops."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,22 +39,32 @@ class BoardFrame:
     after_loss: bool
 
 
-class BoardStream(Protocol):
+class BoardStream(ABC):
     """Parses the board's bytes."""
 
-    #: Bytes so far that belonged to no whole frame, since the first whole one.
-    spoilt: int
+    def __init__(self) -> None:
+        self.restart()
 
+    @abstractmethod
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
-        ...
 
     def restart(self) -> None:
         """Forget what has come: bytes were thrown away, and what comes next may begin anywhere in a frame."""
-        ...
+        self._held = b""
+        self._any = self._lost = False
+
+    def _spoil(self) -> None:
+        """Note that bytes belong to no whole frame; those before the first frame cost none."""
+        self._lost = self._any
+
+    def _whole(self, counts: Counts) -> BoardFrame:
+        frame = BoardFrame(counts, self._lost)
+        self._any, self._lost = True, False
+        return frame
 
 
-class BinaryStream:
+class BinaryStream(BoardStream):
     r"""Frames of 770 bytes: 256 records of a count (uint16, low byte first) and ``\r``, then ``A\r``.
 
     A byte of a count can be ``\r`` or ``A`` too, so that frames are cut by length: one begins where all 257
@@ -64,12 +75,7 @@ class BinaryStream:
     Counts carry no checksum: a changed byte is noticed only where it stands between counts.
     """
 
-    def __init__(self) -> None:
-        self.spoilt = 0
-        self._held = bytearray()
-        self._locked = False
-        self._lost = False
-        self._any = False
+    _locked = False
 
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
@@ -81,15 +87,13 @@ class BinaryStream:
             if not _fits(self._held, 0):
                 self._locked = False
                 continue
-            frames.append(BoardFrame(_counts(self._held), self._lost))
-            self._any, self._lost = True, False
-            del self._held[:BINARY_FRAME]
+            frames.append(self._whole(_counts(self._held)))
+            self._held = self._held[BINARY_FRAME:]
         return frames
 
     def restart(self) -> None:
-        """Forget what has come; the stream may begin anywhere."""
-        self._held.clear()
-        self._locked = self._lost = self._any = False
+        super().restart()
+        self._locked = False
 
     def _synchronised(self) -> bool:
         """Find the start of a frame, and drop bytes before it."""
@@ -119,25 +123,24 @@ class BinaryStream:
         return left[0] if left else start
 
     def _drop(self, count: int) -> None:
-        if self._any and count:
-            self.spoilt += count
-            self._lost = True
-        del self._held[:count]
+        if count:
+            self._spoil()
+            self._held = self._held[count:]
 
 
-def _fits(data: bytearray, at: int) -> bool:
+def _fits(data: bytes, at: int) -> bool:
     end = at + BINARY_FRAME
     if data[end - 2] != _MARK or data[end - 1] != _RETURN:
         return False
     return data[at + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == _READINGS
 
 
-def _counts(data: bytearray, at: int = 0) -> Counts:
-    records = np.frombuffer(bytes(data[at : at + _RECORD * _READINGS]), np.uint8).reshape(_READINGS, _RECORD)
+def _counts(data: bytes, at: int = 0) -> Counts:
+    records = np.frombuffer(data, np.uint8, _RECORD * _READINGS, at).reshape(_READINGS, _RECORD)
     return (records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)).reshape(PAIRS, PAIRS)
 
 
-class TextStream:
+class TextStream(BoardStream):
     """Frames of text: a line ``A``, then 16 rows of 16 counts, one a line, each count with a comma behind it.
 
     A frame is whole when the next ``A`` follows its sixteenth row: a row that came twice would make one too early.
@@ -147,36 +150,29 @@ class TextStream:
     """
 
     def __init__(self, lowest: int, highest: int) -> None:
-        self.spoilt = 0
+        super().__init__()
         self._range = (lowest, highest)
-        self._held = b""
-        self._rows: list[list[int]] | None = None
-        self._bytes = 0
-        self._lost = False
-        self._any = False
 
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
         *lines, self._held = (self._held + data).split(b"\n")
         if len(self._held) > _LONGEST_LINE:
-            self._spoil(len(self._held))
+            self._spoil_frame()
             self._held = b""
         return [frame for line in lines if (frame := self._line(line)) is not None]
 
     def restart(self) -> None:
-        """Forget what has come; the stream may begin anywhere."""
-        self._held, self._rows, self._bytes = b"", None, 0
-        self._lost = self._any = False
+        super().restart()
+        self._rows: list[list[int]] | None = None
 
     def _line(self, line: bytes) -> BoardFrame | None:
-        self._bytes += len(line) + 1
         text = line.decode("ascii", "replace").strip()
         if text == "A":
             return self._marked()
         if self._rows is not None and _is_row(text):
             row = self._row(text)
             if row is None or len(self._rows) == PAIRS:
-                self._spoil(self._bytes)
+                self._spoil_frame()
             else:
                 self._rows.append(row)
         return None
@@ -184,11 +180,10 @@ class TextStream:
     def _marked(self) -> BoardFrame | None:
         frame = None
         if self._rows is not None and len(self._rows) == PAIRS:
-            frame = BoardFrame(np.array(self._rows, dtype=np.int64), self._lost)
-            self._any, self._lost = True, False
+            frame = self._whole(np.array(self._rows, dtype=np.int64))
         elif self._rows:
-            self._spoil(self._bytes)
-        self._rows, self._bytes = [], 0
+            self._spoil()
+        self._rows = []
         return frame
 
     def _row(self, text: str) -> list[int] | None:
@@ -204,12 +199,9 @@ class TextStream:
         right = len(numbers) in (PAIRS, PAIRS + 1) and all(low <= count <= high for count in counts)
         return counts if right else None
 
-    def _spoil(self, count: int) -> None:
-        """Discard the current frame."""
-        if self._any:
-            self.spoilt += count
-            self._lost = True
-        self._rows, self._bytes = None, 0
+    def _spoil_frame(self) -> None:
+        self._spoil()
+        self._rows = None
 
 
 def _is_row(text: str) -> bool:

@@ -7,9 +7,9 @@ from typing import Annotated, Final, Protocol, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.plan import Motion
-from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import StationContext
 
 #: Where a station states no motion: the rig's press speed of 40 mm/min, and the shipped station's other numbers.
@@ -51,6 +51,27 @@ def closed_on_error(opened: Closable) -> Iterator[None]:
     except BaseException:
         opened.close()
         raise
+
+
+def misconfigured(context: StationContext, driver: str, problem: str, remedy: str) -> ConfigError:
+    """Return the error of a station file, sensor type or station that this driver cannot work with."""
+    return ConfigError(f"instrument {context.role!r} ({driver}){problem}", remedy=remedy)
+
+
+def checked(
+    name: str,
+    well: bool,
+    value: float | None = None,
+    unit: str = "",
+    allowed: str = "",
+    *,
+    remedy: str = "",
+    said: str = "",
+    otherwise: CheckOutcome = CheckOutcome.FAILED,
+) -> CheckResult:
+    """Return a line of a self-test; it names the remedy only where all is not well."""
+    outcome = CheckOutcome.OK if well else otherwise
+    return CheckResult(name, outcome, value, unit, allowed, "" if well else remedy, said)
 
 
 class DriverBase:

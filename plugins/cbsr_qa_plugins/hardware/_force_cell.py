@@ -1,7 +1,6 @@
 """What load cells have in common, whatever they are read by: zero, limit, and a known mass."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Final, Protocol
 
 import numpy as np
@@ -11,7 +10,7 @@ from cbsr_qa.domain import Array, SafetyError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext
-from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, Sign
+from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, Sign, checked
 
 #: Newtons of one gram force: standard gravity (CGPM 1901); places on earth differ by half a percent at most.
 NEWTON_PER_G: Final = 9.80665e-3
@@ -32,43 +31,14 @@ class ForceSource(Protocol):
 
     def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and forces [N], both (n,), after a time."""
-        ...
 
     def newest(self, count: int) -> Array:
         """Return the last forces [N], at most so many, (n,)."""
-        ...
 
     def check_alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
-        ...
 
     def close(self) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """From a number to the force.
-
-    Parameters
-    ----------
-    per_unit_N : newtons per unit.
-    scale, offset : quantity in that unit = scale × number + offset.
-    sign : 1 if compression reads positive, -1 if negative.
-    """
-
-    per_unit_N: float
-    scale: float
-    offset: float
-    sign: int
-
-    @classmethod
-    def of(cls, options: "CellOptions", unit: str) -> "Scale":
-        """Take the scale from the options of a cell that reads in this unit."""
-        return cls(_UNITS[unit], options.scale, options.offset, options.sign)
-
-    def force_N(self, number: float) -> float:
-        """Return the force, compression positive [N]."""
-        return self.sign * self.per_unit_N * (self.scale * number + self.offset)
 
 
 class CellOptions(PluginOptions):
@@ -81,6 +51,10 @@ class CellOptions(PluginOptions):
     tare_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     tare_limit_N: Annotated[float, Field(ge=0)] = 0.5
     dead_weight_g: Annotated[float, Field(ge=0.1)] | None = None
+
+    def force_N(self, number: float, unit: str) -> float:
+        """Return the force of a number in ``"N"``, ``"g"`` or ``"counts"``, compression positive [N]."""
+        return self.sign * _UNITS[unit] * (self.scale * number + self.offset)
 
 
 class ForceCell(DriverBase):
@@ -156,14 +130,14 @@ class ForceCell(DriverBase):
         """
         mean_N, error_N = self._mean_N(_TEST_S)
         zero_N, limit_N = mean_N - self._zero_N, self._settings.tare_limit_N
-        well = abs(zero_N) <= limit_N
-        zero = CheckResult(
+        zero = checked(
             "zero",
-            CheckOutcome.OK if well else CheckOutcome.WARNING,
+            abs(zero_N) <= limit_N,
             zero_N,
             "N",
             f"within {limit_N:g} N",
-            "" if well else "take off what presses on it, or tare it",
+            remedy="take off what presses on it, or tare it",
+            otherwise=CheckOutcome.WARNING,
         )
         noise = CheckResult("noise", CheckOutcome.OK, error_N, "N", said=f"standard error over {_TEST_S:g} s")
         return zero, noise, self._dead_weight()
@@ -179,16 +153,15 @@ class ForceCell(DriverBase):
         ask(f"Take the {mass_g:g} g off again.")
         found_N, expected_N = mean_N - self._zero_N, NEWTON_PER_G * mass_g
         tolerance_N = _WEIGHT_SHARE * expected_N
-        right = abs(found_N - expected_N) <= tolerance_N
         expected = f"{expected_N:.4g} N ± {tolerance_N:.2g} N"
-        return CheckResult(
+        return checked(
             "dead weight",
-            CheckOutcome.OK if right else CheckOutcome.FAILED,
+            abs(found_N - expected_N) <= tolerance_N,
             found_N,
             "N",
             expected,
-            "" if right else "correct 'scale' and 'offset' in its table, or have it calibrated",
-            f"{found_N:.4g} N ± {error_N:.1g} N under {mass_g:g} g; {expected} expected",
+            remedy="correct 'scale' and 'offset' in its table, or have it calibrated",
+            said=f"{found_N:.4g} N ± {error_N:.1g} N under {mass_g:g} g; {expected} expected",
         )
 
     def _mean_N(self, window_s: float) -> tuple[float, float]:

@@ -1,14 +1,60 @@
 """TSP of Keithley's 2600 series: settings, the measuring function, and questions whose answers repeat a word."""
 
 import itertools
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import Final
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
 
 from cbsr_qa.domain import Array, InstrumentError
+from cbsr_qa.plugin import PluginOptions, Problem
 from cbsr_qa.plugin.links import VisaLink
+from cbsr_qa_plugins.hardware._driver import Text
 
 #: Set values may be rounded to the instrument's resolution; what is further off was not taken.
 _TOLERANCE = 1e-4
+
+
+#: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
+CURRENT_NPLC: Final = 0.001
+Volts = Annotated[float, Field(ge=0.02, le=200)]
+
+
+class KeithleyOptions(PluginOptions):
+    address: Annotated[Text, Field(description='a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"')]
+    source_channel: Literal["a", "b"] = "b"
+    meter_channel: Literal["a", "b"] = "a"
+    compliance_V: Volts = 20.0
+    range_V: Volts | None = None
+    largest_current_mA: Annotated[float, Field(ge=1e-4, le=1000)] = 1.0
+    nplc: Annotated[float, Field(ge=0.001, le=25)] = 0.1
+    readings: Annotated[int, Field(ge=1, le=1000)] = 1
+    timeout_s: Annotated[float, Field(ge=0.01, le=60)] = 1.0
+    visa_backend: Text = "@py"
+
+    @property
+    def source(self) -> str:
+        return f"smu{self.source_channel}"
+
+    @property
+    def meter(self) -> str:
+        return f"smu{self.meter_channel}"
+
+    @property
+    def meter_range_V(self) -> float:
+        """Range of the meter; by default the compliance."""
+        return self.compliance_V if self.range_V is None else self.range_V
+
+    @property
+    def largest_A(self) -> float:
+        return 1e-3 * self.largest_current_mA
+
+    def problems(self) -> Iterator[Problem]:
+        """One channel drives, the other measures."""
+        if self.source_channel == self.meter_channel:
+            what = f"is {self.meter_channel!r}, which both drives and measures"
+            yield Problem(("meter_channel",), what, "give source_channel and meter_channel different letters")
 
 
 class TspUnit:
@@ -111,26 +157,13 @@ class TspUnit:
 MEASURE: Final = "cbsr_measure"
 
 
-def settings(
-    source: str,
-    meter: str,
-    *,
-    compliance_V: float,
-    range_V: float,
-    largest_A: float,
-    nplc: float,
-    current_nplc: float,
-) -> list[str]:
+def settings(options: KeithleyOptions) -> list[str]:
     """Return the lines, from a reset on; both channels are off after them.
 
-    Numbers are written with ten digits: an instrument that is sent ``%f`` takes small currents for zero.
-
-    Parameters
-    ----------
-    source, meter : ``smua`` and ``smub`` or the other way round; the meter is a source of no current.
-    compliance_V, range_V, largest_A : voltage limit of both, range of the meter, range of the source.
-    nplc, current_nplc : apertures of the meter and of the source's own current, in power line cycles.
+    Numbers are written with ten digits: an instrument that is sent ``%f`` takes small currents for zero. The meter is
+    a source of no current.
     """
+    source, meter = options.source, options.meter
     lines = [
         "reset()",
         "errorqueue.clear()",
@@ -144,20 +177,20 @@ def settings(
             f"{smu}.source.offmode = {smu}.OUTPUT_HIGH_Z",
             f"{smu}.source.func = {smu}.OUTPUT_DCAMPS",
             f"{smu}.source.leveli = 0",
-            f"{smu}.source.limitv = {compliance_V:.9e}",
+            f"{smu}.source.limitv = {options.compliance_V:.9e}",
             f"{smu}.measure.autozero = {smu}.AUTOZERO_ONCE",
             f"{smu}.nvbuffer1.appendmode = 1",
         ]
     return [
         *lines,
         f"{source}.source.autorangei = {source}.AUTORANGE_OFF",
-        f"{source}.source.rangei = {largest_A:.9e}",
+        f"{source}.source.rangei = {options.largest_A:.9e}",
         f"{source}.measure.autorangei = {source}.AUTORANGE_OFF",
-        f"{source}.measure.rangei = {largest_A:.9e}",
-        f"{source}.measure.nplc = {current_nplc:.9e}",
+        f"{source}.measure.rangei = {options.largest_A:.9e}",
+        f"{source}.measure.nplc = {CURRENT_NPLC:.9e}",
         f"{meter}.measure.autorangev = {meter}.AUTORANGE_OFF",
-        f"{meter}.measure.rangev = {range_V:.9e}",
-        f"{meter}.measure.nplc = {nplc:.9e}",
+        f"{meter}.measure.rangev = {options.meter_range_V:.9e}",
+        f"{meter}.measure.nplc = {options.nplc:.9e}",
         _measure_function(source, meter),
     ]
 

@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -140,7 +140,7 @@ class MarlinAxes:
         """Return the present position."""
         return self._report()[1]
 
-    def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None] | None = None) -> None:
+    def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None]) -> None:
         """Move in a straight line; returns when there.
 
         InstrumentError if the position is lost, the head does not get there, or it was stopped meanwhile. ``look``:
@@ -155,7 +155,9 @@ class MarlinAxes:
         while (left_s := end_s - self._clock.now()) > _OVER_S:
             self._clock.sleep(min(left_s, POLL_S))
             self._check_not_stopped()
-            self._look(self._on_the_way(origin, goal), look)
+            live = self._on_the_way(origin, goal)
+            with self.lifting_on_error():
+                look(live)
         self._link.command("M400")
         self._check_arrived(goal)
         self._at = goal
@@ -188,6 +190,16 @@ class MarlinAxes:
                     self._link.shout(*self._stopping())
                     raise
                 self._stop_and_lift()  # it has restarted in between: now upwards from wherever it is
+
+    @contextmanager
+    def lifting_on_error(self) -> Iterator[None]:
+        """Stop and lift where something is found wrong; what was found is what must be known."""
+        try:
+            yield
+        except CbsrError:
+            with suppress(InstrumentError):
+                self.stop_and_lift()
+            raise
 
     def _stop_and_lift(self) -> None:
         lines = self._stopping()
@@ -230,16 +242,6 @@ class MarlinAxes:
             self._at = None
             self._link.command(f"G1 X{x:.4f} Y{y:.4f} Z{z:.4f} F{60 * speed_mm_s:.6g}")
         return began_s
-
-    def _look(self, live: Position, look: Callable[[Position], None] | None) -> None:
-        if look is None:
-            return
-        try:
-            look(live)
-        except CbsrError:
-            with suppress(InstrumentError):  # what was seen first is what must be known
-                self.stop_and_lift()
-            raise
 
     def _check_not_stopped(self) -> None:
         if self._stops != self._allowed_stops:

@@ -158,18 +158,18 @@ class ErtBoardStream(DriverBase):
             while self._ready:
                 end_s, frame = self._ready.popleft()
                 if end_s - self._period_s >= since_s:
-                    return self._counted(end_s, frame), frame
+                    self._count_lost(end_s, frame)
+                    return end_s, frame
             self._check_patience(asked_s)
             self._receive()
 
-    def _counted(self, end_s: float, frame: BoardFrame) -> float:
+    def _count_lost(self, end_s: float, frame: BoardFrame) -> None:
         missing = round((end_s - self._read_s) / self._period_s) - 1 if math.isfinite(self._read_s) else 0
         lost = max(missing, int(frame.after_loss))
         if lost:
             self.frames_lost += lost
             _log.warning("%s at %s: %d frames were lost before one at %.3f s", self._role, self._address, lost, end_s)
         self._read_s = end_s
-        return end_s
 
     def _receive(self) -> None:
         """Wait for about a row, and parse what arrived."""
@@ -229,17 +229,14 @@ class ErtBoardStream(DriverBase):
             )
         self._read_s = -math.inf
 
-    def _reopen(self) -> None:
-        self._link.reopen()
-        self._down = False
-        self._drain()
-
     @contextmanager
     def _retried(self) -> Iterator[None]:
         """Reopen a lost port; mark failures as retryable with a new stream."""
         try:
             if self._down:
-                self._reopen()
+                self._link.reopen()
+                self._down = False
+                self._drain()
             yield
         except InstrumentError as error:
             self._read_s = -math.inf

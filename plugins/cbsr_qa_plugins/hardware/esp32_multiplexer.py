@@ -7,12 +7,12 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
+from cbsr_qa.domain import InstrumentError, RefusedError
+from cbsr_qa.domain.run import CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import RealClock
-from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Port, closed_on_error
+from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Port, checked, closed_on_error, misconfigured
 from cbsr_qa_plugins.hardware._esp32 import Connection, Order, counter_in, is_log, last_position, stepping_order
 
 _DRIVER: Final = "esp32-multiplexer"
@@ -117,10 +117,8 @@ class Esp32Multiplexer(DriverBase):
             end = self._asked()
         count = len(self._order)
         result = f"{count} steps lead from the first combination to number {end + 1}"
-        if end == 0:
-            return (CheckResult("round", CheckOutcome.OK, said=result),)
         remedy = "steps are lost or done twice: look at the cable, and at what else is on its supply"
-        return (CheckResult("round", CheckOutcome.FAILED, said=result, remedy=remedy),)
+        return (checked("round", end == 0, said=result, remedy=remedy),)
 
     # --- multiplexer ---
 
@@ -157,15 +155,14 @@ class Esp32Multiplexer(DriverBase):
     def _declared(self) -> Order:
         skips = self._options.model_dump(include={"current_skip", "voltage_skip"})
         most = self._pattern.electrode_count - 2
-        who = f"instrument {self._role!r} ({_DRIVER})"
         for key, skip in skips.items():
             if skip > most:
                 remedy = f"it must be at most {most} with the electrodes of this sensor type"
-                raise ConfigError(f"{who}: {key} is {skip}", remedy=remedy)
+                raise misconfigured(self._context, _DRIVER, f": {key} is {skip}", remedy)
         try:
             return stepping_order(self._pattern, inner=self._options.inner, **skips)
         except RefusedError as error:
-            raise ConfigError(f"{who}: {error.reason}", remedy=error.remedy) from error
+            raise misconfigured(self._context, _DRIVER, f": {error.reason}", error.remedy) from error
 
     def _await_boot(self) -> None:
         """Ask until it answers: while it starts, what it is sent is lost."""

@@ -3,28 +3,24 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Annotated, Final, Literal
+from typing import Final
 
 import numpy as np
-from pydantic import Field
 
 from cbsr_qa.domain import Array, InstrumentError
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import MeterReading, PluginOptions, Problem, StationContext, driver
+from cbsr_qa.domain.run import CheckResult, InstrumentIdentity
+from cbsr_qa.plugin import MeterReading, StationContext, driver
 from cbsr_qa.plugin.links import VisaLink
-from cbsr_qa_plugins.hardware._driver import DriverBase, Text, closed_on_error
-from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, TspUnit, settings
+from cbsr_qa_plugins.hardware._driver import DriverBase, checked, closed_on_error
+from cbsr_qa_plugins.hardware._keithley_tsp import CURRENT_NPLC, MEASURE, KeithleyOptions, TspUnit, settings
 
 _DRIVER: Final = "keithley-2600"
-Volts = Annotated[float, Field(ge=0.02, le=200)]
 #: Status bits of a reading in a buffer.
 _OVER_TEMPERATURE, _COMPLIANCE = 0x02, 0x40
 #: The instrument returns 9.91e37 for a reading beyond the range, or an empty buffer.
 _NO_NUMBER: Final = 9e37
 #: A voltage above this share of the compliance is taken for the limit, as in the rig's own script.
 _AT_THE_LIMIT: Final = 0.99
-#: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
-_CURRENT_NPLC: Final = 0.001
 #: Allowed deviation of the readback from the request, as shares of itself and of its range.
 _CURRENT_SHARE, _CURRENT_RANGE_SHARE = 0.05, 0.01
 #: What the instrument needs for a reading beside the aperture [s], from its data sheet's rates at 0.001 NPLC.
@@ -33,34 +29,6 @@ _OVERHEAD_S: Final = 1e-4
 _ZERO_SHARE: Final = 1e-3
 #: How long the safe state waits for a thread that hangs in a question before it goes around it [s, real time].
 _PATIENCE_S: Final = 0.1
-
-
-class KeithleyOptions(PluginOptions):
-    address: Annotated[Text, Field(description='a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"')]
-    source_channel: Literal["a", "b"] = "b"
-    meter_channel: Literal["a", "b"] = "a"
-    compliance_V: Volts = 20.0
-    range_V: Volts | None = None
-    largest_current_mA: Annotated[float, Field(ge=1e-4, le=1000)] = 1.0
-    nplc: Annotated[float, Field(ge=0.001, le=25)] = 0.1
-    readings: Annotated[int, Field(ge=1, le=1000)] = 1
-    timeout_s: Annotated[float, Field(ge=0.01, le=60)] = 1.0
-    visa_backend: Text = "@py"
-
-    @property
-    def meter_range_V(self) -> float:
-        """Range of the meter; by default the compliance."""
-        return self.compliance_V if self.range_V is None else self.range_V
-
-    @property
-    def largest_A(self) -> float:
-        return 1e-3 * self.largest_current_mA
-
-    def problems(self) -> Iterator[Problem]:
-        """One channel drives, the other measures."""
-        if self.source_channel == self.meter_channel:
-            what = f"is {self.meter_channel!r}, which both drives and measures"
-            yield Problem(("meter_channel",), what, "give source_channel and meter_channel different letters")
 
 
 @driver(_DRIVER, KeithleyOptions)
@@ -100,7 +68,7 @@ class Keithley2600(DriverBase):
     def __init__(self, context: StationContext, options: KeithleyOptions) -> None:
         super().__init__(context, _DRIVER, options.address)
         self._options = options
-        self._source, self._meter = f"smu{options.source_channel}", f"smu{options.meter_channel}"
+        self._source, self._meter = options.source, options.meter
         self._line_Hz = 50.0
         self._lock = threading.RLock()
         self._ready = False
@@ -158,13 +126,11 @@ class Keithley2600(DriverBase):
             with self._talking():
                 errors = self._unit.errors()
                 self._unit.write(f"{self._source}.source.leveli = 0")
-                for channel in (self._meter, self._source):
-                    self._unit.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
+                self._switch_on()
                 volts, amperes = self._unit.numbers(f"{self._meter}.measure.v()", f"{self._source}.measure.i()")
             self._confirmed_off()
-        outcome = CheckOutcome.FAILED if errors else CheckOutcome.OK
         return (
-            CheckResult("errors", outcome, said="; ".join(errors) or "none in its queue"),
+            checked("errors", not errors, said="; ".join(errors) or "none in its queue"),
             _zero("zero voltage", volts, "V", _ZERO_SHARE * self._options.meter_range_V),
             _zero("zero current", amperes, "A", _ZERO_SHARE * self._options.largest_A),
         )
@@ -173,7 +139,7 @@ class Keithley2600(DriverBase):
 
     @property
     def reading_period_s(self) -> float:
-        return self._options.readings * ((self._options.nplc + _CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
+        return self._options.readings * ((self._options.nplc + CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
 
     @property
     def compliance_V(self) -> float:
@@ -193,8 +159,7 @@ class Keithley2600(DriverBase):
             if self._given_A == current_A:
                 return
             self._unit.write(f"{self._source}.source.leveli = {current_A:.9e}")
-            for channel in (self._meter, self._source):
-                self._unit.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
+            self._switch_on()
             self._unit.check_errors("switching the source on")
             self._unit.check({f"{self._source}.source.leveli": current_A, f"{self._source}.source.output": 1.0})
             self._given_A = current_A
@@ -267,16 +232,7 @@ class Keithley2600(DriverBase):
         self._unit.recover()
         self._switch_off()
         self._unit.recognise()
-        options = self._options
-        for line in settings(
-            self._source,
-            self._meter,
-            compliance_V=options.compliance_V,
-            range_V=options.meter_range_V,
-            largest_A=options.largest_A,
-            nplc=options.nplc,
-            current_nplc=_CURRENT_NPLC,
-        ):
+        for line in settings(self._options):
             self._unit.write(line)
         self._unit.check_errors("its settings")
         self._line_Hz = self._unit.numbers("localnode.linefreq")[0]
@@ -288,6 +244,10 @@ class Keithley2600(DriverBase):
                 f"{self._meter}.measure.nplc": self._options.nplc,
             }
         )
+
+    def _switch_on(self) -> None:
+        for channel in (self._meter, self._source):
+            self._unit.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
 
     def _switch_off(self) -> None:
         """Switch off both channels in any state; a running script is aborted first."""
@@ -318,12 +278,6 @@ class Keithley2600(DriverBase):
 
 
 def _zero(name: str, value: float, unit: str, most: float) -> CheckResult:
-    well = abs(value) <= most
-    return CheckResult(
-        name,
-        CheckOutcome.OK if well else CheckOutcome.FAILED,
-        value if abs(value) < _NO_NUMBER else None,
-        unit,
-        f"within {most:.3g} {unit}",
-        "" if well else "take the leads off and ask again: what is left is the unit's own and wants its calibration",
-    )
+    number = value if abs(value) < _NO_NUMBER else None
+    remedy = "take the leads off and ask again: what is left is the unit's own and wants its calibration"
+    return checked(name, abs(value) <= most, number, unit, f"within {most:.3g} {unit}", remedy=remedy)

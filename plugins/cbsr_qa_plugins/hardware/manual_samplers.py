@@ -12,7 +12,7 @@ from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import Instrument, PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._driver import DriverBase, Text
+from cbsr_qa_plugins.hardware._driver import DriverBase, Text, misconfigured
 
 #: Number of invalid answers before giving up.
 _MOST_ASKED: Final = 5
@@ -26,26 +26,10 @@ class HandMoved(Instrument, Protocol):
     @property
     def orders(self) -> int:
         """Number of orders to move."""
-        ...
 
     @property
     def down(self) -> bool:
         """Whether it is in the sheet according to the orders."""
-        ...
-
-
-def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
-    """Return the bench's head, which must be one that is moved by hand.
-
-    ConfigError if the head is motorised: it would press on, unwatched, while the operator reads a display.
-    """
-    head = peers.get("force_applicator")
-    if not isinstance(head, HandMoved):
-        raise ConfigError(
-            f"{what} that is read by an operator is for a head that is moved by hand",
-            remedy="a head that moves by itself needs instruments that sample by themselves",
-        )
-    return head
 
 
 class Operator:
@@ -53,10 +37,9 @@ class Operator:
 
     def __init__(self, context: StationContext, driver: str) -> None:
         if context.ask is None:
-            raise ConfigError(
-                f"instrument {context.role!r} ({driver}) is operated by hand, and there is no operator to ask",
-                remedy="start the run at a terminal, or use a driver that needs no operator",
-            )
+            problem = " is operated by hand, and there is no operator to ask"
+            remedy = "start the run at a terminal, or use a driver that needs no operator"
+            raise misconfigured(context, driver, problem, remedy)
         self._role = context.role
         self._ask: Callable[[str], str] = context.ask
 
@@ -126,7 +109,13 @@ class HandRead(DriverBase):
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Link to the head; ConfigError if it is motorised: it would press on while the operator reads."""
-        self._head = hand_moved(peers, self._what)
+        head = peers.get("force_applicator")
+        if not isinstance(head, HandMoved):
+            raise ConfigError(
+                f"{self._what} that is read by an operator is for a head that is moved by hand",
+                remedy="a head that moves by itself needs instruments that sample by themselves",
+            )
+        self._head = head
 
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return the last reading if it is younger than a time, after asking for one that is due."""

@@ -13,13 +13,13 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import CbsrError, ConfigError, InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.plan import CLEARANCE_MM, SEARCH_CONTACT_STEPS, SEARCH_DWELL_S, SEARCH_FROM_MM, SEARCH_STEP_MM
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import Array, Instrument, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._driver import HeadDriver, Port, closed_on_error
+from cbsr_qa_plugins.hardware._driver import HeadDriver, Port, closed_on_error, misconfigured
 from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 from cbsr_qa_plugins.hardware._marlin_axes import MachineFrame, MarlinAxes, Position
@@ -87,14 +87,11 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
         If there is no answer at the address, or another instrument or firmware answers.
     """
     if context.motion is None:
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}) was given no motion", remedy="open it by a station"
-        )
-    if options.search_depth_mm > context.sensor_type.thickness_mm:
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}): search_depth_mm is {options.search_depth_mm}",
-            remedy=f"it must be at most the sheet's thickness, {context.sensor_type.thickness_mm:g}",
-        )
+        raise misconfigured(context, _DRIVER, " was given no motion", "open it by a station")
+    thickness_mm = context.sensor_type.thickness_mm
+    if options.search_depth_mm > thickness_mm:
+        remedy = f"it must be at most the sheet's thickness, {thickness_mm:g}"
+        raise misconfigured(context, _DRIVER, f": search_depth_mm is {options.search_depth_mm}", remedy)
     link = SerialLink(context.role, options.address, baud=options.baud, timeout_s=options.timeout_s)
     with closed_on_error(link):
         return MarlinApplicator(context, options, link, MarlinLink(link, boot_s=options.boot_s))
@@ -234,7 +231,8 @@ class MarlinApplicator(HeadDriver):
             self._go_to_depth(depth_mm + SEARCH_STEP_MM, press_mm_s, watched=True)
             stepped_s = self._clock.now()
             self._clock.sleep(SEARCH_DWELL_S)
-            forces.append(self._mean_since(watch, stepped_s))
+            with self._axes.lifting_on_error():
+                forces.append(watch.mean_since(stepped_s))
             depths.append(self._depth_mm())
             if len(forces) == 1 and abs(forces[0]) >= self._options.contact_force_N:
                 raise self._given_up(
@@ -242,14 +240,6 @@ class MarlinApplicator(HeadDriver):
                     "tare it with the head in the air, and check 'hover_height_mm' in the applicator's table",
                 )
         return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
-
-    def _mean_since(self, watch: ForceWatch, time_s: float) -> float:
-        try:
-            return watch.mean_since(time_s)
-        except CbsrError:
-            with suppress(InstrumentError):  # up first; what was seen is the message
-                self.safe_state()
-            raise
 
     def _given_up(self, reason: str, remedy: str) -> InstrumentError:
         """Lift the head, and return why the surface was not found."""

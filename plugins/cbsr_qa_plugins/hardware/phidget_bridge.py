@@ -8,20 +8,19 @@ import ctypes
 import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from cbsr_qa.domain import Array, ConfigError, InstrumentError
 from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import AddressLock
 from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
-from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
+from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 
 _DRIVER: Final = "phidget-bridge"
-_GAINS: Final = (1, 8, 16, 32, 64, 128)
 _TIMEOUT: Final = 0x3  # no device attached in time
 _SILENT_INTERVALS: Final = 10
 _INSTALL: Final = 'install it with: pip install "cbsr-qa[phidget]"'
@@ -31,17 +30,11 @@ _LIBUSB: Final = (
 _PLUG: Final = "plug it in; on Linux its udev rule (99-libphidget22.rules) must let this user open it"
 
 
-def _gain(value: int) -> int:
-    if value not in _GAINS:
-        raise ValueError(f"it must be one of {', '.join(map(str, _GAINS))}")
-    return value
-
-
 class BridgeOptions(CellOptions):
     scale: Factor
     device_serial: Annotated[int, Field(ge=0, le=2**31)] | None = None
     channel: Annotated[int, Field(ge=0, le=7)] = 0
-    gain: Annotated[int, AfterValidator(_gain)] = 128
+    gain: Literal[1, 8, 16, 32, 64, 128] = 128
     data_interval_ms: Annotated[int, Field(ge=8, le=60_000)] = 125
     attach_s: Annotated[float, Field(ge=0.01, le=60)] = 5.0
 
@@ -89,7 +82,7 @@ class PhidgetSource(DriverBase):
     def __init__(self, context: StationContext, options: BridgeOptions) -> None:
         serial = "any" if options.device_serial is None else options.device_serial
         super().__init__(context, _DRIVER, f"phidget:{serial}:{options.channel}")
-        self._options, self._scale = options, Scale.of(options, "g")
+        self._options = options
         self._log = SampleLog()
         self._attached = False
         self._said = ""  # the last thing the library complained of
@@ -182,7 +175,7 @@ class PhidgetSource(DriverBase):
     def _on_ratio(self, bridge: Any, ratio: float) -> None:
         now_s = self._clock.now()
         if now_s > self._log.last_s:  # a virtual clock may not have moved: one sample a moment
-            self._log.append(now_s, self._scale.force_N(ratio))
+            self._log.append(now_s, self._options.force_N(ratio, "g"))
 
     def _failed(self, what: str, error: Exception) -> InstrumentError:
         details = getattr(error, "details", "") or getattr(error, "description", "") or error

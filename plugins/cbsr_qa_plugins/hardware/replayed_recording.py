@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import ConfigError, NoMoreFramesError, PluginError, RecordingError
+from cbsr_qa.domain import NoMoreFramesError, PluginError, RecordingError
 from cbsr_qa.domain.plan import steps as kinematics
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text, misconfigured
 
 _DRIVER: Final = "replayed-recording"
 
@@ -57,10 +57,9 @@ class ReplayedRecording(DriverBase):
 
     def __init__(self, context: StationContext, options: ReplayOptions) -> None:
         self._motion = context.motion or RIG_MOTION
-        self._who = f"instrument {context.role!r} ({_DRIVER})"
         self._recording = recording = _read(context, options)
         super().__init__(context, _DRIVER, str(recording.path))
-        _check_frames(recording, context, self._who)
+        _check_frames(recording, context)
         self._wanted = options.channel
         self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
         self._period_s = float(np.median(np.diff(recording.frames.time_s)))
@@ -144,10 +143,8 @@ class ReplayedRecording(DriverBase):
         if self._samples is None:
             name = self._recording.path.name
             held = ", ".join(block.channel for block in self._recording.samples) or "none"
-            raise ConfigError(
-                f"{self._who}: {name} holds no channel {self._wanted!r}",
-                remedy=f"channels it holds: {held}; take that role out of 'provides', or replay another recording",
-            )
+            remedy = f"channels it holds: {held}; take that role out of 'provides', or replay another recording"
+            raise misconfigured(self._context, _DRIVER, f": {name} holds no channel {self._wanted!r}", remedy)
         return self._samples
 
     # --- force applicator ---
@@ -186,34 +183,28 @@ class ReplayedRecording(DriverBase):
 
 def _read(context: StationContext, options: ReplayOptions) -> Recording:
     if context.read_recording is None:
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}) was given no way to read recordings",
-            remedy="open it by a station file",
-        )
+        raise misconfigured(context, _DRIVER, " was given no way to read recordings", "open it by a station file")
     try:
         return context.read_recording(Path(options.file).expanduser(), options.format, options.dataset)
     except (RecordingError, PluginError) as error:
-        raise ConfigError(f"instrument {context.role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy) from error
+        raise misconfigured(context, _DRIVER, f": {error.reason}", error.remedy) from error
 
 
-def _check_frames(recording: Recording, context: StationContext, who: str) -> None:
+def _check_frames(recording: Recording, context: StationContext) -> None:
     """Refuse a recording whose frames are not those of a run."""
-    name, shape = recording.path.name, context.sensor_type.pattern.shape
-    if recording.sensor_type not in (None, context.sensor_type.name):
-        raise ConfigError(
-            f"{who}: {name} is of sensor type {recording.sensor_type!r}, not {context.sensor_type.name!r}",
-            remedy="replay a recording of this sensor type, or name the sensor type that was recorded",
-        )
-    played = recording.frames.voltages.shape[1:]
-    if recording.scan is not ScanKind.FULL or played != shape:
-        raise ConfigError(
-            f"{who}: frames of {name} have {played[0]} x {played[1]} readings;"
-            f" sensor type {context.sensor_type.name!r} has {shape[0]} x {shape[1]}",
-            remedy="give the station the sensor type that was recorded",
-        )
-    if recording.still or len(recording.frames) < 2:
-        raise ConfigError(
-            f"{who}: {name} holds {len(recording.frames)} frames"
-            + (" whose times say nothing" if recording.still else ""),
-            remedy="only a recording over time can be played on a clock",
-        )
+    name, wanted = recording.path.name, context.sensor_type
+    (rows, columns), played = wanted.pattern.shape, recording.frames.voltages.shape[1:]
+    problem = ""
+    if recording.sensor_type not in (None, wanted.name):
+        problem = f": {name} is of sensor type {recording.sensor_type!r}, not {wanted.name!r}"
+        remedy = "replay a recording of this sensor type, or name the sensor type that was recorded"
+    elif recording.scan is not ScanKind.FULL or played != (rows, columns):
+        problem = f": frames of {name} have {played[0]} x {played[1]} readings;"
+        problem += f" sensor type {wanted.name!r} has {rows} x {columns}"
+        remedy = "give the station the sensor type that was recorded"
+    elif recording.still or len(recording.frames) < 2:
+        problem = f": {name} holds {len(recording.frames)} frames"
+        problem += " whose times say nothing" if recording.still else ""
+        remedy = "only a recording over time can be played on a clock"
+    if problem:
+        raise misconfigured(context, _DRIVER, problem, remedy)

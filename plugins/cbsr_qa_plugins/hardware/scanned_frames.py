@@ -21,7 +21,7 @@ from cbsr_qa.plugin import (
     driver,
 )
 from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
-from cbsr_qa_plugins.hardware._driver import DriverBase
+from cbsr_qa_plugins.hardware._driver import DriverBase, checked
 
 _DRIVER: Final = "scanned-frames"
 Milliampere = Annotated[float, Field(ge=1e-4, le=1000)]
@@ -80,10 +80,8 @@ class ScannedFrames(DriverBase):
     def __init__(self, context: StationContext, options: ScanOptions) -> None:
         super().__init__(context, _DRIVER, "the bench")
         self._pattern = context.sensor_type.pattern
-        self._stated_A = None if options.current_mA is None else 1e-3 * options.current_mA
+        self._options = options
         self._largest_A = 1e-3 * options.largest_current_mA
-        self._used = 1 - options.headroom_percent / 100
-        self._refuses = options.contacts == "refuse"
         self._sign = -1.0 if options.polarity == "reversed" else 1.0
         self._meter: SourceMeter
         self._multiplexer: Multiplexer
@@ -102,12 +100,14 @@ class ScannedFrames(DriverBase):
         """Look at the contacts by the driven pairs (line ``contacts``), and at the current (``current``)."""
         ohm = self._driven_ohm()
         faults = self._contact_faults(ohm)
-        outcome = CheckOutcome.OK
-        if faults:
-            poor = all(fault.state is ContactState.POOR for fault in faults)
-            outcome = CheckOutcome.WARNING if poor else CheckOutcome.FAILED
-        remedy = "look at the pins and leads that are named" if faults else ""
-        contacts = CheckResult("contacts", outcome, said=self._contacts, remedy=remedy)
+        poor = all(fault.state is ContactState.POOR for fault in faults)
+        contacts = checked(
+            "contacts",
+            not faults,
+            said=self._contacts,
+            remedy="look at the pins and leads that are named",
+            otherwise=CheckOutcome.WARNING if poor else CheckOutcome.FAILED,
+        )
         volts = self._current_A * float(np.nanmax(np.where(np.isfinite(ohm), np.abs(ohm), 0.0)))
         left = f"{volts:.3g} V of the source's {self._meter.compliance_V:g} V on the worst pair"
         return contacts, CheckResult("current", CheckOutcome.OK, 1e3 * self._current_A, "mA", said=left)
@@ -226,7 +226,7 @@ class ScannedFrames(DriverBase):
             )
         faults = self._contact_faults(ohm)
         findings = [fault.words() for fault in faults]
-        if self._refuses and any(fault.state is not ContactState.POOR for fault in faults):
+        if self._options.contacts == "refuse" and any(fault.state is not ContactState.POOR for fault in faults):
             raise self._error(
                 "; ".join(findings), 'repair the contact, or set contacts = "warn" to measure all the same'
             )
@@ -248,22 +248,22 @@ class ScannedFrames(DriverBase):
 
     def _chosen_A(self, ohm: Array) -> float:
         """Return the stated current if it leaves the headroom, else the largest round one that does."""
-        known = np.abs(ohm[np.isfinite(ohm)])
+        known = np.where(np.isfinite(ohm), np.abs(ohm), 0.0)
+        limit_V, free_percent = self._meter.compliance_V, self._options.headroom_percent
         most_A = self._largest_A
-        if known.size and known.max() > 0:
-            most_A = self._used * self._meter.compliance_V / float(known.max())
-        if self._stated_A is None:
+        if known.max() > 0:
+            most_A = (1 - free_percent / 100) * limit_V / float(known.max())
+        if self._options.current_mA is None:
             return _round_down(min(most_A, self._largest_A))
-        if self._stated_A > most_A:
-            worst = self._pattern.drive[int(np.nanargmax(np.where(np.isfinite(ohm), np.abs(ohm), np.nan)))]
-            volts = self._stated_A * float(known.max())
+        stated_A = 1e-3 * self._options.current_mA
+        if stated_A > most_A:
+            source, sink = self._pattern.drive[int(known.argmax())]
             raise self._error(
-                f"{1e3 * self._stated_A:g} mA need {volts:.3g} V on pair {worst[0]}-{worst[1]};"
-                f" the source ends at {self._meter.compliance_V:g} V,"
-                f" and {100 * (1 - self._used):g} % of it are to be left",
+                f"{1e3 * stated_A:g} mA need {stated_A * float(known.max()):.3g} V on pair {source}-{sink};"
+                f" the source ends at {limit_V:g} V, and {free_percent:g} % of it are to be left",
                 f"state at most {1e3 * _round_down(most_A):g} mA, or raise compliance_V",
             )
-        return self._stated_A
+        return stated_A
 
 
 def _round_down(current_A: float) -> float:

@@ -5,6 +5,7 @@ a reading.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Annotated, Final, Literal
 
 from pydantic import Field
@@ -14,7 +15,7 @@ from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Factor, Port, closed_on_error
-from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
+from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import LineSampler
 
 _CELL: Final = "serial-load-cell"
@@ -61,7 +62,7 @@ def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCe
     InstrumentError
         If no such lines come from the address, or something presses on the cell while it is tared.
     """
-    lines = _lines(context, options, Scale.of(options, options.unit).force_N)
+    lines = _lines(context, options, partial(options.force_N, unit=options.unit))
     model = f"load cell that sends lines of text, {options.unit}"
     with closed_on_error(lines):
         cell = ForceCell(context, lines, options, driver=_CELL, address=options.address, who=lambda: (model,))

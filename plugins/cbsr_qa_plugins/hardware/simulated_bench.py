@@ -6,14 +6,13 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Motion
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.simulate import SimulatedHead, SimulatedWorld, StepAddresses
 from cbsr_qa.system import in_ticks, on_tick
-from cbsr_qa_plugins.hardware._driver import RIG_MOTION, HeadDriver
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, HeadDriver, misconfigured
 
 _DRIVER: Final = "simulated-bench"
 _FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact
@@ -54,10 +53,8 @@ class SimulatedBench(HeadDriver):
 
     def __init__(self, context: StationContext, options: BenchOptions) -> None:
         if context.scene is None or context.effect_factory is None:
-            raise ConfigError(
-                f"instrument {context.role!r} ({_DRIVER}) was given no scene",
-                remedy='name one in its table, e.g. scene = "base"',
-            )
+            remedy = 'name one in its table, e.g. scene = "base"'
+            raise misconfigured(context, _DRIVER, " was given no scene", remedy)
         super().__init__(context, _DRIVER, "simulated")
         self._scene = context.scene
         self.world = SimulatedWorld(
@@ -134,7 +131,6 @@ class SimulatedBench(HeadDriver):
 
     def home(self) -> None:
         """Lift the head and take it to the sheet's centre."""
-        self._check_open()
         self._begin_act()
         self._head.travel(0.0, 0.0)
 
@@ -145,24 +141,22 @@ class SimulatedBench(HeadDriver):
         return self._head.find_surface(self._mean_force_N)
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        self._check_open()
         self._check_place(x_mm, y_mm)
         self._begin_act()
         self._head.travel(x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here."""
-        self._check_open()
         self._check_press(depth_mm, speed_mm_s)
         self._begin_act()
         self._head.press(depth_mm, speed_mm_s)
 
     def release(self) -> None:
-        self._check_open()
         self._begin_act()
         self._head.lift()
 
     def _begin_act(self) -> None:
+        self._check_open()
         self._head.count_from(self._addresses.begin_act())
 
     def _mean_force_N(self, window_s: float) -> float:

@@ -36,26 +36,17 @@ class ReciprocityError(WithOptions):
         if not errors.size:
             why = "no imaged reading has a reciprocal one, or all are zero"
             return tuple(Measurement("reciprocity_error", None, "1", qualifier=q, how=why) for q in ("", "worst"))
-        together = f"rms over {errors.size} pairs of readings of the reference frame"
-        names = [_name(int(first), run) for first in pairs[:, 0]]
+        drives, measures = (index.tolist() for index in np.divmod(pairs[:, 0], run.usable.shape[1]))
+        names = [Dimensions(drive=d, measure=m).text for d, m in zip(drives, measures, strict=True)]
         worst = int(errors.argmax())
-        measured = [
-            Measurement("reciprocity_error", float(np.sqrt(np.mean(errors**2))), "1", how=together),
-            Measurement("reciprocity_error", float(errors[worst]), "1", qualifier="worst", how=names[worst]),
-        ]
+        together = f"rms over {errors.size} pairs of readings of the reference frame"
+        values = [("", np.sqrt(np.mean(errors**2)), together), ("worst", errors[worst], names[worst])]
         if self.options.every:
-            measured += [
-                Measurement(
-                    "reciprocity_error", float(error), "1", qualifier=name, how="against its reciprocal reading"
-                )
-                for name, error in zip(names, errors, strict=True)
-            ]
-        return tuple(measured)
-
-
-def _name(reading: int, run: RunObservation) -> str:
-    drive, measure = divmod(reading, run.usable.shape[1])
-    return Dimensions(drive=drive, measure=measure).text
+            values += [(name, e, "against its reciprocal reading") for name, e in zip(names, errors, strict=True)]
+        return tuple(
+            Measurement("reciprocity_error", float(value), "1", qualifier=qualifier, how=how)
+            for qualifier, value, how in values
+        )
 
 
 class ContactResistance:

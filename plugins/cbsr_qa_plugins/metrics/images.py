@@ -12,7 +12,7 @@ from cbsr_qa.analysis.run import SizeResponse, size_response_of
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Bound, Dimensions, Image, LoadObservation, Measurement, RunObservation
-from cbsr_qa.eit.imaging import GreitFigures, Registration, TwoTouch, greit_figures, register, two_touch_resolution
+from cbsr_qa.eit.imaging import GreitFigures, Registration, greit_figures, register, two_touch_resolution
 from cbsr_qa_plugins.metrics._shared import at_load, masks_of
 
 _NAMES: Final = ("amplitude_response", "position_error", "resolution", "shape_deformation", "ringing")
@@ -32,11 +32,10 @@ class GreitFiguresOfMerit:
         expected = _expected(load, run)
         image = Image(load.image.mesh, load.response.sign * load.image.values)
         figures = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
+        values = (None,) * len(_NAMES) if figures is None else astuple(figures)
         return tuple(
             at_load(load, name, value, unit, how=_how(name, figures, expected))
-            for (name, unit), value in zip(
-                self.measures.items(), (None,) * len(_NAMES) if figures is None else astuple(figures), strict=True
-            )
+            for (name, unit), value in zip(self.measures.items(), values, strict=True)
         )
 
 
@@ -107,15 +106,17 @@ class TwoTouchResolution:
     measures: ClassVar[dict[str, str]] = {"two_touch_resolution": "mm"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        ways = {"": min(run.main_mask, _HIGHEST), _WATERSHED: None}
-        return tuple(
-            _measurement(
-                two_touch_resolution(run.reconstruction, run.record.indenter, mask=mask),
-                qualifier,
-                told_apart_by(qualifier, run),
+        measured = []
+        for qualifier, mask in (("", min(run.main_mask, _HIGHEST)), (_WATERSHED, None)):
+            touch = two_touch_resolution(run.reconstruction, run.record.indenter, mask=mask)
+            how = f"{told_apart_by(qualifier, run)}; steps of {touch.step_mm:g} mm up to {touch.tried_mm:g} mm"
+            value_mm, bound = touch.separation_mm, Bound.EXACT
+            if value_mm is None:
+                value_mm, bound, how = touch.tried_mm, Bound.LOWER, f"{how}: never two"
+            measured.append(
+                Measurement("two_touch_resolution", value_mm, "mm", qualifier=qualifier, how=how, bound=bound)
             )
-            for qualifier, mask in ways.items()
-        )
+        return tuple(measured)
 
 
 def told_apart_by(qualifier: str, run: RunObservation) -> str:
@@ -123,15 +124,6 @@ def told_apart_by(qualifier: str, run: RunObservation) -> str:
     if qualifier == _WATERSHED:
         return "valleys 5 % deep under the 25 % mask"
     return f"contours at {100 * min(run.main_mask, _HIGHEST):g} %"
-
-
-def _measurement(touch: TwoTouch, qualifier: str, how: str) -> Measurement:
-    name, words = "two_touch_resolution", f"{how}; steps of {touch.step_mm:g} mm up to {touch.tried_mm:g} mm"
-    if touch.separation_mm is None:
-        return Measurement(
-            name, touch.tried_mm, "mm", qualifier=qualifier, how=f"{words}: never two", bound=Bound.LOWER
-        )
-    return Measurement(name, touch.separation_mm, "mm", qualifier=qualifier, how=words)
 
 
 _HOW = "centre of mass, less what all places share"
@@ -210,9 +202,8 @@ class SizeResponseMetric:
             return (Measurement("size_response", None, "1", how=error.reason),)
         measured = []
         for size in sizes:
-            measured.append(
-                Measurement("size_response", size.slope, "1", qualifier=size.place, how=_how_size_response(size, run))
-            )
+            how = _how_size_response(size, run)
+            measured.append(Measurement("size_response", size.slope, "1", qualifier=size.place, how=how))
             for diameter, area in zip(size.diameters_mm, size.areas_mm2, strict=True):
                 qualifier = Dimensions(size.place, target_mm=diameter).text
                 why = "" if area is not None else "not detected: the target leaves no region"

@@ -4,17 +4,16 @@ E_CoM is the distance of the sensed region's centre of mass from the indenter's 
 overlap of both (Eq 5) and SD the mean squared distance of the region's outline from the indenter's (Eq 6).
 """
 
-from math import hypot
+from math import dist
 from typing import ClassVar
 
-from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
+from cbsr_qa.analysis.run import estimated_loads
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.results import (
     Blob,
     Estimated,
     LoadEstimate,
     LoadObservation,
-    MaskView,
     Measurement,
     Region,
     RunObservation,
@@ -33,17 +32,14 @@ class CentreOfMassError:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
-        return tuple(
-            at_load(
-                load,
-                "centre_of_mass_error",
-                None if view.region is None else centre_of_mass_error_mm(view.region, load.pressed),
-                "mm",
-                qualifier=qualifier,
-                how=why_not(view) if view.region is None else "area- and value-weighted centre of mass",
-            )
-            for view, qualifier in masks_of(load, run)
-        )
+        measured: list[Measurement] = []
+        for view, qualifier in masks_of(load, run):
+            value, how = None, why_not(view)
+            if view.region is not None:
+                value = centre_of_mass_error_mm(view.region, load.pressed)
+                how = "area- and value-weighted centre of mass"
+            measured.append(at_load(load, "centre_of_mass_error", value, "mm", qualifier=qualifier, how=how))
+        return tuple(measured)
 
 
 class AreaOverlap:
@@ -59,26 +55,20 @@ class AreaOverlap:
         """Measure the sensed blob under each mask; without a blob there is no value."""
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
-            overlap, ratio, how = _measure(view, load, run.settings)
+            overlap, ratio, how = None, None, why_not(view)
+            if view.region is not None:
+                overlap = area_overlap_percent(view.region, load.pressed, run.settings.clipping)
+                ratio = view.region.area_mm2 / load.indenter.area_mm2
+                how = _graded(overlap, ratio, run.settings, view.region)
             measured.append(at_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
             measured.append(at_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)
 
 
-def _measure(
-    view: MaskView, load: LoadObservation, settings: AnalysisSettings
-) -> tuple[float | None, float | None, str]:
-    if view.region is None:
-        return None, None, why_not(view)
-    region = view.region
-    overlap = area_overlap_percent(region, load.pressed, settings.clipping)
-    ratio = region.area_mm2 / load.indenter.area_mm2
+def _graded(overlap: float, ratio: float, settings: AnalysisSettings, region: Region) -> str:
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
-    return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {_clipped(region, settings)}"
-
-
-def _clipped(region: Region, settings: AnalysisSettings) -> str:
-    return f"{settings.clipping} clipping of {'elements' if isinstance(region, Blob) else 'a contour'}"
+    clipped = "elements" if isinstance(region, Blob) else "a contour"
+    return f"{grade}; A_b/A_FA {ratio:.2f}; {settings.clipping} clipping of {clipped}"
 
 
 class ShapeDeviation:
@@ -130,7 +120,16 @@ class LoadEstimates:
         placed = estimate.indenter or estimate.size
         if placed is None:
             return tuple(at_load(load, name, None, unit, how=estimate.why) for name, unit in self.measures.items())
-        return (_place_error(load, placed), *_strength(load, estimate, placed), _seen(load, placed))
+        size = estimate.size or placed
+        no_contrast = placed.why or "the head is not round: only area × contrast is estimated"
+        unknown = "radius unknown; contrast against the mean of both conductances"
+        return (
+            _place_error(load, placed),
+            _estimated(load, "estimated_contrast", placed.contrast, "indenter's radius given", no_contrast),
+            _estimated(load, "estimated_radius", size.radius_mm, "radius unknown", size.no_radius or size.why),
+            _estimated(load, "estimated_area_contrast", size.area_contrast_mm2, unknown, size.why),
+            at_load(load, "detectability", placed.detectability, "1", uncertainty=1.0, how=_fit(placed)),
+        )
 
 
 def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
@@ -138,36 +137,17 @@ def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
     if placed.place_mm is None:
         return at_load(load, name, None, unit, how=placed.why)
     x_mm, y_mm = placed.place_mm
-    wanted = load.record.load
-    error = hypot(x_mm - wanted.x_mm, y_mm - wanted.y_mm)
     where = f"{x_mm:.2f}, {y_mm:.2f}".replace("-", "−")
     how = f"seen at ({where}) mm; {_fit(placed)}"
-    return at_load(load, name, error, unit, uncertainty=placed.place_stderr_mm, how=how)
+    error_mm, stderr_mm = dist(placed.place_mm, load.place_mm), placed.place_stderr_mm
+    return at_load(load, name, error_mm, unit, uncertainty=stderr_mm, how=how)
 
 
-def _strength(load: LoadObservation, estimate: EstimatedLoad, placed: LoadEstimate) -> tuple[Measurement, ...]:
-    size = estimate.size or placed
-    no_contrast = placed.why or "the head is not round: only area × contrast is estimated"
-    return (
-        _estimated(load, "estimated_contrast", "1", placed.contrast, "indenter's radius given", no_contrast),
-        _estimated(load, "estimated_radius", "mm", size.radius_mm, "radius unknown", size.no_radius or size.why),
-        _estimated(
-            load, "estimated_area_contrast", "mm²", size.area_contrast_mm2,
-            "radius unknown; contrast against the mean of both conductances", size.why,
-        ),
-    )  # fmt: skip
-
-
-def _estimated(
-    load: LoadObservation, name: str, unit: str, estimate: Estimated | None, how: str, why: str
-) -> Measurement:
+def _estimated(load: LoadObservation, name: str, estimate: Estimated | None, how: str, why: str) -> Measurement:
+    unit = LoadEstimates.measures[name]
     if estimate is None:
         return at_load(load, name, None, unit, how=why)
     return at_load(load, name, estimate.value, unit, uncertainty=estimate.stderr, how=how)
-
-
-def _seen(load: LoadObservation, placed: LoadEstimate) -> Measurement:
-    return at_load(load, "detectability", placed.detectability, "1", uncertainty=1.0, how=_fit(placed))
 
 
 def _fit(placed: LoadEstimate) -> str:

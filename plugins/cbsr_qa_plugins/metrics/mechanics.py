@@ -5,15 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cbsr_qa.calibration.sheet import (
-    Estimate,
-    data_sheet_loads,
-    place_responses,
-    relative_spread,
-    scatter_of_presses,
-    slope,
-    why_no_force,
-)
+from cbsr_qa.calibration import sheet
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
 from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refused
@@ -34,14 +26,14 @@ class Uniformity:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         try:
-            places, strain = place_responses(run, data_sheet_loads(run))
-            own = relative_spread([place.response for place in places])
-            imaged = relative_spread([place.baseline for place in places])
+            places, strain = sheet.place_responses(run, sheet.data_sheet_loads(run))
+            own = sheet.relative_spread([place.response for place in places])
+            imaged = sheet.relative_spread([place.baseline for place in places])
         except NumericsError as error:
             return (refused("uniformity", "%", error),)
         presses = sum(len(place.responses) for place in places)
         how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
-        scatter = scatter_of_presses(places)
+        scatter = sheet.scatter_of_presses(places)
         alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
         return (
             percent("uniformity", own, f"ρ₀ relative to an even sheet imaged in the same way; {how}{alone}"),
@@ -63,76 +55,54 @@ class ApparentModulus:
     measures: ClassVar[dict[str, str]] = {_NAME: _UNIT}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        places: dict[str, list[tuple[float, float]]] = {}
-        for load in data_sheet_loads(run):
+        points: dict[str, list[tuple[float, float]]] = {}
+        loads = sheet.data_sheet_loads(run)
+        for load in loads:
             if load.stress_kPa is not None:
-                places.setdefault(load.record.load.label, []).append(_point(load, load.stress_kPa))
-        if not places:
-            why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(data_sheet_loads(run))}")
+                points.setdefault(load.record.load.label, []).append((load.record.load.strain, load.stress_kPa))
+        if not points:
+            why_not = NumericsError(f"nothing to divide by the strain: {sheet.why_no_force(loads)}")
             return (refused(_NAME, _UNIT, why_not),)
-        ratios = {place: _ratio(points) for place, points in places.items()}
-        slopes = {place: mean for place, points in places.items() if (mean := _slope(points)) is not None}
+        ratios = {place: _mean([stress / strain for strain, stress in pairs]) for place, pairs in points.items()}
+        slopes = {place: fitted for place, pairs in points.items() if (fitted := _slope(pairs)) is not None}
         each = [
-            _one(mean, counted(len(places[place]), "press", "presses"), "", place) for place, mean in ratios.items()
+            _one(modulus, counted(len(points[place]), "press", "presses"), qualifier, place)
+            for qualifier, moduli in (("", ratios), (_SLOPE, slopes))
+            for place, modulus in moduli.items()
         ]
-        each += [
-            _one(mean, counted(len(places[place]), "press", "presses"), _SLOPE, place)
-            for place, mean in slopes.items()
-        ]
-        whole = _one(_mean(ratios), _spread(ratios), "")
-        if not slopes:
-            why = NumericsError(
-                "no location was pressed at two strains", remedy="give the recipe two strains or more"
-            )
-            return (whole, refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
-        return (whole, _one(_mean(slopes), _spread(slopes), _SLOPE), *each)
+        if slopes:
+            return (_of_run(ratios, ""), _of_run(slopes, _SLOPE), *each)
+        why = NumericsError("no location was pressed at two strains", remedy="give the recipe two strains or more")
+        return (_of_run(ratios, ""), refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
 
 
-def _point(load: LoadObservation, stress_kPa: float) -> tuple[float, float]:
-    return load.record.load.strain, stress_kPa
-
-
-def _ratio(points: Sequence[tuple[float, float]]) -> Estimate:
-    values = np.array([stress / strain for strain, stress in points])
-    return _mean_of(values)
-
-
-def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
+def _slope(points: Sequence[tuple[float, float]]) -> sheet.Estimate | None:
     strain, stress = zip(*points, strict=True)
     try:
-        return slope(strain, stress)
+        return sheet.slope(strain, stress)
     except NumericsError:
         return None
 
 
-def _mean(places: dict[str, Estimate]) -> Estimate:
-    return _mean_of(np.array([estimate.value for estimate in places.values()]))
-
-
-def _mean_of(values: np.ndarray) -> Estimate:
+def _mean(values: Sequence[float]) -> sheet.Estimate:
     count = len(values)
-    stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
-    return Estimate(float(values.mean()), stderr, count - 1)
+    stderr = float(np.std(values, ddof=1) / np.sqrt(count)) if count > 1 else None
+    return sheet.Estimate(float(np.mean(values)), stderr, count - 1)
 
 
-def _spread(places: dict[str, Estimate]) -> str:
-    values = [estimate.value for estimate in places.values()]
-    if len(values) < 2:
-        return "one location"
-    return f"{len(values)} locations, standard deviation between them {np.std(values, ddof=1):.3g} kPa"
+def _of_run(moduli: dict[str, sheet.Estimate], qualifier: str) -> Measurement:
+    values = [modulus.value for modulus in moduli.values()]
+    spread = "one location"
+    if len(values) > 1:
+        deviation = np.std(values, ddof=1)
+        spread = f"{len(values)} locations, standard deviation between them {deviation:.3g} kPa"
+    return _one(_mean(values), spread, qualifier)
 
 
-def _one(estimate: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
-    words = "slope of relaxed stress against strain" if qualifier else "relaxed stress over nominal strain"
-    return Measurement(
-        _NAME,
-        estimate.value,
-        _UNIT,
-        uncertainty=estimate.stderr,
-        location=location,
-        qualifier=qualifier,
-        how=f"{words}; {how}",
-    )
+def _one(modulus: sheet.Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
+    how = f"{'slope of relaxed stress against' if qualifier else 'relaxed stress over nominal'} strain; {how}"
+    value, stderr = modulus.value, modulus.stderr
+    return Measurement(_NAME, value, _UNIT, stderr, location=location, qualifier=qualifier, how=how)
 
 
 class AppliedForce:

@@ -32,9 +32,14 @@ class NoiseFigure:
         if not scatter.any():
             return (_refused("the unloaded frames do not differ: there is no noise to propagate"),)
         signals, phase, source = _signals(run)
-        figures = np.array([_figure(run, scatter, signal) for signal in signals])
+        gains = np.array([_gain(run, signal) for signal in signals])
+        # Mean square of each noise frame, of its readings and of its area-weighted image.
+        readings, images = (scatter**2).mean(axis=1), (_weighted_images(run, scatter) ** 2).mean(axis=1)
+        figures = gains * np.sqrt(images.mean() / readings.mean())
+        without = gains[0] * np.sqrt((images.sum() - images) / (readings.sum() - readings))  # one frame left out
         between = float(figures.std(ddof=1)) if len(figures) > 1 else 0.0
-        uncertainty = float(np.hypot(between / np.sqrt(len(figures)), _jackknife(run, scatter, signals[0])))
+        jackknife = np.sqrt((len(without) - 1) * without.var())
+        uncertainty = float(np.hypot(between / np.sqrt(len(figures)), jackknife))
         how = f"Adler et al. 2009 form; measured covariance of {len(scatter)} unloaded frames; signal: {source}"
         return (Measurement("noise_figure", float(figures.mean()), "1", uncertainty, phase=phase, how=how),)
 
@@ -86,34 +91,15 @@ def _measured_change(load: LoadObservation, run: RunObservation) -> Array | None
     return change if change.any() else None
 
 
-def _figure(run: RunObservation, scatter: Array, signal: Array) -> float:
-    reading_noise, image_noise = _energies(run, scatter)
-    return _gain(run, signal) * float(np.sqrt(image_noise.mean() / reading_noise.mean()))
-
-
-def _jackknife(run: RunObservation, scatter: Array, signal: Array) -> float:
-    """Standard error of the figure from leaving out one noise frame at a time."""
-    reading_noise, image_noise = _energies(run, scatter)
-    without = (image_noise.sum() - image_noise) / (reading_noise.sum() - reading_noise)
-    figures = _gain(run, signal) * np.sqrt(without)
-    count = len(figures)
-    return float(np.sqrt((count - 1) / count * ((figures - figures.mean()) ** 2).sum()))
-
-
-def _energies(run: RunObservation, scatter: Array) -> tuple[Array, Array]:
-    """Mean square of each noise frame, of its readings and of its area-weighted image."""
-    areas = run.reconstruction.problem.mesh.areas_mm2
-    images = run.reconstruction.images(scatter) * areas
-    reading_noise: Array = (scatter**2).mean(axis=1)
-    image_noise: Array = (images**2).mean(axis=1)
-    return reading_noise, image_noise
+def _weighted_images(run: RunObservation, readings: Array) -> Array:
+    """Images times the area of their elements, (k, elements)."""
+    images: Array = run.reconstruction.images(readings) * run.reconstruction.problem.mesh.areas_mm2
+    return images
 
 
 def _gain(run: RunObservation, signal: Array) -> float:
     """mean|y| over mean|A x|."""
-    areas = run.reconstruction.problem.mesh.areas_mm2
-    image = run.reconstruction.images(signal[None])[0] * areas
-    return float(np.abs(signal).mean() / np.abs(image).mean())
+    return float(np.abs(signal).mean() / np.abs(_weighted_images(run, signal[None])).mean())
 
 
 class ImageNoise:
@@ -197,16 +183,13 @@ def _together(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
 
 def _each(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
     how = f"{len(run.unloaded)} frames"
-    return tuple(
-        Measurement(
-            "channel_snr",
-            float(ratio_dB[drive, measure]) if np.isfinite(ratio_dB[drive, measure]) else None,
-            "dB",
-            qualifier=Dimensions(drive=drive, measure=measure).text,
-            how=how if np.isfinite(ratio_dB[drive, measure]) else "it has no noise, or no level",
-        )
-        for drive, measure in np.argwhere(run.usable).tolist()
-    )
+    measured = []
+    for drive, measure in np.argwhere(run.usable).tolist():
+        value, qualifier = float(ratio_dB[drive, measure]), Dimensions(drive=drive, measure=measure).text
+        heard = np.isfinite(value)
+        why = how if heard else "it has no noise, or no level"
+        measured.append(Measurement("channel_snr", value if heard else None, "dB", qualifier=qualifier, how=why))
+    return tuple(measured)
 
 
 def _no_ratio(why: str) -> tuple[Measurement, ...]:

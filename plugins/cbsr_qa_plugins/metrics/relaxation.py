@@ -4,18 +4,7 @@ from collections.abc import Iterator
 from typing import ClassVar, Final
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration.fits import (
-    SHAPE_MARGIN,
-    TIME_MARGIN,
-    Agreement,
-    TimedValues,
-    common_settling_time,
-    event_rate_per_min,
-    fit_common_relaxation,
-    relaxation_start,
-    restricted_mean,
-    window_s,
-)
+from cbsr_qa.calibration import fits
 from cbsr_qa.domain.results import (
     Bound,
     Dimensions,
@@ -71,10 +60,9 @@ def _qualifier(seen: RelaxationObservation) -> str:
 
 
 def _of_load(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
-    settling, fit = seen.settling, seen.fit
-    how = settling.why or f"{fit.status}, R² {fit.r_squared:.3f}"
-    bound = _bound(settling.censored)
-    return at_load(load, "settling_time", settling.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
+    time, how = seen.settling, seen.settling.why or f"{seen.fit.status}, R² {seen.fit.r_squared:.3f}"
+    bound = _bound(time.censored)
+    return at_load(load, "settling_time", time.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
 
 
 def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
@@ -85,7 +73,7 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     if 2 * len(timed) < len(members):
         why = f"{how}: fewer than half of the loads say anything, and their mean would be one of the quick"
         return Measurement(name, None, "s", qualifier=qualifier, how=why)
-    mean_s, deviation_s = restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
+    mean_s, deviation_s = fits.restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
     how += f"; standard deviation {deviation_s:.3g} s"
     how += "; a lower bound (Kaplan–Meier)" if late else ""
     how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""
@@ -107,12 +95,12 @@ def _one_exponential(members: list[RelaxationObservation]) -> bool:
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
     traced = [member for member in members if len(member[1].trace.values) >= _FEWEST]
-    starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
+    starts = [0 if seen.loading else fits.relaxation_start(seen.trace.values) for _, seen in traced]
     traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
-    common = fit_common_relaxation(traces)
-    settling, stderr_s = common_settling_time(
+    common = fits.fit_common_relaxation(traces)
+    settling, stderr_s = fits.common_settling_time(
         common,
-        window_s=max((window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
+        window_s=max((fits.window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
         loaded_change=_loaded_change(traced),
@@ -120,18 +108,11 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
     )
     how = f"{_in_words(common.fit)}; {common.traces} traces fitted together"
     how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
-    return Measurement(
-        "common_settling_time",
-        settling.value_s,
-        "s",
-        stderr_s,
-        qualifier=qualifier,
-        how=how,
-        bound=_bound(settling.censored),
-    )
+    name, bound = "common_settling_time", _bound(settling.censored)
+    return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
 
 
-def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
+def _earliest_s(traces: list[fits.TimedValues], starts: list[int]) -> float:
     """Where the first fit behind a spike begins; 0 where any trace has no spike."""
     return min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
 
@@ -187,7 +168,7 @@ def _rate(times: list[Measurement | None], qualifier: str, held: float, rested: 
     if loading.value + unloading.value <= 0:
         why = "the sheet settles within a frame: frames limit the rate, not the material"
         return Measurement("usable_event_rate", None, "1/min", qualifier=qualifier, how=why)
-    rate = event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
+    rate = fits.event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
     spread_s = ((held * (loading.uncertainty or 0.0)) ** 2 + (rested * (unloading.uncertainty or 0.0)) ** 2) ** 0.5
     how = f"{held:g} of {loading.value:.3g} s held, {rested:g} of {unloading.value:.3g} s rested"
     # d(60/P) = 60/P² dP
@@ -203,9 +184,9 @@ def _why_not(time: Measurement | None, direction: str) -> str:
 
 
 _WORDS = {
-    Agreement.EQUIVALENT: "equivalent within",
-    Agreement.DIFFERENT: "different by more than",
-    Agreement.UNDECIDED: "undecided at a margin of",
+    fits.Agreement.EQUIVALENT: "equivalent within",
+    fits.Agreement.DIFFERENT: "different by more than",
+    fits.Agreement.UNDECIDED: "undecided at a margin of",
 }
 
 
@@ -214,7 +195,9 @@ def said_of_shape(pair: DirectedAgreement) -> str:
     agreement = pair.found
     if agreement.why:
         return _not_compared(pair)
-    words = f"{_WORDS[agreement.shape]} {SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
+    words = (
+        f"{_WORDS[agreement.shape]} {fits.SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
+    )
     return f"{words}, most at {agreement.at_s:.3g} s; {plural(pair.loads, 'load')}"
 
 
@@ -225,16 +208,13 @@ def said_of_time(pair: DirectedAgreement) -> str:
         return _not_compared(pair)
     if agreement.time_ratio is None:
         return "one of them has no settling time within its window"
-    return f"{_WORDS[agreement.time]} {TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
+    return f"{_WORDS[agreement.time]} {fits.TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
 
 
 def _not_compared(pair: DirectedAgreement) -> str:
-    about = (
-        f" (the first is of the {pair.first})"
-        if "the first" in pair.found.why or "the second" in pair.found.why
-        else ""
-    )
-    return f"not compared: {pair.found.why}{about}"
+    why = pair.found.why
+    about = f" (the first is of the {pair.first})" if "the first" in why or "the second" in why else ""
+    return f"not compared: {why}{about}"
 
 
 class BlobAndImageRelaxation:
@@ -250,21 +230,12 @@ class BlobAndImageRelaxation:
     measures: ClassVar[dict[str, str]] = {"relaxation_shape_difference": "1", "relaxation_time_ratio": "1"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        taken = []
-        for pair in image_against_blobs(run):
-            agreement, qualifier = pair.found, Dimensions("image against conductance", pair.direction).text
-            shape, time = said_of_shape(pair), said_of_time(pair)
-            taken += [
-                Measurement(
-                    "relaxation_shape_difference", agreement.shape_difference, "1", agreement.shape_stderr,
-                    qualifier=qualifier, how=shape,
-                ),
-                Measurement(
-                    "relaxation_time_ratio", agreement.time_ratio, "1", agreement.time_ratio_stderr,
-                    qualifier=qualifier, how=time,
-                ),
-            ]  # fmt: skip
-        return tuple(taken)
+        names = ("relaxation_shape_difference", "relaxation_time_ratio")
+        return tuple(
+            measured
+            for pair in image_against_blobs(run)
+            for measured in _compared(pair, Dimensions("image against conductance", pair.direction).text, names)
+        )
 
 
 class SheetAndStripRelaxation:
@@ -289,16 +260,25 @@ class SheetAndStripRelaxation:
     needs_force: ClassVar[bool] = True
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        return tuple(taken for pair in sheet_against_strip(run) for taken in _measured(pair))
+        names = ("strip_relaxation_difference", "strip_relaxation_time_ratio")
+        bounds = ("strip_relaxation_difference_bound", "strip_relaxation_time_bound")
+        return tuple(
+            measured
+            for pair in sheet_against_strip(run)
+            for measured in _compared(pair, pair.direction, names, bounds)
+        )
 
 
-def _measured(pair: DirectedAgreement) -> Iterator[Measurement]:
-    agreement = pair.found
-    shape, time = said_of_shape(pair), said_of_time(pair)
-    for name, value, stderr, how in (
-        ("strip_relaxation_difference", agreement.shape_difference, agreement.shape_stderr, shape),
-        ("strip_relaxation_difference_bound", agreement.shape_reach, None, shape),
-        ("strip_relaxation_time_ratio", agreement.time_ratio, agreement.time_ratio_stderr, time),
-        ("strip_relaxation_time_bound", agreement.time_reach, None, time),
-    ):
-        yield Measurement(name, value, "1", stderr, qualifier=pair.direction, how=how)
+def _compared(
+    pair: DirectedAgreement, qualifier: str, names: tuple[str, str], bounds: tuple[str, str] = ("", "")
+) -> Iterator[Measurement]:
+    """Yield difference of the curves and ratio of the times, each followed by its bound if that is measured."""
+    found = pair.found
+    values = (
+        (found.shape_difference, found.shape_stderr, found.shape_reach, said_of_shape(pair)),
+        (found.time_ratio, found.time_ratio_stderr, found.time_reach, said_of_time(pair)),
+    )
+    for name, bound, (value, stderr, reach, how) in zip(names, bounds, values, strict=True):
+        yield Measurement(name, value, "1", stderr, qualifier=qualifier, how=how)
+        if bound:
+            yield Measurement(bound, reach, "1", qualifier=qualifier, how=how)

@@ -48,9 +48,8 @@ def board_clock(lines: list[BoardLine], width: int) -> RowClock:
     """Set up the clock of a file: the board's where rows carry it, the computer's otherwise."""
     rows = [line for line in lines if line.kind is LineKind.ROW]
     offsets = _session_offsets(lines)
-    computer = {
-        line.number: (line.computer_s or 0.0) + offsets[line.number] for line in lines if line.computer_s is not None
-    }
+    timed = [(line.number, line.computer_s) for line in lines if line.computer_s is not None]
+    computer = {number: time_s + offsets[number] for number, time_s in timed}
     stands = width > PAIRS and _stands_still(rows)
     if width == PAIRS or stands:
         clock = RowClock("computer", _rising(rows, computer), sessions=offsets)

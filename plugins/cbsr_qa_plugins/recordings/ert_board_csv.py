@@ -136,12 +136,8 @@ def _judged(lines: list[BoardLine], width: int, scale: CountScale) -> tuple[list
         judged.append(replace(line, kind=LineKind.GARBLED, said=what) if what else line)
     if width > PAIRS:
         judged = _clock_outliers(judged)
-    problems = [
-        RowProblem(line.number, line.said, line.kind is LineKind.GARBLED)
-        for line in judged
-        if line.kind in (LineKind.GARBLED, LineKind.TORN)
-    ]
-    return judged, problems
+    faulty = [line for line in judged if line.kind in (LineKind.GARBLED, LineKind.TORN)]
+    return judged, [RowProblem(line.number, line.said, line.kind is LineKind.GARBLED) for line in faulty]
 
 
 def _scaled(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
@@ -196,13 +192,8 @@ def _recording(
     clock = board_clock(lines, width)
     counts, unwrapped = _unsigned(assembly.counts(), scan)
     current_A, current_note = _current(lines)
-    block = FrameBlock(
-        frame_times(assembly, clock),
-        counts,
-        np.zeros(counts.shape, dtype=np.uint8),
-        VoltageUnit.COUNT,
-        current_A,
-    )
+    flags = np.zeros(counts.shape, dtype=np.uint8)
+    block = FrameBlock(frame_times(assembly, clock), counts, flags, VoltageUnit.COUNT, current_A)
     samples, force_notes = force_samples(lines, clock, clock.at(assembly.frames[0]))
     notes = [*clock.notes, *force_notes, *current_note]
     if unwrapped:

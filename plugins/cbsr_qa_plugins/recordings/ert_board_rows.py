@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from itertools import takewhile, zip_longest
+from itertools import groupby, takewhile, zip_longest
 from math import gcd
 from typing import Final
 
@@ -147,11 +147,8 @@ def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
     leading = next(k for k, field in enumerate(fields) if not _INTEGER.match(field))
     odd = fields[leading] or "an empty field"
     if leading >= _NUMBERS_OF_A_ROW and ("\x1b" in odd or "task_wdt" in odd):
-        return (
-            LineKind.TORN,
-            (),
-            f"a log is printed into a row after {leading} numbers; the rest of the row follows it",
-        )
+        said = f"a log is printed into a row after {leading} numbers; the rest of the row follows it"
+        return LineKind.TORN, (), said
     return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
 
 
@@ -213,22 +210,17 @@ def complaint(numbers: tuple[int, ...], width: int, scale: CountScale) -> str:
     numbers : of the row, divided by the scale's factor.
     width : numbers a good row of this file has (16, or 17 with the board's clock).
     """
-    if len(numbers) != width:
-        return f"{_shape(len(numbers), width)}: {len(numbers)} numbers where a row has {width}"
+    count = len(numbers)
+    if count != width:
+        shape = "joined lines" if count > width else "cut row"
+        shape += " (the board's time is missing, or a reading)" if PAIRS == count < width else ""
+        return f"{shape}: {count} numbers where a row has {width}"
     for value in numbers[width - PAIRS :]:
         if not scale.lowest <= value <= scale.highest:
             return f"absurd: {value} is not a count of a {scale.highest.bit_length()}-bit converter"
     if width > PAIRS and not 0 <= numbers[0] <= LAST_BOARD_MS:
         return f"absurd: the board's clock says {numbers[0]} ms; it counts in 32 bits"
     return ""
-
-
-def _shape(count: int, width: int) -> str:
-    if count > width:
-        return "joined lines"
-    if count == PAIRS:
-        return "cut row (the board's time is missing, or a reading)"
-    return "cut row"
 
 
 Rows = tuple[BoardLine, ...]
@@ -290,22 +282,15 @@ def assemble(lines: list[BoardLine], scan: ScanKind) -> Assembly:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
     sessions = _sessions(lines)
-    nothing: list[BoardLine] = []
-    for session, following in zip_longest(sessions, sessions[1:], fillvalue=nothing):
+    for session, following in zip(sessions, [*sessions[1:], []], strict=True):
         _assemble_session(session, following, assembly)
     return assembly
 
 
 def _sessions(lines: list[BoardLine]) -> list[list[BoardLine]]:
     """Split at repeated headers: a file opened in append mode holds several recordings behind each other."""
-    stretches: list[list[BoardLine]] = [[]]
-    for line in lines:
-        if line.kind is LineKind.HEADER:
-            if stretches[-1]:
-                stretches.append([])
-        else:
-            stretches[-1].append(line)
-    return [stretch for stretch in stretches if stretch]
+    parts = groupby(lines, key=lambda line: line.kind is LineKind.HEADER)
+    return [list(session) for header, session in parts if not header]
 
 
 def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assembly: Assembly) -> None:
@@ -333,16 +318,12 @@ def _begins_with_a_frame(lines: list[BoardLine]) -> bool:
 def _dumps(lines: list[BoardLine]) -> list[RowProblem]:
     """Name each stretch of log lines once, by its first line."""
     found: list[RowProblem] = []
-    stretch: list[BoardLine] = []
     rows_before = False
-    for line in [*lines, None]:
-        if line is not None and line.kind in (LineKind.LOG, LineKind.TORN):
-            stretch.append(line)
-            continue
-        if stretch:
+    for logged, group in groupby(lines, key=lambda line: line.kind in (LineKind.LOG, LineKind.TORN)):
+        stretch = list(group)
+        if logged:
             found.append(_dump(stretch, rows_before))
-            stretch = []
-        rows_before = rows_before or (line is not None and line.kind is LineKind.ROW)
+        rows_before = rows_before or any(line.kind is LineKind.ROW for line in stretch)
     return found
 
 

@@ -15,16 +15,9 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import Dump, Transcript
 from cbsr_qa.domain.readings import ReadingFlag, Recording, SampleBlock
+from cbsr_qa_plugins.recordings import lab_files
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_rows import LAST_BOARD_MS
-from cbsr_qa_plugins.recordings.lab_files import (
-    channel,
-    left_out,
-    new_text_file,
-    reading_times,
-    refuse_unfit,
-    utc_line,
-)
 
 NAME: Final = "ert-board-csv"
 TITLES: Final = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
@@ -69,18 +62,18 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     -------
     What the file does not say, in words.
     """
-    refuse_unfit(NAME, path, recording, transcript)
-    row_s: Array = reading_times(NAME, recording, transcript, "measure").mean(axis=2)
+    lab_files.refuse_unfit(NAME, path, recording, transcript)
+    row_s: Array = lab_files.reading_times(NAME, recording, transcript, "measure").mean(axis=2)
     _refuse_too_long(float(row_s[-1, -1] - row_s[0, 0]))
     gain = scale_of(recording.frames.voltages)
-    with new_text_file(path) as file:
-        file.write(utc_line(recording) + TITLES + "\n")
-        port = _Port(file, channel(recording, "force", "N"), float(row_s[0, 0]))
+    with lab_files.new_text_file(path) as file:
+        file.write(lab_files.utc_line(recording) + TITLES + "\n")
+        port = _Port(file, lab_files.channel(recording, "force", "N"), float(row_s[0, 0]))
         dumps = _by_place(transcript.dumps)
         for frame, volts in enumerate(recording.frames.voltages):
             counts = np.rint(np.clip(volts * gain, -END_COUNTS, END_COUNTS)).astype(np.int64).tolist()
             _write_frame(port, row_s[frame].tolist(), counts, transcript.lost[frame], dumps[frame])
-    return (*_converted(recording, gain), *left_out(recording, transcript, ("force",), ~ReadingFlag.NONE))
+    return (*_converted(recording, gain), *lab_files.left_out(recording, transcript, ("force",), ~ReadingFlag.NONE))
 
 
 def scale_of(voltages_V: Array) -> float:
@@ -128,12 +121,11 @@ class _Port:
         self.now_s = time_s
 
 
+Dumps = dict[int, list[Dump]]
+
+
 def _write_frame(
-    port: _Port,
-    row_s: Sequence[float],
-    counts: Sequence[Sequence[int]],
-    lost: NDArray[np.bool_],
-    dumps: dict[int, list[Dump]],
+    port: _Port, row_s: Sequence[float], counts: Sequence[Sequence[int]], lost: NDArray[np.bool_], dumps: Dumps
 ) -> None:
     """Write a mark and the rows that arrive. The mark is lost if all are."""
     for row, time_s in enumerate(row_s):
@@ -154,8 +146,8 @@ def _write_dump(port: _Port, start_s: float, end_s: float) -> float:
     return end_s
 
 
-def _by_place(dumps: Sequence[Dump]) -> dict[int, dict[int, list[Dump]]]:
-    found: dict[int, dict[int, list[Dump]]] = defaultdict(dict)
+def _by_place(dumps: Sequence[Dump]) -> dict[int, Dumps]:
+    found: dict[int, Dumps] = defaultdict(dict)
     for dump in dumps:
         found[dump.frame].setdefault(dump.row, []).append(dump)
     return found

@@ -156,8 +156,20 @@ def refuse_unfit(name: str, path: Path, recording: Recording, transcript: Transc
             f" readings of shape {recording.frames.voltages.shape}",
             remedy="write all frames with the transcript they were taken with",
         )
-    _refuse_missing(name, recording)
-    _refuse_lost(name, transcript)
+    missing = np.argwhere(recording.frames.flags & ReadingFlag.MISSING.value)
+    if len(missing):
+        frame, drive, measure = missing[0].tolist()
+        raise RefusedError(
+            f"{name} has no way to leave out a reading; {len(missing)} are missing, the first in frame {frame}"
+            f" (drive pair {drive}, measure pair {measure})",
+            remedy=_OWN_FORMAT,
+        )
+    count, broken = len(transcript.lost), int(transcript.lost.any(axis=1).sum())
+    if not count or broken >= _MOST_LOST * count:
+        raise RefusedError(
+            f"{broken} of {count} frames lose rows; readers of {name} find frames again among whole ones",
+            remedy=f"let fewer than half of the frames lose rows, or {_OWN_FORMAT}",
+        )
 
 
 def _refuse_kind(name: str, recording: Recording) -> None:
@@ -167,32 +179,10 @@ def _refuse_kind(name: str, recording: Recording) -> None:
         (recording.still, "still images"),
         (recording.scan is not ScanKind.FULL, "of driven pairs alone"),
     )
-    other = [what for is_so, what in kinds if is_so]
-    if other:
+    if other := [what for is_so, what in kinds if is_so]:
         raise RefusedError(
             f"{name} is written from volts with their signs, of whole scans in time; these are {', '.join(other)}",
             remedy=_OWN_FORMAT,
-        )
-
-
-def _refuse_missing(name: str, recording: Recording) -> None:
-    missing = np.argwhere(recording.frames.flags & ReadingFlag.MISSING.value)
-    if len(missing):
-        frame, drive, measure = missing[0].tolist()
-        raise RefusedError(
-            f"{name} has no way to leave out a reading; {len(missing)} are missing, the first in frame {frame}"
-            f" (drive pair {drive}, measure pair {measure})",
-            remedy=_OWN_FORMAT,
-        )
-
-
-def _refuse_lost(name: str, transcript: Transcript) -> None:
-    count = len(transcript.lost)
-    broken = int(transcript.lost.any(axis=1).sum())
-    if not count or broken >= _MOST_LOST * count:
-        raise RefusedError(
-            f"{broken} of {count} frames lose rows; readers of {name} find frames again among whole ones",
-            remedy=f"let fewer than half of the frames lose rows, or {_OWN_FORMAT}",
         )
 
 

@@ -14,18 +14,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, RecordingError, RefusedError, RowProblem
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import ReadingFlag, Recording
-from cbsr_qa_plugins.recordings.lab_files import (
-    ELECTRODES,
-    MOST_BAD_IN_A_ROW,
-    channel,
-    left_out,
-    marked,
-    new_text_file,
-    reading_times,
-    refuse_unfit,
-    text_lines,
-    utc_line,
-)
+from cbsr_qa_plugins.recordings import lab_files
 
 TITLES: Final = ("time_pc [s]", "voltage [V]", "i_src [A]", "f [N]", "x [mm]", "y [mm]", "z [mm]")
 COLUMNS: Final = len(TITLES)
@@ -92,7 +81,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
     problems: list[RowProblem] = []
     headers: list[str] = []
     before, bad, number = "", 0, 0
-    for line in text_lines(path):
+    for line in lab_files.text_lines(path):
         number, text = line.number, line.text
         fields = [field.strip() for field in text.split(",")]
         if not any(fields):
@@ -108,7 +97,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
         if reading.bad:
             problems.append(RowProblem(number, reading.bad, True))
         sessions[-1].append(reading)
-        if bad == MOST_BAD_IN_A_ROW:
+        if bad == lab_files.MOST_BAD_IN_A_ROW:
             what = f"{bad} lines in a row are no readings; the rest of the file was not read"
             problems.append(RowProblem(number, what, False))
             break
@@ -118,7 +107,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
             f"{path.name} holds only headers, not one reading" if number else f"{path.name} is empty",
             remedy="record again, or analyse another file",
         )
-    return stretches, problems, marked(headers)
+    return stretches, problems, lab_files.marked(headers)
 
 
 def _check_titles(path: Path, fields: list[str]) -> None:
@@ -204,13 +193,13 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
     -------
     What the file does not say, in words.
     """
-    refuse_unfit(NAME, path, recording, transcript)
-    times_s = reading_times(NAME, recording, transcript, "drive")
+    lab_files.refuse_unfit(NAME, path, recording, transcript)
+    times_s = lab_files.reading_times(NAME, recording, transcript, "drive")
     _refuse_numbers(recording, transcript)
     zero_s = float(times_s[0, 0, 0])
     current = "nan" if recording.frames.current_A is None else repr(float(recording.frames.current_A))
-    with new_text_file(path) as file:
-        file.write(utc_line(recording) + ",".join(TITLES) + "\n")
+    with lab_files.new_text_file(path) as file:
+        file.write(lab_files.utc_line(recording) + ",".join(TITLES) + "\n")
         for frame, lost in enumerate(transcript.lost):
             if not lost.all():
                 file.writelines(_frame_lines(recording, frame, times_s[frame], zero_s, lost, current))
@@ -218,19 +207,14 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
 
 
 def _frame_lines(
-    recording: Recording,
-    frame: int,
-    times_s: Array,
-    zero_s: float,
-    lost: NDArray[np.bool_],
-    current: str,
+    recording: Recording, frame: int, times_s: Array, zero_s: float, lost: NDArray[np.bool_], current: str
 ) -> list[str]:
     """Lines of one frame, without those of lost rows."""
     scan_s = times_s.T.ravel()
     columns = zip(*[_column(recording, *named, scan_s) for named in CHANNELS], strict=True)
     volts = recording.frames.voltages[frame].T.ravel().tolist()
     at_limit = (recording.frames.flags[frame].T.ravel() & ReadingFlag.COMPLIANCE.value) > 0
-    gone = lost.tolist() * ELECTRODES
+    gone = lost.tolist() * lab_files.ELECTRODES
     read_at = gone.index(False)  # place of the line with the current within each 16
     out = []
     for k, (time_s, volt, limit, others) in enumerate(
@@ -244,7 +228,7 @@ def _frame_lines(
 
 
 def _column(recording: Recording, name: str, unit: str, at_s: Array) -> Sequence[str]:
-    block = channel(recording, name, unit)
+    block = lab_files.channel(recording, name, unit)
     if block is None:
         return ["nan"] * len(at_s)
     return [f"{value:.6g}" for value in np.interp(at_s, block.time_s, block.values).tolist()]
@@ -267,8 +251,8 @@ def _refuse_numbers(recording: Recording, transcript: Transcript) -> None:
 
 
 def _not_said(recording: Recording, transcript: Transcript) -> list[str]:
-    carried = [name for name, unit in CHANNELS if channel(recording, name, unit) is not None]
-    said = left_out(recording, transcript, carried, ReadingFlag.SATURATED)
+    carried = [name for name, unit in CHANNELS if lab_files.channel(recording, name, unit) is not None]
+    said = lab_files.left_out(recording, transcript, carried, ReadingFlag.SATURATED)
     if transcript.dumps:
         said.append(
             f"{len(transcript.dumps)} watchdog dumps are not written: this rig's multiplexer sends none;"

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import (
     Block,
     Characterisation,
@@ -20,10 +21,20 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.report import RunSection, dashed, number, parameter_text, plural, quantity, text_table, with_uncertainty
+from cbsr_qa.report import (
+    RunSection,
+    dashed,
+    number,
+    parameter_text,
+    plural,
+    quantity,
+    text_table,
+    with_uncertainty,
+)
 from cbsr_qa.report.draw import lines_figure, relaxations_figure, settling_by_strain_figure, timeline_figure
 
 _SHOWN_STRAIN: Final = 0.25  # whose cycles the paper's Fig 6 shows
+_BEFORE_S: Final = 5.0  # shown before their first press
 
 
 class MaterialCharacterisation(RunSection):
@@ -65,31 +76,26 @@ class MaterialCharacterisation(RunSection):
 
 def _in_words(material: Characterisation) -> str:
     apparent, local = material.against_strain.line, material.local_against_strain.line
-    used = sum(level.cycles for level in material.levels if not level.why)
-    sentences = [
-        f"{plural(used, 'cycle')} at {plural(sum(not level.why for level in material.levels), 'strain')} were used."
-    ]
+    used = [level.cycles for level in material.levels if not level.why]
+    words = f"{plural(sum(used), 'cycle')} at {plural(len(used), 'strain')} were used."
     if apparent is not None and local is not None:
-        factors = (
-            f"{parameter_text(apparent.slope)} between the pins and {parameter_text(local.slope)} under the head"
-        )
-        sentences.append(f"The gauge factor is {factors}.")
-    if material.modulus_kPa is not None:
-        sentences.append(
-            f"The relaxed modulus is {quantity(material.modulus_kPa.value, 'kPa', material.modulus_kPa.stderr)}."
-        )
-    left_out = [level.why for level in material.levels if level.why]
-    return " ".join([*sentences, *(f"Left out: {why}." for why in left_out)])
+        under = parameter_text(local.slope)
+        words += f" The gauge factor is {parameter_text(apparent.slope)} between the pins and {under} under the head."
+    if (modulus := material.modulus_kPa) is not None:
+        words += f" The relaxed modulus is {quantity(modulus.value, 'kPa', modulus.stderr)}."
+    return words + "".join(f" Left out: {level.why}." for level in material.levels if level.why)
 
 
 def _parameters(material: Characterisation) -> Table:
+    strain = material.against_strain, material.local_against_strain
+    stress = material.against_stress, material.local_against_stress
     lines = (
-        ("α against strain (gauge factor)", material.against_strain, material.local_against_strain, "slope"),
-        ("β against strain", material.against_strain, material.local_against_strain, "intercept"),
-        ("α against stress [1/kPa]", material.against_stress, material.local_against_stress, "slope"),
-        ("β against stress", material.against_stress, material.local_against_stress, "intercept"),
+        ("α against strain (gauge factor)", strain, "slope"),
+        ("β against strain", strain, "intercept"),
+        ("α against stress [1/kPa]", stress, "slope"),
+        ("β against stress", stress, "intercept"),
     )
-    rows = [[name, _of(apparent, which), _of(local, which)] for name, apparent, local, which in lines]
+    rows = [[name, *(_of(line, which) for line in pair)] for name, pair, which in lines]
     before, rested = (_of(line, "slope") for line in material.end_of_hold)
     rows.append(["gauge factor as read at the end of holds, from before the press", before, "–"])
     rows.append(["the same, from the rested strip", rested, "–"])
@@ -126,25 +132,22 @@ def _cycles(record: RunRecord) -> list[Figure]:
     strains = sorted({load.load.strain for load in phase.loads})
     strain = min(strains, key=lambda strain: abs(strain - _SHOWN_STRAIN))
     loads = [load for load in phase.loads if load.load.strain == strain]
-    start_s, end_s = loads[0].press_start_s - 5.0, loads[-1].rest_end_s
-    traces = [*_resistance(phase, start_s, end_s), *_force(phase, record.indenter.area_mm2, start_s, end_s)]
+    start_s, end_s = loads[0].press_start_s - _BEFORE_S, loads[-1].rest_end_s
     caption = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
+    traces = _traces(phase, phase.frames, record.indenter.area_mm2, start_s, end_s)
     return [Figure(caption, caption, timeline_figure(traces, [], time_label="time since their first press [s]"))]
 
 
-def _resistance(phase: PhaseRecord, start_s: float, end_s: float) -> list[Trace]:
-    assert phase.frames is not None
-    frames = phase.frames.between(start_s, end_s)
-    time_s = np.array(frames.time_s) - start_s - 5.0
-    return [Trace("resistance", "kΩ", time_s, 1e-3 * frames.voltages[:, 0, 0] / (frames.current_A or 1.0))]
-
-
-def _force(phase: PhaseRecord, area_mm2: float, start_s: float, end_s: float) -> list[Trace]:
+def _traces(phase: PhaseRecord, frames: FrameBlock, area_mm2: float, start_s: float, end_s: float) -> list[Trace]:
+    """Resistance, and stress if the force was recorded, against the time since the first press."""
+    read, zero_s = frames.between(start_s, end_s), start_s + _BEFORE_S
+    ohm = read.voltages[:, 0, 0] / (read.current_A or 1.0)
+    traces = [Trace("resistance", "kΩ", np.array(read.time_s) - zero_s, 1e-3 * ohm)]
     force = phase.channel("force")
-    if force is None:
-        return []
-    taken = force.between(start_s, end_s)
-    return [Trace("stress", "kPa", taken.time_s - start_s - 5.0, 1e3 * taken.values / area_mm2)]
+    if force is not None:
+        taken = force.between(start_s, end_s)
+        traces.append(Trace("stress", "kPa", taken.time_s - zero_s, 1e3 * taken.values / area_mm2))
+    return traces
 
 
 def _settlings(material: Characterisation) -> Table:
@@ -174,23 +177,21 @@ def _time(material: Characterisation, signal: str, loading: bool, strain: float 
 
 
 def _settled_in_words(settlings: Sequence[StrainSettling]) -> str:
-    common = [settling for settling in settlings if settling.strain is None and settling.settling.value_s is not None]
     settled = [
-        f"{settling.words} {'at least ' if settling.settling.censored else ''}{settling.settling.value_s:.3g} s"
-        for settling in common
+        f"{each.words} {'at least ' if each.settling.censored else ''}{each.settling.value_s:.3g} s"
+        for each in settlings
+        if each.strain is None and each.settling.value_s is not None
     ]
     return f"All strains together: {'; '.join(settled)}." if settled else "No settling time could be determined."
 
 
 def _kernels(material: Characterisation) -> Table:
-    rows = [
-        [name, *_kernel(kernel)]
-        for name, kernel in (
-            ("conductance after a press", material.loading),
-            ("conductance after a release", material.unloading),
-            ("stress", material.stress),
-        )
-    ]
+    kernels = (
+        ("conductance after a press", material.loading),
+        ("conductance after a release", material.unloading),
+        ("stress", material.stress),
+    )
+    rows = [[name, *_kernel(kernel)] for name, kernel in kernels]
     columns = ("Response to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
     return text_table("1 + w₁ exp(−t/τ₁) + w₂ exp(−t/τ₂), corrected for the ramps.", columns, rows, (1, 2, 3, 4))
 

@@ -151,7 +151,11 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     x, y = np.linspace(low_x, high_x, _ACROSS), np.linspace(low_y, high_y, _ACROSS)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     mean, variance = learned.response.predict(grid)
-    shape = (_ACROSS, _ACROSS)
+    response, stderr = (values.reshape(_ACROSS, _ACROSS) for values in (np.exp(mean), 100 * np.sqrt(variance)))
+    fields = [
+        SheetField("relative response S", "relative to the nominal material", x, y, response, 1.0, 0.15),
+        SheetField("standard error of S", "%", x, y, stderr),
+    ]
     used = np.array([not why for why in learned.refused])
     places = places_mm(force.used)
     return Figure(
@@ -160,18 +164,7 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
         " area, beyond which the map returns to its mean.",
         _map_words(run, force, learned),
         force_map_figure(
-            [
-                SheetField(
-                    "relative response S",
-                    "relative to the nominal material",
-                    x,
-                    y,
-                    np.exp(mean).reshape(shape),
-                    1.0,
-                    0.15,
-                ),
-                SheetField("standard error of S", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
-            ],
+            fields,
             run.record.sensor_type,
             used_mm=places[used],
             refused_mm=places[~used],
@@ -199,13 +192,10 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
     if not shown:
         return []
     sampled = {id(test) for test in (tests or shown)}
-    panels = [_panel("place known", shown, sampled, known=True)]
+    panels = [_panel("place known", shown, sampled, errors_of(shown, known=True))]
     if any(test.found_N is not None for test in shown):
-        panels.append(_panel("place estimated", shown, sampled, known=False))
-    flat = global_errors(shown)
-    measured = _measured(flat.tests)
-    every = np.ones(len(shown), dtype=bool)
-    faint = ForcePanel("", measured, measured + flat.error_N, flat.stderr_N, every, np.zeros(0))
+        panels.append(_panel("place estimated", shown, sampled, errors_of(shown, known=False)))
+    faint = _panel("", shown, {id(test) for test in shown}, global_errors(shown))
     which = "held out" if shown[0].how == HELD_OUT else "of each trial in turn, left out"
     return [
         Figure(
@@ -219,8 +209,7 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
     ]
 
 
-def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], *, known: bool) -> ForcePanel:
-    errors = errors_of(tests, known=known)
+def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], errors: ForceErrors) -> ForcePanel:
     estimated = {id(test) for test in errors.tests}
     measured = _measured(errors.tests)
     return ForcePanel(
@@ -239,17 +228,16 @@ def _measured(tests: Sequence[ForceTest]) -> Array:
 
 def _results(result: RunResult) -> list[Block]:
     """The measured numbers and their outcomes."""
-    measured = {(m.name, m.qualifier): m for m in result.measurements}
+    measured = {(m.name, m.qualifier): m for m in result.measurements if m.value is not None}
     names = ("force_error_sd", "force_error_bias", "force_coverage_68", "force_coverage_95")
     rows: list[list[str | Cell]] = []
     for qualifier, title in _KINDS:
         row = [measured.get((name, qualifier)) for name in names]
-        if any(m is not None and m.value is not None for m in row):
-            cells = [value_cell(m) if m is not None and m.value is not None else Cell("–") for m in row]
-            rows.append([title, *cells])
+        if any(row):
+            rows.append([title, *map(value_cell, row)])
     for after in ("", f", {TRIAL_LEFT_OUT}"):
         flat = measured.get(("force_error_global_sd", f"place known{after}"))
-        if flat is not None and flat.value is not None:
+        if flat is not None:
             rows.append([f"one response for the whole sheet{after}", value_cell(flat), "–", "–", "–"])
     if not rows:
         return []
@@ -264,32 +252,23 @@ def _results(result: RunResult) -> list[Block]:
 def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     used = np.isfinite(learned.ratio)
     loads = [load for load, yes in zip(force.used, used, strict=True) if yes]
-    area = run.record.indenter.area_mm2 / 1e3
     newtons = np.array([load.force_N or 0.0 for load in loads])
     mapped = np.exp(interpolated(learned.model, learned.model.log_response, places_mm(loads)))
+    ratio, scatter = learned.ratio[used], learned.ratio_stderr[used] / mapped
     forces = np.linspace(0.97 * newtons.min(), 1.03 * newtons.max(), 40)
-    stress, given = forces / area, run.record.material.against_stress
+    stress, given = 1e3 * forces / run.record.indenter.area_mm2, run.record.material.against_stress
     nominal = given.slope.value * stress + given.intercept.value
     alpha, beta = learned.line.slope, learned.line.intercept
+    line = (alpha.value * stress + beta.value) / nominal
     variance = ((alpha.stderr or 0.0) * stress) ** 2 + (beta.stderr or 0.0) ** 2
     variance += 2 * stress * (learned.line.covariance or 0.0)
-    ratio = learned.ratio[used]
+    stderr = np.sqrt(np.maximum(variance, 0.0)) / np.abs(nominal)
     return Figure(
         "Change under the head relative to what the material's line predicts for its force. Diamonds: as measured."
         " Dots: divided by the map at their places, bars: noise of readings and load cell. Red: line of this sensor"
         " with its standard error. Right: residuals of single loads, after map and line.",
         _line_words(learned),
-        ratio_figure(
-            RatioPoints(
-                newtons,
-                ratio,
-                ratio / mapped,
-                learned.ratio_stderr[used] / mapped,
-                forces,
-                (alpha.value * stress + beta.value) / nominal,
-                np.sqrt(np.maximum(variance, 0.0)) / np.abs(nominal),
-            )
-        ),
+        ratio_figure(RatioPoints(newtons, ratio, ratio / mapped, scatter, forces, line, stderr)),
     )
 
 
@@ -342,13 +321,13 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
 
 
 def _refused(force: RunForce, learned: LearnedForce) -> list[Block]:
-    refused = [(load, why) for load, why in zip(force.used, learned.refused, strict=True) if why]
-    if not refused:
-        return []
     rows = []
-    for load, why in refused:
-        place = load.record.load
-        at = place_text(place.x_mm, place.y_mm)
-        rows.append([load.phase, place.label, at, f"{100 * place.strain:.3g}", number(load.force_N or 0.0, 2), why])
+    for load, why in zip(force.used, learned.refused, strict=True):
+        if why:
+            place = load.record.load
+            at, newtons = place_text(place.x_mm, place.y_mm), number(load.force_N or 0.0, 2)
+            rows.append([load.phase, place.label, at, f"{100 * place.strain:.3g}", newtons, why])
+    if not rows:
+        return []
     columns = ("Phase", "Load", "x, y [mm]", "Strain [%]", "Force [N]", "Why")
     return [text_table("Loads of the calibration that were not used.", columns, rows, (2, 3, 4))]

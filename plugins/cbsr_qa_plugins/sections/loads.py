@@ -1,5 +1,6 @@
 """Images of loads, random loads, and loads estimated from their readings."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import atan2, degrees, hypot
@@ -8,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import (
     Block,
@@ -91,34 +93,39 @@ def _placed(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation)
 
 
 def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
-    shares = [c.explained for _, e in pairs if (c := _chosen(e)) is not None]
-    explained = (
-        f" A load on the modelled sheet explains {np.median(shares):.1%} of a signal (median)." if shares else ""
-    )
-    return _errors_in_words(pairs, placed) + explained
+    """Say how well the loads were located, and what was refused or contradicts the model."""
+    chosen = [estimate for _, pair in pairs if (estimate := _chosen(pair)) is not None]
+    words = _errors_in_words(pairs, placed)
+    if any(p.estimated_error is not None for p in placed):
+        refused = Counter(estimate.finding for estimate in chosen)
+        counts = {finding: refused[finding] for finding in LoadFinding if finding is not LoadFinding.LOCATED}
+        words += "".join(f" {plural(count, 'load')} {finding}." for finding, count in counts.items() if count)
+        wrong = [estimate.misfit for estimate in chosen if estimate.inflation > 1]
+        if wrong:
+            words += (
+                f" In {plural(len(wrong), 'load')} the readings contradict a round load on an even sheet"
+                f" (residuals up to {number(max(wrong), 2)} of the noise); their uncertainties are widened"
+                " accordingly."
+            )
+    if chosen:
+        explained = np.median([estimate.explained for estimate in chosen])
+        words += f" A load on the modelled sheet explains {explained:.1%} of a signal (median)."
+    return words
 
 
 def _errors_in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
-    errors = [float(np.hypot(*p.estimated_error)) for p in placed if p.estimated_error is not None]
+    errors = [p.estimated_error for p in placed if p.estimated_error is not None]
     if not errors:
         why = next((e.why or (c.why if (c := _chosen(e)) else "") for _, e in pairs), "")
         return f"None of {plural(len(pairs), 'load')} could be located from its readings: {why}."
-    imaged = [float(np.hypot(*p.imaged_error)) for p in placed if p.imaged_error is not None]
-    rms, of_image = (np.sqrt(np.mean(np.square(values))) if values else None for values in (errors, imaged))
-    covered = sum(p.covered for p in placed)
-    words = f"{plural(len(errors), 'load')} located to {number(float(rms or 0), 2)} mm (root mean square)"
-    words += f", from their images to {number(float(of_image), 2)} mm" if of_image is not None else ""
-    words += f"; {covered} of {len(errors)} are inside their 68 % ellipse."
-    refused = [c for _, e in pairs if (c := _chosen(e)) is not None and c.finding is not LoadFinding.LOCATED]
-    counts = {finding: sum(c.finding is finding for c in refused) for finding in LoadFinding}
-    words += "".join(f" {plural(count, 'load')} {finding}." for finding, count in counts.items() if count)
-    wrong = [c.misfit for _, e in pairs if (c := _chosen(e)) is not None and c.inflation > 1]
-    if wrong:
-        words += (
-            f" In {plural(len(wrong), 'load')} the readings contradict a round load on an even sheet (residuals up to"
-            f" {number(max(wrong), 2)} of the noise); their uncertainties are widened accordingly."
-        )
-    return words
+    imaged = [p.imaged_error for p in placed if p.imaged_error is not None]
+    words = f"{plural(len(errors), 'load')} located to {_rms_text(errors)} mm (root mean square)"
+    words += f", from their images to {_rms_text(imaged)} mm" if imaged else ""
+    return f"{words}; {sum(p.covered for p in placed)} of {len(errors)} are inside their 68 % ellipse."
+
+
+def _rms_text(errors_mm: Sequence[Array]) -> str:
+    return number(float(np.sqrt(np.mean(np.sum(np.square(errors_mm), axis=1)))), 2)
 
 
 def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Measured) -> Table:

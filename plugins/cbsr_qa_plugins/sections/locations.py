@@ -133,31 +133,23 @@ def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunRes
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
     places = by_label(loads)
     several = any(len(members) > 1 for members in places.values())
-    columns = ["Location", "x, y [mm]", *(["Presses"] if several else [])]
-    numeric = [*range(1, len(columns) + 2), len(columns) + 3, len(columns) + 4]
-    columns += ["E_CoM [mm]", "A_OL [%]", "Band", "Shape deviation [mm²]", "Force [N]"]
-    if baseline:
-        numeric.append(len(columns))
-        columns.append("ρ̄₀")
+    columns = ["Location", "x, y [mm]", *(["Presses"] if several else []), "E_CoM [mm]", "A_OL [%]", "Band"]
+    columns += ["Shape deviation [mm²]", "Force [N]", *(["ρ̄₀"] if baseline else [])]
     rows = []
     for label, members in places.items():
-        place = members[0].record.load
-        row = [Cell(label), Cell(place_text(place.x_mm, place.y_mm))]
-        row += [Cell(str(len(members)))] if several else []
+        place, known = members[0].record.load, baseline.get(label)
         error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
-        row += [error, overlap, Cell(_bands(members, run, measured)), deviation, Cell(_force(members))]
+        row: list[str | Cell] = [label, place_text(place.x_mm, place.y_mm), *([str(len(members))] if several else [])]
+        row += [error, overlap, _bands(members, run, measured), deviation, _force(members)]
         if baseline:
-            known = baseline.get(label)
-            value = None if known is None else known.value
-            stderr = None if known is None else known.stderr
-            row.append(Cell("–" if value is None else with_uncertainty(value, stderr)))
-        rows.append(tuple(row))
+            row.append("–" if known is None or known.value is None else with_uncertainty(known.value, known.stderr))
+        rows.append(row)
     caption = (
         "Each location: error of the centre of mass (E_CoM), mutual overlap (A_OL) with its band, shape deviation of"
-        " the outline, force."
-        " Over several presses: mean ± standard deviation."
+        " the outline, force. Over several presses: mean ± standard deviation."
     )
-    return Table(caption, tuple(columns), tuple(rows), tuple(numeric))
+    numeric = [k for k, column in enumerate(columns) if column not in ("Location", "Band")]
+    return text_table(caption, columns, rows, numeric)
 
 
 def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:

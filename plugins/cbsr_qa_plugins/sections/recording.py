@@ -5,20 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cbsr_qa.analysis.recording import nominal_disc
+from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.readings import ImagedPlace, LoadEvent, RecordingResult, ScanKind
 from cbsr_qa.domain.results import Block, Figure, Paragraph, Table, Trace
-from cbsr_qa.report import RecordingSection, capital, dashed, fixed, number, plural, text_table
-from cbsr_qa.report.draw import (
-    ChannelMark,
-    ImagePanel,
-    Marker,
-    Span,
-    channel_map_figure,
-    image_figure,
-    sheet_radius,
-    timeline_figure,
-)
+from cbsr_qa.report import RecordingSection, capital, dashed, draw, fixed, number, plural, text_table
 
 
 class RecordingChannels(RecordingSection):
@@ -36,30 +27,31 @@ class RecordingChannels(RecordingSection):
 def _facts(result: RecordingResult) -> Table:
     channels, noise = result.channels, result.noise
     unit = "counts" if noise.unit == "count" else noise.unit
-    rows = [
-        ["Readings imaged", str(channels.used)],
-        ["Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"],
-        ["Stuck", plural(len(channels.stuck), "channel") if channels.stuck else "none"],
-    ]
-    if channels.suspect_electrodes:
-        rows.append(["Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))])
-    if channels.snr_db is not None:
-        rows.append(["Level over noise, median", f"{fixed(channels.snr_db, 1)} dB"])
-    if channels.reciprocity_error is not None:
-        rows.append(["Reciprocity error, as recorded", fixed(channels.reciprocity_error, 3)])
-    if channels.reading_memory is not None:
-        done = "taken out" if channels.memory_corrected else "not taken out"
-        rows.append(["Share of the previous reading in each", f"{fixed(100 * channels.reading_memory, 1)} %, {done}"])
-    if channels.reciprocity_error_corrected is not None:
-        rows.append(["Reciprocity error without that share", fixed(channels.reciprocity_error_corrected, 3)])
-    if noise.rms is not None and noise.quiet_s is not None:
-        stretch = f"{fixed(noise.quiet_s[0], 1)} to {fixed(noise.quiet_s[1], 1)} s"
-        rows.append([f"Noise of one reading ({stretch})", f"{number(noise.rms)} {unit} rms"])
-    if noise.drift_per_min is not None:
-        rows.append(["Drift", f"{number(noise.drift_per_min)} {unit}/min"])
-    if noise.outliers:
-        rows.append(["Readings beyond six times the noise", f"{fixed(100 * noise.outliers, 2)} %"])
+    quiet_s = noise.quiet_s or (0.0, 0.0)
+    done = "taken out" if channels.memory_corrected else "not taken out"
+    facts = (
+        ("Readings imaged", str(channels.used)),
+        ("Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"),
+        ("Stuck", plural(len(channels.stuck), "channel") if channels.stuck else "none"),
+        ("Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))),
+        ("Level over noise, median", _written(channels.snr_db, 1, " dB")),
+        ("Reciprocity error, as recorded", _written(channels.reciprocity_error, 3)),
+        ("Share of the previous reading in each", _written(channels.reading_memory, 1, f" %, {done}", 100)),
+        ("Reciprocity error without that share", _written(channels.reciprocity_error_corrected, 3)),
+        (
+            f"Noise of one reading ({fixed(quiet_s[0], 1)} to {fixed(quiet_s[1], 1)} s)",
+            "" if noise.rms is None or noise.quiet_s is None else f"{number(noise.rms)} {unit} rms",
+        ),
+        ("Drift", "" if noise.drift_per_min is None else f"{number(noise.drift_per_min)} {unit}/min"),
+        ("Readings beyond six times the noise", _written(noise.outliers or None, 2, " %", 100)),
+    )
+    rows = [fact for fact in facts if fact[1]]
     return text_table("Channels and noise.", ("Quantity", "Value"), rows, (1,))
+
+
+def _written(value: float | None, decimals: int, unit: str = "", scale: float = 1) -> str:
+    """Write a value that was found; nothing otherwise."""
+    return "" if value is None else f"{fixed(scale * value, decimals)}{unit}"
 
 
 def _map(result: RecordingResult) -> Figure:
@@ -74,13 +66,13 @@ def _map(result: RecordingResult) -> Figure:
     return Figure(
         f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
         f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
-        channel_map_figure(
+        draw.channel_map_figure(
             level,
             label="median level",
             unit=recording.frames.unit.value,
             marks=(
-                ChannelMark(at(channels.saturated), "x", "saturated"),
-                ChannelMark(at(channels.stuck), "o", "stuck"),
+                draw.ChannelMark(at(channels.saturated), "x", "saturated"),
+                draw.ChannelMark(at(channels.stuck), "o", "stuck"),
             ),
         ),
     )
@@ -123,35 +115,35 @@ def _direction(at: LoadEvent | ImagedPlace) -> str:
 
 
 def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
-    named = any(event.x_mm is not None for event in events)
-    columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "Conductance", "SNR"]
-    columns += ["Explained [%]"]
-    columns += ["x [mm]", "y [mm]"] if named else []
-    forced = any(event.force_N is not None for event in events)
-    columns += ["Force [N]"] if forced else []
     beside = any(event.fate for event in events)
-    columns += ["Overlapping"] if beside else []
-    rows = []
-    for rank, event in enumerate(events):
-        times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
-        row = [_name(rank), *times, _direction(event), fixed(event.r_over_R, 2)]
-        row += ["rises" if event.sign > 0 else "falls", fixed(event.snr, 1)]
-        row.append(dashed(event.goodness, lambda fit: f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"))
-        if named:
-            row += [dashed(at, lambda mm: fixed(mm, 1)) for at in (event.x_mm, event.y_mm)]
-        if forced:
-            row.append(dashed(event.force_N, lambda newtons: fixed(newtons, 2)))
-        if beside:
-            row.append(event.fate or "–")
-        rows.append(row)
-    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "Conductance", "Overlapping"))
+    columns = {
+        "Event": [_name(rank) for rank in range(len(events))],
+        "Start [s]": ["–" if still else fixed(event.start_s, 1) for event in events],
+        "Peak [s]": ["–" if still else fixed(event.peak_s, 1) for event in events],
+        "End [s]": ["–" if still else fixed(event.end_s, 1) for event in events],
+        "Electrode": [_direction(event) for event in events],
+        "r/R": [fixed(event.r_over_R, 2) for event in events],
+        "Conductance": ["rises" if event.sign > 0 else "falls" for event in events],
+        "SNR": [fixed(event.snr, 1) for event in events],
+        "Explained [%]": [dashed(event.goodness, _explained) for event in events],
+        "x [mm]": [_written(event.x_mm, 1) for event in events],
+        "y [mm]": [_written(event.y_mm, 1) for event in events],
+        "Force [N]": [_written(event.force_N, 2) for event in events],
+        "Overlapping": [event.fate for event in events],
+    }
+    shown = {title: [cell or "–" for cell in cells] for title, cells in columns.items() if any(cells)}
+    numeric = tuple(k for k, title in enumerate(shown) if title not in ("Event", "Conductance", "Overlapping"))
     caption = (
         "Events found in the readings. Electrode: direction as a fractional electrode number. SNR:"
         " change over the noise of such changes in this recording. Explained: share of the change that loads on the"
         " modelled sheet explain, beside noise; ! where what they leave is more than noise and the model's errors."
         + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
-    return text_table(caption, columns, rows, numeric)
+    return text_table(caption, tuple(shown), list(zip(*shown.values(), strict=True)), numeric)
+
+
+def _explained(fit: Goodness) -> str:
+    return f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"
 
 
 def _moving(events: Sequence[LoadEvent]) -> list[Block]:
@@ -165,10 +157,8 @@ def _imaging(result: RecordingResult) -> Table:
         options = ", ".join(f"{name} = {value!r}" for name, value in imaging.reconstruction.options.items())
         rows += [["Reconstruction", imaging.reconstruction.name], ["Its options", options or "as by default"]]
         if (chosen := imaging.choice) is not None:
-            rows.append(
-                [f"Parameter: {chosen.name}", f"{number(chosen.value)}, by {chosen.criterion or 'its author'}"]
-            )
-            rows.append(["Why", chosen.how])
+            value = f"{number(chosen.value)}, by {chosen.criterion or 'its author'}"
+            rows += [[f"Parameter: {chosen.name}", value], ["Why", chosen.how]]
             rows.append(["Noise figure", number(chosen.noise_figure)])
     rows.append(["Used for", "these images; events, places and SNR are found in the readings, without images"])
     return text_table("How the images were made.", ("Choice", "Value"), rows)
@@ -177,11 +167,10 @@ def _imaging(result: RecordingResult) -> Table:
 def _imaged(events: Sequence[LoadEvent]) -> Table:
     rows = []
     for rank, event in enumerate(events):
-        seen = event.imaged
         shown = ["–"] * 4
-        if seen is not None:
-            shown = [_direction(seen), fixed(seen.r_over_R, 2)]
-            shown += [fixed(100 * seen.largest, 2), fixed(100 * seen.area_share, 1)]
+        if (seen := event.imaged) is not None:
+            area, largest = fixed(100 * seen.area_share, 1), fixed(100 * seen.largest, 2)
+            shown = [_direction(seen), fixed(seen.r_over_R, 2), largest, area]
         rows.append([_name(rank), *shown])
     columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
     caption = (
@@ -201,14 +190,14 @@ def _images(result: RecordingResult) -> Figure:
     shown = events[:_MOST_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
     # Images of an unnamed sensor may be in any unit.
-    sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
+    sheet = Disc(draw.sheet_radius(shown[0].image.mesh)) if named is None else named.outline
     panels = []
     for rank, event in enumerate(shown):
-        place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
+        place = draw.Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
         moves = event.motion is not None
         track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
         note = f"{'clearest at ' if moves else ''}{event.place}"
-        panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
+        panels.append(draw.ImagePanel(_name(rank), event.image, (place,), note, track))
     left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
     moved = (
         " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
@@ -218,7 +207,7 @@ def _images(result: RecordingResult) -> Figure:
         "Change each event made against the frames just before it (or against the reference). Marked: the place of"
         f" the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
         "; ".join(f"{panel.title}: {panel.note}" for panel in panels),
-        image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
+        draw.image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
     )
 
 
@@ -231,13 +220,13 @@ def _timeline(result: RecordingResult) -> Figure | None:
     changed = np.sqrt(np.mean((block.voltages - first) ** 2, axis=(1, 2)))
     traces = [Trace("change", block.unit.value, block.time_s, changed)]
     traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
-    spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
+    spans = [draw.Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
     what = "one row per frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
     count = plural(len(spans), "event") if spans else "no event"
     return Figure(
         f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
         f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
-        timeline_figure(traces, spans),
+        draw.timeline_figure(traces, spans),
     )
 
 

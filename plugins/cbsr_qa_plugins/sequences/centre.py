@@ -15,23 +15,7 @@ from pydantic import AfterValidator, Field
 from cbsr_qa.domain.plan import Hold, Press, Release, Role, Step, StrainStep
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
 from cbsr_qa.plugin import Array, PluginOptions, SequenceContext, WithOptions
-from cbsr_qa_plugins.sequences._shared import (
-    Coordinate,
-    Frames,
-    Held,
-    Name,
-    Places,
-    Rest,
-    RestedOptions,
-    Strain,
-    Times,
-    find_surfaces,
-    once,
-    press_cycle,
-    presses,
-    rested,
-    unloaded,
-)
+from cbsr_qa_plugins.sequences import parts
 
 
 class NoiseFigureSequence(WithOptions):
@@ -50,12 +34,12 @@ class NoiseFigureSequence(WithOptions):
     """
 
     class Options(PluginOptions):
-        rest_s: Rest = 240.0
-        frames: Frames = 30
-        strain_percent: Strain = 20.0
-        hold_s: Held = 60.0
-        trials: Times = 3
-        recovery_s: Rest = 60.0
+        rest_s: parts.Rest = 240.0
+        frames: parts.Frames = 30
+        strain_percent: parts.Strain = 20.0
+        hold_s: parts.Held = 60.0
+        trials: parts.Times = 3
+        recovery_s: parts.Rest = 60.0
         find_surface: bool = True
 
     role = Role.NOISE
@@ -64,11 +48,11 @@ class NoiseFigureSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options, (x_mm, y_mm) = self.options, NINE_LOCATIONS_MM[0]
         if options.find_surface:
-            yield from find_surfaces([(x_mm, y_mm)])
-        yield from unloaded(options.rest_s, options.frames)
+            yield from parts.find_surfaces([(x_mm, y_mm)])
+        yield from parts.unloaded(options.rest_s, options.frames)
         for trial in range(options.trials):
             load = Load("L0", x_mm, y_mm, options.strain_percent / 100, trial)
-            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.recovery_s)
+            yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.recovery_s)
 
 
 class RelaxationSequence(WithOptions):
@@ -90,13 +74,13 @@ class RelaxationSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
-        x_mm: Coordinate = 0.0
-        y_mm: Coordinate = 0.0
-        strain_percent: Strain = 20.0
-        hold_s: Held = 240.0
-        rest_s: Rest = 240.0
-        trials: Times = 1
+    class Options(parts.RestedOptions):
+        x_mm: parts.Coordinate = 0.0
+        y_mm: parts.Coordinate = 0.0
+        strain_percent: parts.Strain = 20.0
+        hold_s: parts.Held = 240.0
+        rest_s: parts.Rest = 240.0
+        trials: parts.Times = 1
 
     role = Role.RELAXATION
     options: Options
@@ -105,7 +89,7 @@ class RelaxationSequence(WithOptions):
         options, place_mm = self.options, (self.options.x_mm, self.options.y_mm)
         strain = options.strain_percent / 100
         loads = [Load(_label(place_mm), *place_mm, strain, trial) for trial in range(options.trials)]
-        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 def _label(place_mm: tuple[float, float]) -> str:
@@ -134,10 +118,10 @@ class PreconditioningSequence(WithOptions):
 
     class Options(PluginOptions):
         cycles: Annotated[int, Field(ge=2, le=1000)] = 5
-        strain_percent: Strain = 30.0
-        hold_s: Held = 10.0
-        rest_s: Held = 10.0
-        locations_mm: Annotated[Places, once("cycles")] = NINE_LOCATIONS_MM
+        strain_percent: parts.Strain = 30.0
+        hold_s: parts.Held = 10.0
+        rest_s: parts.Held = 10.0
+        locations_mm: Annotated[parts.Places, parts.once("cycles")] = NINE_LOCATIONS_MM
         find_surface: bool = True
 
     role = Role.PRECONDITIONING
@@ -146,11 +130,11 @@ class PreconditioningSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
         if options.find_surface:
-            yield from find_surfaces(options.locations_mm)
+            yield from parts.find_surfaces(options.locations_mm)
         for number, (x_mm, y_mm) in enumerate(options.locations_mm):
             for cycle in range(options.cycles):
                 load = Load(f"L{number}", x_mm, y_mm, options.strain_percent / 100, cycle)
-                yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
+                yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 def _above_each_other(strains: tuple[float, ...]) -> tuple[float, ...]:
@@ -181,22 +165,22 @@ class HysteresisLoopSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
+    class Options(parts.RestedOptions):
         strains_percent: Annotated[
-            tuple[Strain, ...], Array, Field(min_length=2), AfterValidator(_above_each_other)
+            tuple[parts.Strain, ...], Array, Field(min_length=2), AfterValidator(_above_each_other)
         ] = (7.5, 15.0, 22.5, 30.0)
-        cycles: Times = 3
-        hold_s: Held = 60.0
-        rest_s: Rest = 120.0
-        locations_mm: Annotated[Places, once("cycles")] = ((0.0, 0.0),)
-        label: Name = "H"
+        cycles: parts.Times = 3
+        hold_s: parts.Held = 60.0
+        rest_s: parts.Rest = 120.0
+        locations_mm: Annotated[parts.Places, parts.once("cycles")] = ((0.0, 0.0),)
+        label: parts.Name = "H"
 
     role = Role.LOOP
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
-        yield from rested(options, options.locations_mm)
+        yield from parts.rested(options, options.locations_mm)
         strains = [percent / 100 for percent in options.strains_percent]
         for number, (x_mm, y_mm) in enumerate(options.locations_mm):
             for cycle in range(options.cycles):

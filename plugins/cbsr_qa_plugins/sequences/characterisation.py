@@ -9,16 +9,7 @@ import numpy as np
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.run import Load
 from cbsr_qa.plugin import SequenceContext, WithOptions
-from cbsr_qa_plugins.sequences._shared import (
-    Coordinate,
-    Frames,
-    Held,
-    RestedOptions,
-    Strains,
-    Times,
-    once,
-    presses,
-)
+from cbsr_qa_plugins.sequences import parts
 
 _NAME: Final = "characterisation"
 
@@ -43,15 +34,15 @@ class CharacterisationSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
-        strains_percent: Annotated[Strains, once("cycles")] = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-        cycles: Times = 10
+    class Options(parts.RestedOptions):
+        strains_percent: Annotated[parts.Strains, parts.once("cycles")] = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+        cycles: parts.Times = 10
         order: Literal["as given", "shuffled"] = "as given"
-        hold_s: Held = 60.0
-        rest_s: Held = 60.0
-        unloaded_frames: Frames = 60
-        x_mm: Coordinate = 0.0
-        y_mm: Coordinate = 0.0
+        hold_s: parts.Held = 60.0
+        rest_s: parts.Held = 60.0
+        unloaded_frames: parts.Frames = 60
+        x_mm: parts.Coordinate = 0.0
+        y_mm: parts.Coordinate = 0.0
 
     role = Role.CHARACTERISATION
     options: Options
@@ -64,7 +55,7 @@ class CharacterisationSequence(WithOptions):
             for number in self._numbers(context.seed)
             for cycle in range(options.cycles)
         ]
-        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _numbers(self, seed: int) -> list[int]:
         """Strains by number, in the order they are pressed."""

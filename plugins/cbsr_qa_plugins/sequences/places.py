@@ -16,20 +16,7 @@ from pydantic import Field
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
 from cbsr_qa.plugin import Array, PluginOptions, Problem, SequenceContext, WithOptions
-from cbsr_qa_plugins.sequences._shared import (
-    Coordinate,
-    Held,
-    Name,
-    Places,
-    Rest,
-    RestedOptions,
-    Rising,
-    Strain,
-    Strains,
-    Times,
-    once,
-    presses,
-)
+from cbsr_qa_plugins.sequences import parts
 
 
 class LocationGridSequence(WithOptions):
@@ -52,13 +39,13 @@ class LocationGridSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
-        strains_percent: Annotated[Strains, once("trials")] = (20.0,)
-        trials: Times = 1
-        hold_s: Held = 60.0
-        rest_s: Rest = 60.0
-        locations_mm: Annotated[Places, once("trials")] = NINE_LOCATIONS_MM
-        label: Name = "L"
+    class Options(parts.RestedOptions):
+        strains_percent: Annotated[parts.Strains, parts.once("trials")] = (20.0,)
+        trials: parts.Times = 1
+        hold_s: parts.Held = 60.0
+        rest_s: parts.Rest = 60.0
+        locations_mm: Annotated[parts.Places, parts.once("trials")] = NINE_LOCATIONS_MM
+        label: parts.Name = "L"
 
     role = Role.GRID
     options: Options
@@ -71,7 +58,7 @@ class LocationGridSequence(WithOptions):
             for trial in range(options.trials)
             for number, (x_mm, y_mm) in enumerate(options.locations_mm)
         ]
-        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 _FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
@@ -80,9 +67,9 @@ _FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm
 class GivenLoad(PluginOptions):
     """One load: its strain and its place, in one of two forms."""
 
-    strain_percent: Strain
-    x_mm: Coordinate = 0.0
-    y_mm: Coordinate = 0.0
+    strain_percent: parts.Strain
+    x_mm: parts.Coordinate = 0.0
+    y_mm: parts.Coordinate = 0.0
     radius_mm: Annotated[float, Field(ge=0, le=1e3)] | None = None
     angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
 
@@ -110,12 +97,12 @@ class GivenLoadsSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
+    class Options(parts.RestedOptions):
         loads: Annotated[tuple[GivenLoad, ...], Array, Field(min_length=1)]
-        trials: Times = 1
-        hold_s: Held = 60.0
-        rest_s: Rest = 60.0
-        label: Name = "R"
+        trials: parts.Times = 1
+        hold_s: parts.Held = 60.0
+        rest_s: parts.Rest = 60.0
+        label: parts.Name = "R"
 
         def problems(self) -> Iterator[Problem]:
             """A load has one place."""
@@ -134,7 +121,7 @@ class GivenLoadsSequence(WithOptions):
             for trial in range(options.trials)
             for number, load in enumerate(options.loads)
         ]
-        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 Radius = Annotated[float, Field(ge=0, le=1e3)]
@@ -165,13 +152,13 @@ class RandomLoadsSequence(WithOptions):
 
     """
 
-    class Options(RestedOptions):
+    class Options(parts.RestedOptions):
         count: Annotated[int, Field(ge=1, le=10_000)] = 10
-        radius_mm: Annotated[tuple[Radius, Radius], Array, Rising] = (0.0, 40.0)
-        strain_percent: Annotated[tuple[Strain, Strain], Array, Rising] = (5.0, 30.0)
-        hold_s: Held = 60.0
-        rest_s: Rest = 60.0
-        stream: Name = "random-loads"
+        radius_mm: Annotated[tuple[Radius, Radius], Array, parts.Rising] = (0.0, 40.0)
+        strain_percent: Annotated[tuple[parts.Strain, parts.Strain], Array, parts.Rising] = (5.0, 30.0)
+        hold_s: parts.Held = 60.0
+        rest_s: parts.Rest = 60.0
+        stream: parts.Name = "random-loads"
 
     role = Role.RANDOM
     options: Options
@@ -179,7 +166,7 @@ class RandomLoadsSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time for one seed."""
         options = self.options
-        yield from presses(options, self._loads(context.seed), hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, self._loads(context.seed), hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _loads(self, seed: int) -> tuple[Load, ...]:
         draws = _generator(seed, self.options.stream).random((self.options.count, 3))

@@ -1,7 +1,28 @@
-"""Benches of the three drivers that scan: source meter, multiplexer and frames."""
+"""Benches of the three drivers that scan, emulated stations in a world of their own, and a stranger on a port."""
 
 import pytest
+from emulated_bench import EmulatedStation
 from scanning_rig import Scanning
+from simulated_setting import base_scene, world
+
+
+@pytest.fixture(scope="module")
+def one_world():
+    return world(base_scene())
+
+
+@pytest.fixture
+def stations(one_world):
+    """Start stations with these emulated instruments, and close them."""
+    made = []
+
+    def start(**instruments):
+        made.append(EmulatedStation(one_world, **instruments))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
 
 
 @pytest.fixture

@@ -108,7 +108,7 @@ def test_more_current_than_the_station_allows_is_refused(bench):
 
 def test_a_setting_that_is_not_taken_is_refused_by_the_error_queue(bench, monkeypatch):
     # An instrument whose aperture ends earlier than its driver knows.
-    monkeypatch.setitem(source_meter._CHANNEL, "measure.nplc", (1.0, 0.001, 10.0))
+    monkeypatch.setitem(source_meter._ATTRIBUTES, "smua.measure.nplc", (1.0, 0.001, 10.0))
     with pytest.raises(InstrumentError, match=r"refused its settings: -222 Parameter data out of range"):
         bench.open_meter(nplc=25)
 

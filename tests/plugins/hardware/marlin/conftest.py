@@ -1,27 +1,12 @@
 """Fixtures of the tests of the Marlin driver: an emulated printer in a world of its own, and its driver."""
 
 import pytest
-from emulated_bench import EmulatedStation
 from marlin_printer import TABLE, linked
-from simulated_setting import base_scene, world
-
-
-@pytest.fixture(scope="module")
-def one_world():
-    return world(base_scene())
 
 
 @pytest.fixture
-def make(one_world):
-    made = []
-
-    def station(**options):
-        made.append(EmulatedStation(one_world, applicator=TABLE | options))
-        return made[-1]
-
-    yield station
-    for one in made:
-        one.close()
+def make(stations):
+    return lambda **options: stations(applicator=TABLE | options)
 
 
 @pytest.fixture
