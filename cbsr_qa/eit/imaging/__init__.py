@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from .contours import contour_regions as contour_regions, masked_contours as masked_contours
     from .multi_load import (
         Assignment as Assignment,
-        TwoTouch as TwoTouch,
         assign_regions as assign_regions,
         split_blobs as split_blobs,
         two_touch_resolution as two_touch_resolution,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.calibration import sheet
+from cbsr_qa.calibration.sheet import Estimate
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Bound, LoadObservation, MaskView, Measurement, RunObservation
 
@@ -54,7 +54,7 @@ def at_load(
     )
 
 
-def percent(name: str, estimate: sheet.Estimate, how: str, *, qualifier: str = "", location: str = "") -> Measurement:
+def percent(name: str, estimate: Estimate, how: str, *, qualifier: str = "", location: str = "") -> Measurement:
     """Make a measurement in percent of an estimate that is a fraction."""
     stderr = None if estimate.stderr is None else 100 * estimate.stderr
     return Measurement(

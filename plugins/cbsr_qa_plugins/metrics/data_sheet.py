@@ -9,7 +9,35 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.calibration import fits, sheet
+from cbsr_qa.calibration.fits import (
+    FROM_S,
+    SIGNAL,
+    STRESS,
+    LoopCurve,
+    change_between,
+    creep,
+    creep_at_constant_stress,
+    held_alike,
+    hysteresis,
+    last_cycles,
+    last_stresses,
+    loop_curve,
+    zero_return,
+)
+from cbsr_qa.calibration.sheet import (
+    FEWEST_POINTS,
+    Characteristic,
+    Estimate,
+    best_straight_line,
+    characteristics,
+    data_sheet_loads,
+    mean_characteristic,
+    pooled_deviation,
+    repeatability,
+    repeated_changes,
+    terminal_line,
+    why_no_force,
+)
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Dimensions, LoadObservation, Measurement, RunObservation
@@ -28,22 +56,22 @@ class Repeatability:
     measures: ClassVar[dict[str, str]] = {"repeatability": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        loads = sheet.data_sheet_loads(run)
+        loads = data_sheet_loads(run)
         try:
-            overall = sheet.repeatability(loads, run.main_mask)
+            overall = repeatability(loads, run.main_mask)
         except NumericsError as error:
             return (refused("repeatability", "%", error),)
         highest = max(load.record.load.strain for load in loads)
-        cells = sheet.repeated_changes(loads, run.main_mask)
+        cells = repeated_changes(loads, run.main_mask)
         measured = [_one(overall, highest, sum(map(len, cells.values())))]
         if len(cells) > 1:
             for strain, members in cells.items():
                 qualifier = Dimensions(strain=strain).text
-                measured.append(_one(sheet.pooled_deviation(members), highest, len(members), qualifier))
+                measured.append(_one(pooled_deviation(members), highest, len(members), qualifier))
         return tuple(measured)
 
 
-def _one(scatter: sheet.Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
+def _one(scatter: Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
     again = counted(cells, "place and strain", "places and strains")
     how = (
         f"of the place's span, its mean change at {100 * highest:g} % strain; {again} pressed again,"
@@ -53,8 +81,8 @@ def _one(scatter: sheet.Estimate, highest: float, cells: int, qualifier: str = "
 
 
 _LINES = (
-    ("", "best straight line", sheet.best_straight_line),
-    ("terminal-based", "line between the ends", sheet.terminal_line),
+    ("", "best straight line", best_straight_line),
+    ("terminal-based", "line between the ends", terminal_line),
 )
 
 
@@ -69,24 +97,24 @@ class Nonlinearity:
     measures: ClassVar[dict[str, str]] = {"nonlinearity": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        loads = sheet.data_sheet_loads(run)
-        curves = sheet.characteristics(loads, run.main_mask)
+        loads = data_sheet_loads(run)
+        curves = characteristics(loads, run.main_mask)
         try:
-            scatter: float | None = sheet.repeatability(loads, run.main_mask).value
+            scatter: float | None = repeatability(loads, run.main_mask).value
         except NumericsError:
             scatter = None
         try:
-            mean = sheet.mean_characteristic(curves)
+            mean = mean_characteristic(curves)
             if mean.stress_kPa is None:
-                raise NumericsError(f"no stress to draw the change against: {sheet.why_no_force(loads)}")
+                raise NumericsError(f"no stress to draw the change against: {why_no_force(loads)}")
             measured = [_of(mean, scatter, line) for line in range(len(_LINES))]
         except NumericsError as error:
             return (refused("nonlinearity", "%", error),)
-        each = [c for c in curves if len(c.strain) >= sheet.FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
+        each = [c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
         return (*measured, *(_of(curve, scatter, 0) for curve in each))
 
 
-def _of(curve: sheet.Characteristic, scatter: float | None, line: int) -> Measurement:
+def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
     assert curve.stress_kPa is not None
     qualifier, words, draw = _LINES[line]
     errors = None if scatter is None else (scatter / np.sqrt(curve.loads)).tolist()
@@ -98,11 +126,11 @@ def _of(curve: sheet.Characteristic, scatter: float | None, line: int) -> Measur
     )
     location = "" if curve.location == "mean" else curve.location
     return percent(
-        "nonlinearity", sheet.Estimate(drawn.largest, drawn.stderr, 0), how, qualifier=qualifier, location=location
+        "nonlinearity", Estimate(drawn.largest, drawn.stderr, 0), how, qualifier=qualifier, location=location
     )
 
 
-_KINDS = ("", fits.SIGNAL, fits.STRESS)
+_KINDS = ("", SIGNAL, STRESS)
 
 
 class Creep(WithOptions):
@@ -118,7 +146,7 @@ class Creep(WithOptions):
     """
 
     class Options(PluginOptions):
-        from_s: Annotated[float, Field(gt=0, lt=3600)] = fits.FROM_S
+        from_s: Annotated[float, Field(gt=0, lt=3600)] = FROM_S
 
     measures: ClassVar[dict[str, str]] = {"creep": "%"}
     options: Options
@@ -126,7 +154,7 @@ class Creep(WithOptions):
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the holds of the commonest length together."""
         try:
-            loads, hold_s = fits.held_alike(sheet.data_sheet_loads(run), lambda load: load.hold_s)
+            loads, hold_s = held_alike(data_sheet_loads(run), lambda load: load.hold_s)
         except NumericsError as error:
             return (refused("creep", "%", error),)
         how = (
@@ -138,8 +166,8 @@ class Creep(WithOptions):
         from_s = self.options.from_s
         try:
             if kind:
-                return percent("creep", fits.creep(loads, kind, from_s=from_s, frames=frames), how, qualifier=kind)
-            estimate = fits.creep_at_constant_stress(loads, from_s=from_s, frames=frames)
+                return percent("creep", creep(loads, kind, from_s=from_s, frames=frames), how, qualifier=kind)
+            estimate = creep_at_constant_stress(loads, from_s=from_s, frames=frames)
         except NumericsError as error:
             return refused("creep", "%", error, qualifier=kind)
         return percent("creep", estimate, f"conductance minus stress, {how}")
@@ -157,8 +185,8 @@ class ZeroReturn:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the rests of the commonest length together."""
         try:
-            loads, rest_s = fits.held_alike(sheet.data_sheet_loads(run), _rest_s)
-            estimate = fits.zero_return(loads, frames=run.settings.steady_frames)
+            loads, rest_s = held_alike(data_sheet_loads(run), _rest_s)
+            estimate = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
             return (refused("zero_return", "%", error),)
         presses = counted(len(loads), "press", "presses")
@@ -198,7 +226,7 @@ def _measured(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
     qualifier = "" if relaxed else _READ
     last_s = run.settings.steady_frames * run.frame_period_s
     try:
-        curves = [fits.loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
+        curves = [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
         measured = [_hysteresis(curves, relaxed, qualifier)]
     except NumericsError as error:
         return [refused("hysteresis", "%", error, qualifier=qualifier)]
@@ -207,8 +235,8 @@ def _measured(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
     return measured
 
 
-def _hysteresis(curves: Sequence[fits.LoopCurve], relaxed: bool, qualifier: str, location: str = "") -> Measurement:
-    widest, first = fits.hysteresis(curves), curves[0]
+def _hysteresis(curves: Sequence[LoopCurve], relaxed: bool, qualifier: str, location: str = "") -> Measurement:
+    widest, first = hysteresis(curves), curves[0]
     side = "above" if widest.higher else "below"
     creep = "what had not relaxed fitted and taken out" if relaxed else "creep included"
     how = (
@@ -246,8 +274,8 @@ class PreconditioningChange:
         count = Measurement("preconditioning_cycles", float(cycles), "1", how="cycles of each location, as planned")
         return (
             count,
-            *_of_preconditioning_change(fits.last_cycles(loads, frames=frames), "", how),
-            *_of_preconditioning_change(fits.last_stresses(loads), "stress", how),
+            *_of_preconditioning_change(last_cycles(loads, frames=frames), "", how),
+            *_of_preconditioning_change(last_stresses(loads), "stress", how),
         )
 
 
@@ -255,7 +283,7 @@ def _of_preconditioning_change(
     levels: Mapping[str, tuple[float, float]], qualifier: str, how: str
 ) -> tuple[Measurement, ...]:
     try:
-        change = fits.change_between(levels.values())
+        change = change_between(levels.values())
     except NumericsError as error:
         return (refused(_NAME, "%", error, qualifier=qualifier),)
     each = [

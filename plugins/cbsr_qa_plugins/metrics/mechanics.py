@@ -5,7 +5,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from cbsr_qa.calibration import sheet
+from cbsr_qa.calibration.sheet import (
+    Estimate,
+    data_sheet_loads,
+    place_responses,
+    relative_spread,
+    scatter_of_presses,
+    slope,
+    why_no_force,
+)
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
 from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refused
@@ -26,14 +34,14 @@ class Uniformity:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         try:
-            places, strain = sheet.place_responses(run, sheet.data_sheet_loads(run))
-            own = sheet.relative_spread([place.response for place in places])
-            imaged = sheet.relative_spread([place.baseline for place in places])
+            places, strain = place_responses(run, data_sheet_loads(run))
+            own = relative_spread([place.response for place in places])
+            imaged = relative_spread([place.baseline for place in places])
         except NumericsError as error:
             return (refused("uniformity", "%", error),)
         presses = sum(len(place.responses) for place in places)
         how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
-        scatter = sheet.scatter_of_presses(places)
+        scatter = scatter_of_presses(places)
         alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
         return (
             percent("uniformity", own, f"ρ₀ relative to an even sheet imaged in the same way; {how}{alone}"),
@@ -56,12 +64,12 @@ class ApparentModulus:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         points: dict[str, list[tuple[float, float]]] = {}
-        loads = sheet.data_sheet_loads(run)
+        loads = data_sheet_loads(run)
         for load in loads:
             if load.stress_kPa is not None:
                 points.setdefault(load.record.load.label, []).append((load.record.load.strain, load.stress_kPa))
         if not points:
-            why_not = NumericsError(f"nothing to divide by the strain: {sheet.why_no_force(loads)}")
+            why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(loads)}")
             return (refused(_NAME, _UNIT, why_not),)
         ratios = {place: _mean([stress / strain for strain, stress in pairs]) for place, pairs in points.items()}
         slopes = {place: fitted for place, pairs in points.items() if (fitted := _slope(pairs)) is not None}
@@ -76,21 +84,21 @@ class ApparentModulus:
         return (_of_run(ratios, ""), refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
 
 
-def _slope(points: Sequence[tuple[float, float]]) -> sheet.Estimate | None:
+def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
     strain, stress = zip(*points, strict=True)
     try:
-        return sheet.slope(strain, stress)
+        return slope(strain, stress)
     except NumericsError:
         return None
 
 
-def _mean(values: Sequence[float]) -> sheet.Estimate:
+def _mean(values: Sequence[float]) -> Estimate:
     count = len(values)
     stderr = float(np.std(values, ddof=1) / np.sqrt(count)) if count > 1 else None
-    return sheet.Estimate(float(np.mean(values)), stderr, count - 1)
+    return Estimate(float(np.mean(values)), stderr, count - 1)
 
 
-def _of_run(moduli: dict[str, sheet.Estimate], qualifier: str) -> Measurement:
+def _of_run(moduli: dict[str, Estimate], qualifier: str) -> Measurement:
     values = [modulus.value for modulus in moduli.values()]
     spread = "one location"
     if len(values) > 1:
@@ -99,7 +107,7 @@ def _of_run(moduli: dict[str, sheet.Estimate], qualifier: str) -> Measurement:
     return _one(_mean(values), spread, qualifier)
 
 
-def _one(modulus: sheet.Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
+def _one(modulus: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
     how = f"{'slope of relaxed stress against' if qualifier else 'relaxed stress over nominal'} strain; {how}"
     value, stderr = modulus.value, modulus.stderr
     return Measurement(_NAME, value, _UNIT, stderr, location=location, qualifier=qualifier, how=how)

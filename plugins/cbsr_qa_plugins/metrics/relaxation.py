@@ -4,7 +4,18 @@ from collections.abc import Iterator
 from typing import ClassVar, Final
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration import fits
+from cbsr_qa.calibration.fits import (
+    SHAPE_MARGIN,
+    TIME_MARGIN,
+    Agreement,
+    TimedValues,
+    common_settling_time,
+    event_rate_per_min,
+    fit_common_relaxation,
+    relaxation_start,
+    restricted_mean,
+    window_s,
+)
 from cbsr_qa.domain.results import (
     Bound,
     Dimensions,
@@ -73,7 +84,7 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     if 2 * len(timed) < len(members):
         why = f"{how}: fewer than half of the loads say anything, and their mean would be one of the quick"
         return Measurement(name, None, "s", qualifier=qualifier, how=why)
-    mean_s, deviation_s = fits.restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
+    mean_s, deviation_s = restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
     how += f"; standard deviation {deviation_s:.3g} s"
     how += "; a lower bound (Kaplan–Meier)" if late else ""
     how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""
@@ -95,12 +106,12 @@ def _one_exponential(members: list[RelaxationObservation]) -> bool:
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
     traced = [member for member in members if len(member[1].trace.values) >= _FEWEST]
-    starts = [0 if seen.loading else fits.relaxation_start(seen.trace.values) for _, seen in traced]
+    starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
     traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
-    common = fits.fit_common_relaxation(traces)
-    settling, stderr_s = fits.common_settling_time(
+    common = fit_common_relaxation(traces)
+    settling, stderr_s = common_settling_time(
         common,
-        window_s=max((fits.window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
+        window_s=max((window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
         loaded_change=_loaded_change(traced),
@@ -112,7 +123,7 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
     return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
 
 
-def _earliest_s(traces: list[fits.TimedValues], starts: list[int]) -> float:
+def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
     """Where the first fit behind a spike begins; 0 where any trace has no spike."""
     return min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
 
@@ -168,7 +179,7 @@ def _rate(times: list[Measurement | None], qualifier: str, held: float, rested: 
     if loading.value + unloading.value <= 0:
         why = "the sheet settles within a frame: frames limit the rate, not the material"
         return Measurement("usable_event_rate", None, "1/min", qualifier=qualifier, how=why)
-    rate = fits.event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
+    rate = event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
     spread_s = ((held * (loading.uncertainty or 0.0)) ** 2 + (rested * (unloading.uncertainty or 0.0)) ** 2) ** 0.5
     how = f"{held:g} of {loading.value:.3g} s held, {rested:g} of {unloading.value:.3g} s rested"
     # d(60/P) = 60/P² dP
@@ -184,9 +195,9 @@ def _why_not(time: Measurement | None, direction: str) -> str:
 
 
 _WORDS = {
-    fits.Agreement.EQUIVALENT: "equivalent within",
-    fits.Agreement.DIFFERENT: "different by more than",
-    fits.Agreement.UNDECIDED: "undecided at a margin of",
+    Agreement.EQUIVALENT: "equivalent within",
+    Agreement.DIFFERENT: "different by more than",
+    Agreement.UNDECIDED: "undecided at a margin of",
 }
 
 
@@ -195,9 +206,7 @@ def said_of_shape(pair: DirectedAgreement) -> str:
     agreement = pair.found
     if agreement.why:
         return _not_compared(pair)
-    words = (
-        f"{_WORDS[agreement.shape]} {fits.SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
-    )
+    words = f"{_WORDS[agreement.shape]} {SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
     return f"{words}, most at {agreement.at_s:.3g} s; {plural(pair.loads, 'load')}"
 
 
@@ -208,7 +217,7 @@ def said_of_time(pair: DirectedAgreement) -> str:
         return _not_compared(pair)
     if agreement.time_ratio is None:
         return "one of them has no settling time within its window"
-    return f"{_WORDS[agreement.time]} {fits.TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
+    return f"{_WORDS[agreement.time]} {TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
 
 
 def _not_compared(pair: DirectedAgreement) -> str:

@@ -14,7 +14,7 @@ from cbsr_qa.domain.results import (
     ParameterChoice,
     ParameterCurve,
 )
-from cbsr_qa.eit import inverse
+from cbsr_qa.eit.inverse import Criterion, Regularisation, Truncation, central_signal, noise_figure
 from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
 from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
 from cbsr_qa_plugins.reconstruction._shared import Hyperparameter, ParameterOptions, Positive, contradicted
@@ -48,7 +48,7 @@ class LinearBackProjection:
             )
         matrix = (relative[:, None] * sensitivity).T / felt[:, None]
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
-        figure = inverse.noise_figure(matrix, inverse.central_signal(problem), areas, noise_variance=variance)
+        figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
         choice = ParameterChoice(
             0.0, "nothing is regularised, and nothing chosen", figure, "no parameter", criterion="none"
         )
@@ -80,14 +80,14 @@ class TruncatedSvd(WithOptions):
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         regularisation = self.options.regularisation()
-        value, how, curve = regularisation.choose(problem, inverse.Truncation)
-        truncation, kept = inverse.Truncation(problem), int(value)
+        value, how, curve = regularisation.choose(problem, Truncation)
+        truncation, kept = Truncation(problem), int(value)
         bound = _bound_elsewhere(regularisation, problem, value, curve)
         if bound is not None:
             kept = truncation.within(bound)
         matrix = truncation.matrix(kept)
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
-        figure = inverse.noise_figure(matrix, inverse.central_signal(problem), areas, noise_variance=variance)
+        figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
         if bound is not None:
             how += (
                 f"; {int(value)} components there, chosen again on {_readings(problem)}: the most within noise figure"
@@ -98,7 +98,7 @@ class TruncatedSvd(WithOptions):
 
 
 def _bound_elsewhere(
-    regularisation: inverse.Regularisation, problem: ImagingProblem, value: float, curve: ParameterCurve | None
+    regularisation: Regularisation, problem: ImagingProblem, value: float, curve: ParameterCurve | None
 ) -> float | None:
     """Noise figure to keep within where k was chosen on other readings than the problem's; None where not."""
     criterion, nominal = regularisation.criterion, problem.nominal
@@ -106,7 +106,7 @@ def _bound_elsewhere(
         return None
     if problem.noise_variance is None and np.array_equal(problem.used, nominal.used):
         return None
-    if criterion is inverse.Criterion.NOISE_FIGURE:
+    if criterion is Criterion.NOISE_FIGURE:
         return regularisation.noise_figure
     return None if problem.sample is not None else curve.noise_figure_at(value)
 

@@ -10,7 +10,18 @@ import numpy as np
 from pydantic import Field
 
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
-from cbsr_qa.eit import inverse
+from cbsr_qa.eit.inverse import (
+    Correlation,
+    Prior,
+    TemporalImages,
+    high_pass,
+    indenter_smoothness,
+    laplace,
+    lasting_noise_figure,
+    noser,
+    ridge_reconstruction,
+    target_radius_mm,
+)
 from cbsr_qa.plugin import PluginOptions, WithOptions
 from cbsr_qa_plugins.reconstruction._shared import Positive, RidgeOptions
 
@@ -38,9 +49,9 @@ class _OneStepMethod(WithOptions):
             If λ cannot be chosen or is too small to determine the image, an element is felt by no reading, or a
             length does not fit the image.
         """
-        return inverse.ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())[0]
+        return ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())[0]
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
+    def prior(self, problem: ImagingProblem) -> Prior:
         raise NotImplementedError
 
 
@@ -49,8 +60,8 @@ class GaussNewtonTikhonov(_OneStepMethod):
 
     name = "gauss-newton-tikhonov"
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
-        return inverse.Prior.diagonal(np.ones(len(problem.mesh.elements)))
+    def prior(self, problem: ImagingProblem) -> Prior:
+        return Prior.diagonal(np.ones(len(problem.mesh.elements)))
 
 
 class GaussNewtonLaplace(_OneStepMethod):
@@ -61,8 +72,8 @@ class GaussNewtonLaplace(_OneStepMethod):
 
     name = "gauss-newton-laplace"
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
-        return inverse.laplace(problem.mesh)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        return laplace(problem.mesh)
 
 
 class GaussNewtonNoser(_OneStepMethod):
@@ -83,8 +94,8 @@ class GaussNewtonNoser(_OneStepMethod):
     name = "gauss-newton-noser"
     options: Options
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
-        return inverse.Prior.diagonal(inverse.noser(problem.jacobian, self.options.exponent))
+    def prior(self, problem: ImagingProblem) -> Prior:
+        return Prior.diagonal(noser(problem.jacobian, self.options.exponent))
 
 
 class GaussNewtonHighPass(_OneStepMethod):
@@ -102,8 +113,8 @@ class GaussNewtonHighPass(_OneStepMethod):
     name = "gauss-newton-high-pass"
     options: Options
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
-        return inverse.high_pass(problem.mesh, 2 * self.options.width * problem.sensor_type.radius_mm)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        return high_pass(problem.mesh, 2 * self.options.width * problem.sensor_type.radius_mm)
 
 
 class _HeadOptions(RidgeOptions):
@@ -122,15 +133,13 @@ class GaussNewtonIndenter(_OneStepMethod):
     name = "gauss-newton-indenter"
     options: _HeadOptions
 
-    def prior(self, problem: ImagingProblem) -> inverse.Prior:
+    def prior(self, problem: ImagingProblem) -> Prior:
         return _smooth_over_head(problem, self.options)
 
 
-def _smooth_over_head(problem: ImagingProblem, options: _HeadOptions) -> inverse.Prior:
+def _smooth_over_head(problem: ImagingProblem, options: _HeadOptions) -> Prior:
     given_mm = options.indenter_diameter_mm
-    return inverse.indenter_smoothness(
-        problem.mesh, inverse.target_radius_mm(problem) if given_mm is None else given_mm / 2
-    )
+    return indenter_smoothness(problem.mesh, target_radius_mm(problem) if given_mm is None else given_mm / 2)
 
 
 class Temporal(WithOptions):
@@ -160,13 +169,13 @@ class Temporal(WithOptions):
     sequences = True
     options: Options
 
-    def prepare(self, problem: ImagingProblem) -> inverse.TemporalImages:
+    def prepare(self, problem: ImagingProblem) -> TemporalImages:
         options = self.options
-        correlation = inverse.Correlation(options.correlation_frames, options.lag)
-        single, spectrum = inverse.ridge_reconstruction(
+        correlation = Correlation(options.correlation_frames, options.lag)
+        single, spectrum = ridge_reconstruction(
             self.name, problem, lambda base: _smooth_over_head(base, options), options.regularisation()
         )
         choice = single.choice
-        lasting = inverse.lasting_noise_figure(problem, spectrum, choice.value, correlation)
+        lasting = lasting_noise_figure(problem, spectrum, choice.value, correlation)
         how = f"{choice.how}, for one frame; a change that lasts is imaged with noise figure {lasting:.2f}"
-        return inverse.TemporalImages(self.name, problem, replace(choice, how=how), spectrum, correlation)
+        return TemporalImages(self.name, problem, replace(choice, how=how), spectrum, correlation)

@@ -3,7 +3,17 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.calibration import fits, sheet
+from cbsr_qa.calibration.fits import LoopCurve, loop_curve
+from cbsr_qa.calibration.sheet import (
+    FEWEST_POINTS,
+    Characteristic,
+    best_straight_line,
+    characteristics,
+    data_sheet_loads,
+    mean_characteristic,
+    place_responses,
+    repeatability,
+)
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import (
     BaselineConductance,
@@ -20,7 +30,6 @@ from cbsr_qa.domain.results import (
 from cbsr_qa.report import (
     ObservedSection,
     RunSection,
-    draw,
     mean_deviation,
     number,
     parameter_text,
@@ -29,6 +38,14 @@ from cbsr_qa.report import (
     text_table,
     value_cell,
     with_uncertainty,
+)
+from cbsr_qa.report.draw import (
+    PlaceMap,
+    PlaceValue,
+    baseline_figure,
+    characteristic_figure,
+    loop_figure,
+    place_maps_figure,
 )
 
 
@@ -49,7 +66,7 @@ class BaselineConductanceMap(RunSection):
                 "Baseline conductance ρ̄₀ where loads were calibrated: the apparent response of the place, relative"
                 " image units. Right: the same with its uncertainty (one standard deviation).",
                 words,
-                draw.baseline_figure(calibration.baseline, calibration.sensor_type, calibration.indenter),
+                baseline_figure(calibration.baseline, calibration.sensor_type, calibration.indenter),
             )
         yield from (_places(calibration.baseline), _model(calibration))
         if calibration.assumed:
@@ -162,16 +179,16 @@ def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
 
 def _characteristic(run: RunObservation) -> Iterator[Figure]:
     """Figure of change against stress; nothing with too few strains, or without force."""
-    loads = sheet.data_sheet_loads(run)
-    curves = [c for c in sheet.characteristics(loads, run.main_mask) if _drawable(c)]
+    loads = data_sheet_loads(run)
+    curves = [c for c in characteristics(loads, run.main_mask) if _drawable(c)]
     try:
-        mean = sheet.mean_characteristic(curves)
+        mean = mean_characteristic(curves)
         assert mean.stress_kPa is not None
-        line = sheet.best_straight_line(mean.stress_kPa.tolist(), mean.change.tolist())
+        line = best_straight_line(mean.stress_kPa.tolist(), mean.change.tolist())
     except NumericsError:
         return
     try:
-        scatter: float | None = sheet.repeatability(loads, run.main_mask).value
+        scatter: float | None = repeatability(loads, run.main_mask).value
     except NumericsError:
         scatter = None
     bars = "" if scatter is None else "; bars: repeatability over the root of the number of presses"
@@ -180,7 +197,7 @@ def _characteristic(run: RunObservation) -> Iterator[Figure]:
         f" best straight line. Right: deviations from it; shaded: the nonlinearity{bars}.",
         f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best straight line by at"
         f" most {number(100 * line.largest, 2)} % of the span.",
-        draw.characteristic_figure(curves, mean, line, scatter),
+        characteristic_figure(curves, mean, line, scatter),
     )
 
 
@@ -199,19 +216,19 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
             " stress, with one standard error; grey crosses: as read at the end of each hold, creep included.",
             f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
             f" {number(hysteresis.value, 2)}{error} % of the span.",
-            draw.loop_figure(curves, read),
+            loop_figure(curves, read),
         )
 
 
-def _curves(run: RunObservation, last_s: float, *, relaxed: bool) -> list[fits.LoopCurve]:
+def _curves(run: RunObservation, last_s: float, *, relaxed: bool) -> list[LoopCurve]:
     try:
-        return [fits.loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
+        return [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
     except NumericsError:
         return []
 
 
-def _drawable(curve: sheet.Characteristic) -> bool:
-    return len(curve.strain) >= sheet.FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
+def _drawable(curve: Characteristic) -> bool:
+    return len(curve.strain) >= FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
 
 
 def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Figure]:
@@ -223,27 +240,27 @@ def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[
             "By location. Response: ρ₀ relative to that of an even sheet imaged in the same way, as deviation from"
             " the mean. Modulus: relaxed stress over nominal strain.",
             f"Maps of the sheet: {words}.",
-            draw.place_maps_figure(maps, run.record.sensor_type),
+            place_maps_figure(maps, run.record.sensor_type),
         )
 
 
-def _response_map(run: RunObservation) -> draw.PlaceMap | None:
+def _response_map(run: RunObservation) -> PlaceMap | None:
     try:
-        places, strain = sheet.place_responses(run, sheet.data_sheet_loads(run))
+        places, strain = place_responses(run, data_sheet_loads(run))
     except NumericsError:
         return None
     mean = sum(place.response for place in places) / len(places)
     if not mean > 0:
         return None
-    shown = tuple(draw.PlaceValue(p.location, p.x_mm, p.y_mm, 100 * (p.response / mean - 1)) for p in places)
-    return draw.PlaceMap(f"response at {100 * strain:g} % strain", "% off the mean", shown, about=0.0)
+    shown = tuple(PlaceValue(p.location, p.x_mm, p.y_mm, 100 * (p.response / mean - 1)) for p in places)
+    return PlaceMap(f"response at {100 * strain:g} % strain", "% off the mean", shown, about=0.0)
 
 
-def _modulus_map(run: RunObservation, measurements: Sequence[Measurement]) -> draw.PlaceMap | None:
-    at = {load.record.load.label: load.record.load for load in sheet.data_sheet_loads(run)}
+def _modulus_map(run: RunObservation, measurements: Sequence[Measurement]) -> PlaceMap | None:
+    at = {load.record.load.label: load.record.load for load in data_sheet_loads(run)}
     shown = tuple(
-        draw.PlaceValue(m.location, at[m.location].x_mm, at[m.location].y_mm, m.value)
+        PlaceValue(m.location, at[m.location].x_mm, at[m.location].y_mm, m.value)
         for m in measurements
         if m.name == "apparent_modulus" and m.location in at and not m.qualifier and m.value is not None
     )
-    return draw.PlaceMap("apparent modulus", "kPa", shown) if shown else None
+    return PlaceMap("apparent modulus", "kPa", shown) if shown else None

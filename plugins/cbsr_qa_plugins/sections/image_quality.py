@@ -65,15 +65,11 @@ class ImageQuality(ObservedSection):
 def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple[str, str]:
     apart = [m for m in measurements if m.name == "two_touch_resolution" and m.value is not None]
     ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm ({told_apart_by(m.qualifier, run)})" for m in apart]
+    two = f"Two equal loads show as two regions from a distance of {' or '.join(ways)};"
+    two += " linearised model, without noise."
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
     fates = " and ".join(f"{plural(int(count), 'load')} {name.partition('_')[0]}" for name, count in counts.items())
-    two = (
-        f"Two equal loads show as two regions from a distance of {' or '.join(ways)}; linearised model, without"
-        " noise."
-        if ways
-        else ""
-    )
-    return two, f"At the main mask {fates}." if fates else ""
+    return two if ways else "", f"At the main mask {fates}." if fates else ""
 
 
 def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:

@@ -88,10 +88,7 @@ def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block
         "Outcome of each place: the worst of its trials and strains. ✓ pass, ≈ marginal, ✗ fail, ? not measured."
         " Limits of the whole run are in the table only."
     )
-    return [
-        Paragraph(words),
-        Figure(caption, words, verdict_figure(verdicts, run.record.sensor_type)),
-    ]
+    return [Paragraph(words), Figure(caption, words, verdict_figure(verdicts, run.record.sensor_type))]
 
 
 def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str:
@@ -137,8 +134,8 @@ def _judged_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Ce
     value = Cell(value_cell(m, unit=True).text)
     name = f"{m.label} at {100 * m.strain:.3g} % strain" if strains and m.strain is not None else m.label
     name += f": {m.how}" if m.outcome is Outcome.NOT_MEASURED and m.how else ""
-    row: list[str | Cell] = [name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome]
-    return [*row, m.limit.version or "–"] if versioned else row
+    version = [m.limit.version or "–"] if versioned else []
+    return [name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome, *version]
 
 
 def _others(measurements: Sequence[Measurement]) -> list[Table]:
@@ -150,7 +147,10 @@ def _others(measurements: Sequence[Measurement]) -> list[Table]:
 
 
 def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Table:
-    rows = [_row(name, members, phases) for name, members in _grouped(measurements).items()]
+    rows = [
+        [name, *(_summary([m for m in members if m.phase == phase]) for phase in phases)]
+        for name, members in _grouped(measurements).items()
+    ]
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
     where = "of each phase" if any(phases) else "of the whole run"
     caption = (
@@ -172,10 +172,6 @@ def _grouped(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]
         title = f"{words} ({m.qualifier})" if m.qualifier and each else words
         groups.setdefault(unit_column(title, m.unit), []).append(m)
     return groups
-
-
-def _row(name: str, members: Sequence[Measurement], phases: Sequence[str]) -> list[str]:
-    return [name, *(_summary([m for m in members if m.phase == phase]) for phase in phases)]
 
 
 def _summary(members: Sequence[Measurement]) -> str:

@@ -91,21 +91,18 @@ def _pair(measurement: Measurement) -> str:
 
 def _contacts(pairs: Sequence[Measurement]) -> Figure:
     """Draw the pairs with a value; those without are named in the caption."""
-    known = [(_pair(m), m.value, m.outcome) for m in pairs if m.value is not None]
+    known = [m for m in pairs if m.value is not None]
     lost = [_pair(m) for m in pairs if m.value is None]
-    values = np.array([value for _, value, _ in known])
-    median = float(np.median(values))
-    scale, unit = scaled_unit(median, pairs[0].unit)
+    values = np.array([m.value for m in known], dtype=np.float64)
+    median, measured_in = float(np.median(values)), pairs[0].unit
+    scale, unit = scaled_unit(median, measured_in)
     limit = next((m.limit for m in pairs if m.limit is not None), None)
     low, high = (None, None) if limit is None else (limit.lower, limit.upper)
     worst = int(np.abs(np.log(np.maximum(values, 1e-12) / max(median, 1e-12))).argmax())
-    away = abs(values[worst] / median - 1) if median else np.inf
-    furthest = (
-        f"all pairs within {100 * _ALIKE:g} % of it"
-        if away < _ALIKE
-        else f"furthest from it pair {known[worst][0]} with {quantity(known[worst][1], pairs[0].unit)}"
-    )
-    words = f"median {quantity(median, pairs[0].unit)}, {furthest}"
+    furthest = f"furthest from it pair {_pair(known[worst])} with {quantity(values[worst], measured_in)}"
+    if median and abs(values[worst] / median - 1) < _ALIKE:
+        furthest = f"all pairs within {100 * _ALIKE:g} % of it"
+    words = f"median {quantity(median, measured_in)}, {furthest}"
     words += f"; without a value: {', '.join(lost)}" if lost else ""
     return Figure(
         f"Resistance of each electrode pair on the rested sheet, contacts included: {words}. One electrode with a bad"
@@ -113,10 +110,10 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
         f"Bars of {len(known)} electrode pairs; {words}.",
         pair_bar_figure(
             values / scale,
-            [name.replace("-", "–") for name, _, _ in known],
+            [_pair(m).replace("-", "–") for m in known],
             label="resistance",
             unit=unit,
             limits=(None if low is None else low / scale, None if high is None else high / scale),
-            outside=[rank for rank, (_, _, outcome) in enumerate(known) if outcome is Outcome.FAIL],
+            outside=[rank for rank, m in enumerate(known) if m.outcome is Outcome.FAIL],
         ),
     )

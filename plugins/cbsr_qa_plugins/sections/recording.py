@@ -9,7 +9,17 @@ from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.readings import ImagedPlace, LoadEvent, RecordingResult, ScanKind
 from cbsr_qa.domain.results import Block, Figure, Paragraph, Table, Trace
-from cbsr_qa.report import RecordingSection, capital, dashed, draw, fixed, number, plural, text_table
+from cbsr_qa.report import RecordingSection, capital, dashed, fixed, number, plural, text_table
+from cbsr_qa.report.draw import (
+    ChannelMark,
+    ImagePanel,
+    Marker,
+    Span,
+    channel_map_figure,
+    image_figure,
+    sheet_radius,
+    timeline_figure,
+)
 
 
 class RecordingChannels(RecordingSection):
@@ -66,13 +76,13 @@ def _map(result: RecordingResult) -> Figure:
     return Figure(
         f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
         f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
-        draw.channel_map_figure(
+        channel_map_figure(
             level,
             label="median level",
             unit=recording.frames.unit.value,
             marks=(
-                draw.ChannelMark(at(channels.saturated), "x", "saturated"),
-                draw.ChannelMark(at(channels.stuck), "o", "stuck"),
+                ChannelMark(at(channels.saturated), "x", "saturated"),
+                ChannelMark(at(channels.stuck), "o", "stuck"),
             ),
         ),
     )
@@ -190,14 +200,14 @@ def _images(result: RecordingResult) -> Figure:
     shown = events[:_MOST_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
     # Images of an unnamed sensor may be in any unit.
-    sheet = Disc(draw.sheet_radius(shown[0].image.mesh)) if named is None else named.outline
+    sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
     panels = []
     for rank, event in enumerate(shown):
-        place = draw.Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
+        place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
         moves = event.motion is not None
         track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
         note = f"{'clearest at ' if moves else ''}{event.place}"
-        panels.append(draw.ImagePanel(_name(rank), event.image, (place,), note, track))
+        panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
     left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
     moved = (
         " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
@@ -207,7 +217,7 @@ def _images(result: RecordingResult) -> Figure:
         "Change each event made against the frames just before it (or against the reference). Marked: the place of"
         f" the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
         "; ".join(f"{panel.title}: {panel.note}" for panel in panels),
-        draw.image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
+        image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
     )
 
 
@@ -220,13 +230,13 @@ def _timeline(result: RecordingResult) -> Figure | None:
     changed = np.sqrt(np.mean((block.voltages - first) ** 2, axis=(1, 2)))
     traces = [Trace("change", block.unit.value, block.time_s, changed)]
     traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
-    spans = [draw.Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
+    spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
     what = "one row per frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
     count = plural(len(spans), "event") if spans else "no event"
     return Figure(
         f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
         f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
-        draw.timeline_figure(traces, spans),
+        timeline_figure(traces, spans),
     )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration import fits
+from cbsr_qa.calibration.fits import SHAPE_MARGIN, restricted_mean
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import (
     Block,
@@ -113,7 +113,7 @@ def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]
         return [Paragraph(f"{words}: not compared, {why}.", "note")]
     caption = (
         f"{words}: relaxations relative to their change (above) and their difference (below), with 90 % intervals."
-        f" Equivalent: the interval of the difference stays within ±{fits.SHAPE_MARGIN:g} (shaded)."
+        f" Equivalent: the interval of the difference stays within ±{SHAPE_MARGIN:g} (shaded)."
     )
     shapes = "; ".join(
         f"{agreement.direction}: {agreement.found.why or agreement.found.shape}" for agreement in compared
@@ -200,5 +200,5 @@ def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[R
 def _mean_text(times_s: list[float], censored: list[bool]) -> str:
     if len(times_s) == 1:
         return f"{'≥ ' if censored[0] else ''}{plain(times_s[0], 's')}"
-    mean_s, deviation_s = fits.restricted_mean(times_s, censored)
+    mean_s, deviation_s = restricted_mean(times_s, censored)
     return f"{'≥ ' if any(censored) else ''}{with_uncertainty(mean_s, deviation_s)}"

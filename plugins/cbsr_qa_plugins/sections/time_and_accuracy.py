@@ -88,16 +88,11 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
 
 def _map_words(costs: Sequence[MapCost]) -> str:
     whole, before = costs[-1], costs[-2]
-    words = (
-        f"The map of the response took {duration(whole.station_s)} for"
-        f" {plural(whole.loads, 'load')} at {plural(whole.places, 'place')}; its standard error is"
-        f" {_percent(whole.stated)} %."
-    )
+    words = f"The map of the response took {duration(whole.station_s)} for {plural(whole.loads, 'load')}"
+    words += f" at {plural(whole.places, 'place')}; its standard error is {_percent(whole.stated)} %."
     if before.places == whole.places:
-        words += (
-            f" One load at each place would have taken {duration(before.station_s)} and given"
-            f" {_percent(before.stated)} %."
-        )
+        words += f" One load at each place would have taken {duration(before.station_s)}"
+        words += f" and given {_percent(before.stated)} %."
     return f"{words} The table shows the same for fewer places, as far apart as possible."
 
 

@@ -120,10 +120,7 @@ def _weighting(run: RunObservation) -> str:
 
 
 def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
-    rows = [
-        [_minute(override.at), override.verdict.value, override.outcome.value, override.by, override.why]
-        for override in overrides
-    ]
+    rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in overrides]
     caption = "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue calibrations."
     return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
 
