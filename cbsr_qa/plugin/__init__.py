@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from .options import (
         Array as Array,
         PluginOptions as PluginOptions,
+        WholeNumber as WholeNumber,
         WithOptions as WithOptions,
         driver as driver,
         options_of as options_of,

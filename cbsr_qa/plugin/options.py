@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial, update_wrapper
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
-from pydantic import ConfigDict, Field, create_model
+from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.plugin.instruments import StationContext
@@ -15,6 +15,16 @@ from cbsr_qa.plugin.words import dotted
 
 #: A pair or an array that is written as an array in TOML, and as a tuple in Python.
 Array: Final = Field(strict=False)
+
+
+def _whole(value: Any) -> Any:
+    if type(value) is not int:
+        raise ValueError("it must be a whole number")
+    return value
+
+
+#: For a choice of whole numbers, e.g. ``Annotated[Literal[0, 1, 2], WholeNumber]``: pydantic alone takes true for 1.
+WholeNumber: Final = BeforeValidator(_whole)
 
 
 class PluginOptions(CheckedTable):

@@ -53,7 +53,12 @@ class CellOptions(PluginOptions):
     dead_weight_g: Annotated[float, Field(ge=0.1)] | None = None
 
     def force_N(self, number: float, unit: str) -> float:
-        """Return the force of a number in ``"N"``, ``"g"`` or ``"counts"``, compression positive [N]."""
+        """Return the force of a number, compression positive [N]: sign × (scale × number + offset) in ``unit``.
+
+        Parameters
+        ----------
+        unit : ``"N"``, ``"g"`` or ``"counts"``.
+        """
         return self.sign * _UNITS[unit] * (self.scale * number + self.offset)
 
 

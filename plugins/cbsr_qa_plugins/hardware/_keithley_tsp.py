@@ -15,13 +15,14 @@ from cbsr_qa_plugins.hardware._driver import Text
 #: Set values may be rounded to the instrument's resolution; what is further off was not taken.
 _TOLERANCE = 1e-4
 
-
 #: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
 CURRENT_NPLC: Final = 0.001
 Volts = Annotated[float, Field(ge=0.02, le=200)]
 
 
 class KeithleyOptions(PluginOptions):
+    """Channels, limits and ranges; apertures are in power line cycles (``nplc``)."""
+
     address: Annotated[Text, Field(description='a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"')]
     source_channel: Literal["a", "b"] = "b"
     meter_channel: Literal["a", "b"] = "a"
@@ -161,7 +162,7 @@ def settings(options: KeithleyOptions) -> list[str]:
     """Return the lines, from a reset on; both channels are off after them.
 
     Numbers are written with ten digits: an instrument that is sent ``%f`` takes small currents for zero. The meter is
-    a source of no current.
+    a source of no current, with the same voltage limit as the source.
     """
     source, meter = options.source, options.meter
     lines = [

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from cbsr_qa.domain import Array, ConfigError, InstrumentError
-from cbsr_qa.plugin import StationContext, driver
+from cbsr_qa.plugin import StationContext, WholeNumber, driver
 from cbsr_qa.plugin.links import AddressLock
 from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
@@ -34,7 +34,7 @@ class BridgeOptions(CellOptions):
     scale: Factor
     device_serial: Annotated[int, Field(ge=0, le=2**31)] | None = None
     channel: Annotated[int, Field(ge=0, le=7)] = 0
-    gain: Literal[1, 8, 16, 32, 64, 128] = 128
+    gain: Annotated[Literal[1, 8, 16, 32, 64, 128], WholeNumber] = 128
     data_interval_ms: Annotated[int, Field(ge=8, le=60_000)] = 125
     attach_s: Annotated[float, Field(ge=0.01, le=60)] = 5.0
 
@@ -47,7 +47,7 @@ def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
     --------------------
     device_serial : serial number of the bridge; by default the first bridge found.
     channel : input of the bridge.
-    gain : 1, 8, 16, 32, 64 or 128.
+    gain : of the bridge's amplifier.
     data_interval_ms : time between samples.
     attach_s : how long to wait for the bridge.
     scale, offset : grams = scale × ratio + offset, ratio in V/V; the rig's are 4.94462e6 and 70.13.

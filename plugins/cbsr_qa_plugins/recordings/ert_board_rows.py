@@ -282,7 +282,7 @@ def assemble(lines: list[BoardLine], scan: ScanKind) -> Assembly:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
     sessions = _sessions(lines)
-    for session, following in zip(sessions, [*sessions[1:], []], strict=True):
+    for session, following in zip_longest(sessions, sessions[1:], fillvalue=list[BoardLine]()):
         _assemble_session(session, following, assembly)
     return assembly
 

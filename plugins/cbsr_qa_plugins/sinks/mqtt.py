@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import ConfigError, DeliveryError
-from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
+from cbsr_qa.plugin import Array, PluginOptions, Problem, WholeNumber, WithOptions
 from cbsr_qa_plugins.sinks._options import (
     EnvironmentVariable,
     Timeout,
@@ -55,7 +55,7 @@ class Mqtt(WithOptions):
         port: Annotated[int, Field(ge=1, le=65535)] | None = None
         topic: Annotated[str, AfterValidator(_topic)] = "cbsr-qa/{station}/{type}"
         retain: Annotated[tuple[str, ...], Array] = ()
-        qos: Literal[0, 1, 2] = 1
+        qos: Annotated[Literal[0, 1, 2], WholeNumber] = 1
         tls: bool = False
         ca_file: str | None = None
         user: Annotated[str, Field(min_length=1, max_length=256)] | None = None

@@ -182,6 +182,12 @@ def test_it_is_not_tared_under_load(make):
     make(clock=clock, tare_s=1.0)  # nothing is left locked
 
 
+@pytest.mark.parametrize("gain", [True, 8.0, 7])
+def test_a_gain_that_the_bridge_does_not_have_is_refused(make, gain):
+    with pytest.raises(ConfigError, match=f"gain is {gain}"):
+        make(gain=gain)
+
+
 def test_an_unplugged_bridge_is_said_and_used_again_once_it_is_back(make, clock):
     cell = make()
     said(clock, -100.0)

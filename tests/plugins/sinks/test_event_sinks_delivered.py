@@ -278,6 +278,7 @@ def test_a_server_that_is_absent_or_silent_is_named(nobody, hanging):
         (Mqtt, {"host": "h", "topic": "a/#"}, "topic"),
         (Mqtt, {"host": "h", "topic": "$SYS/x"}, "topic"),
         (Mqtt, {"host": "h", "qos": 3}, "qos"),
+        (Mqtt, {"host": "h", "qos": True}, "qos is True\nit must be a whole number"),
         (Mqtt, {"host": "h", "password_env": "NOBODY_SET_THIS"}, "password_env"),
         (Mqtt, {"host": "h", "user": "u", "password_env": "NOBODY_SET_THIS"}, "NOBODY_SET_THIS"),
         (Mqtt, {"host": "h", "ca_file": "x.pem"}, "ca_file"),
