@@ -81,7 +81,7 @@ def _check_place(option: str, path: Path) -> None:
 def write_recipe(recommended: Recommendation, path: Path) -> None:
     """Write the recommended setting as a recipe.
 
-    RefusedError if there is none, or the file cannot be written or is not one written here.
+    RefusedError if no setting is recommended, or the file cannot be written, or this command did not write it.
     """
     if recommended.way is None or recommended.accuracy is None:
         raise RefusedError(f"there is no recipe to write: {recommended.why}")

@@ -260,7 +260,7 @@ class ScannedFrames(DriverBase):
             source, sink = self._pattern.drive[int(known.argmax())]
             raise self._error(
                 f"{1e3 * stated_A:g} mA need {stated_A * float(known.max()):.3g} V on pair {source}-{sink};"
-                f" the source ends at {limit_V:g} V, and {free_percent:g} % of it are to be left",
+                f" the source gives at most {limit_V:g} V, and {free_percent:g} % of that must stay free",
                 f"state at most {1e3 * _round_down(most_A):g} mA, or raise compliance_V",
             )
         return stated_A

@@ -85,7 +85,7 @@ def test_the_current_is_chosen_to_leave_a_quarter_of_the_limit(limit_V, largest_
 
 def test_a_stated_current_that_leaves_too_little_is_refused_with_what_would_do(bench):
     with pytest.raises(
-        InstrumentError, match=r"0\.9 mA need 17\.7 V on pair 15-0; the source ends at 20 V"
+        InstrumentError, match=r"0\.9 mA need 17\.7 V on pair 15-0; the source gives at most 20 V"
     ) as refused:
         bench.open_frames(current_mA=0.9)
     assert "state at most 0.6 mA" in refused.value.remedy
