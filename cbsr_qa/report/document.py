@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pydantic import Field, TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
 
 T = TypeVar("T")
 
@@ -39,7 +40,15 @@ def _text(value: date | Path) -> str:
 
 def json_schema(kind: type) -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of the documents of a kind of result."""
-    return _adapter(kind).json_schema(mode="serialization")
+    return _adapter(kind).json_schema(mode="serialization", schema_generator=_Schema)
+
+
+class _Schema(GenerateJsonSchema):
+    """A key that has one value only, such as an event's ``type``, is always written."""
+
+    def field_is_required(self, field: Any, total: bool) -> bool:
+        constant = field["schema"].get("schema", field["schema"])["type"] == "literal"
+        return constant or super().field_is_required(field, total)
 
 
 @lru_cache

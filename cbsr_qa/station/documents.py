@@ -125,7 +125,7 @@ class MemoryJournal:
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
         """Return the run as loaded from the database, without its sessions."""
-        ends = {event.index: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
+        ends = {event.phase: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
         started = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
         plan = self._plan

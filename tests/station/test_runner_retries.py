@@ -76,7 +76,7 @@ def test_finished_loads_are_not_pressed_again():
     (finished,) = kinds(documents, LoadFinished)
     assert (finished.phase, finished.record.index, finished.record.load.label) == (1, 1, "L4")
     assert [d.index for d in kinds(documents, PhaseStarted)] == [1]
-    assert [d.index for d in kinds(documents, PhaseFinished)] == [1]
+    assert [d.phase for d in kinds(documents, PhaseFinished)] == [1]
     # The applicator has forgotten its zero and the surfaces; the sheet of the finished phase need not rest, and the
     # unloaded frames of the other one are there.
     assert script.count("force_applicator.home") == 1
@@ -115,7 +115,7 @@ def test_a_phase_cut_off_between_its_last_load_and_its_end_only_ends():
     ((*left,),) = resumed((*steps, *after), done={(0, 0)})
     assert left == [(0, Home()), (1, SET_UP[0]), (9, after[0]), (10, after[1])]
     _, documents, _ = run(steps, done=frozenset({(0, 0)}))
-    assert [document.index for document in kinds(documents, PhaseFinished)] == [0]
+    assert [document.phase for document in kinds(documents, PhaseFinished)] == [0]
     assert kinds(documents, LoadFinished, Unloaded) == []
 
 

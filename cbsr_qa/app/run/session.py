@@ -231,7 +231,7 @@ class Session:
                 case PhaseStarted():
                     names[event.index] = event.name
                 case PhaseFinished():
-                    tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.index])
+                    tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.phase])
 
         return plugin_hooks
 

@@ -1,13 +1,15 @@
 """What an operator did while a run was under way: pauses between loads, and answers to prompts."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
 class RunPaused:
-    """The run waits between two loads, with the head up. ``by``: who asked for it."""
+    """The run waits between two presses, with the head up. ``by``: who asked for it."""
 
+    type: Literal["run_paused"] = field(default="run_paused", kw_only=True, repr=False)
     phase: int
     time_s: float
     by: str
@@ -17,6 +19,7 @@ class RunPaused:
 class RunContinued:
     """A pause has ended. ``by``: who asked for it."""
 
+    type: Literal["run_continued"] = field(default="run_continued", kw_only=True, repr=False)
     phase: int
     time_s: float
     by: str
@@ -24,14 +27,9 @@ class RunContinued:
 
 @dataclass(frozen=True, slots=True)
 class PromptShown:
-    """The operator is asked something.
+    """The operator is asked something. ``prompt`` names it within the run, ``picture`` is an image's file name."""
 
-    Parameters
-    ----------
-    prompt : identity within the run; every answer names it.
-    picture : name of an image file; empty without one.
-    """
-
+    type: Literal["prompt_shown"] = field(default="prompt_shown", kw_only=True, repr=False)
     phase: int
     prompt: int
     text: str
@@ -41,8 +39,9 @@ class PromptShown:
 
 @dataclass(frozen=True, slots=True)
 class PromptAnswered:
-    """The one answer to a prompt. ``by``: who gave it."""
+    """The answer to a prompt, and who gave it."""
 
+    type: Literal["prompt_answered"] = field(default="prompt_answered", kw_only=True, repr=False)
     phase: int
     prompt: int
     answer: str

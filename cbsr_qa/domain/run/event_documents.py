@@ -1,8 +1,8 @@
 """Events of a run as documents for other programs: what a run's subscribers see, without the readings themselves.
 
-Each event has one dataclass, whose fields are the keys, and one function that fills it. ``cbsr-qa schema events``
-prints the JSON Schema of all. A key without a value is left out. What happens within a phase is in
-:mod:`~cbsr_qa.domain.run.step_documents`.
+An event with a ``type`` is its own document: its fields are the keys. Each other event has a dataclass, whose fields
+are the keys, and a function that fills it. ``cbsr-qa schema events`` prints the JSON Schema of all. A key without a
+value is left out. What happens within a phase is in :mod:`~cbsr_qa.domain.run.step_documents`.
 """
 
 import json
@@ -23,14 +23,14 @@ from cbsr_qa.domain.run.run import (
     RunEvent,
     RunIdentity,
     RunStarted,
+    StepRetried,
+    Unloaded,
 )
 from cbsr_qa.domain.run.step_documents import (
     FramesTakenDocument,
     LoadFinishedDocument,
     SamplesTakenDocument,
-    StepRetriedDocument,
     StepStartedDocument,
-    UnloadedDocument,
     document_of,
 )
 
@@ -53,6 +53,13 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
 def _number(value: np.generic) -> Any:
     """Return a number of numpy, which a sequence may use in its steps, as Python's."""
     return value.item()
+
+
+@document_of.register
+def _itself(
+    event: PhaseFinished | RunPaused | RunContinued | PromptShown | PromptAnswered | Unloaded | StepRetried,
+) -> object:
+    return event
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,84 +116,6 @@ def _phase_started(event: PhaseStarted) -> PhaseStartedDocument:
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseFinishedDocument:
-    """A sequence ended normally."""
-
-    type: Literal["phase_finished"]
-    phase: int
-    time_s: float
-
-
-@document_of.register
-def _phase_finished(event: PhaseFinished) -> PhaseFinishedDocument:
-    return PhaseFinishedDocument("phase_finished", event.index, event.time_s)
-
-
-@dataclass(frozen=True, slots=True)
-class RunPausedDocument:
-    """The run waits between two presses, with the head up."""
-
-    type: Literal["run_paused"]
-    phase: int
-    time_s: float
-    by: str
-
-
-@document_of.register
-def _run_paused(event: RunPaused) -> RunPausedDocument:
-    return filled(RunPausedDocument, event, type="run_paused")
-
-
-@dataclass(frozen=True, slots=True)
-class RunContinuedDocument:
-    """A pause has ended."""
-
-    type: Literal["run_continued"]
-    phase: int
-    time_s: float
-    by: str
-
-
-@document_of.register
-def _run_continued(event: RunContinued) -> RunContinuedDocument:
-    return filled(RunContinuedDocument, event, type="run_continued")
-
-
-@dataclass(frozen=True, slots=True)
-class PromptShownDocument:
-    """The operator is asked something. ``prompt`` names it within the run, ``picture`` is an image's file name."""
-
-    type: Literal["prompt_shown"]
-    phase: int
-    prompt: int
-    text: str
-    picture: str
-    time_s: float
-
-
-@document_of.register
-def _prompt_shown(event: PromptShown) -> PromptShownDocument:
-    return filled(PromptShownDocument, event, type="prompt_shown")
-
-
-@dataclass(frozen=True, slots=True)
-class PromptAnsweredDocument:
-    """The answer to a prompt, and who gave it."""
-
-    type: Literal["prompt_answered"]
-    phase: int
-    prompt: int
-    answer: str
-    by: str
-    time_s: float
-
-
-@document_of.register
-def _prompt_answered(event: PromptAnswered) -> PromptAnsweredDocument:
-    return filled(PromptAnsweredDocument, event, type="prompt_answered")
-
-
-@dataclass(frozen=True, slots=True)
 class RunEndedDocument:
     """The bench is in its safe state; the analysis follows. ``spent_s`` are station seconds by kind of step."""
 
@@ -227,14 +156,14 @@ EventDocument = (
     | StepStartedDocument
     | FramesTakenDocument
     | SamplesTakenDocument
-    | UnloadedDocument
+    | Unloaded
     | LoadFinishedDocument
-    | StepRetriedDocument
-    | PhaseFinishedDocument
-    | RunPausedDocument
-    | RunContinuedDocument
-    | PromptShownDocument
-    | PromptAnsweredDocument
+    | StepRetried
+    | PhaseFinished
+    | RunPaused
+    | RunContinued
+    | PromptShown
+    | PromptAnswered
     | RunEndedDocument
     | RunConcludedDocument
 )

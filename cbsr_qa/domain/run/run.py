@@ -276,6 +276,7 @@ class SamplesTaken:
 class Unloaded:
     """The sheet counts as rested from this time on."""
 
+    type: Literal["unloaded"] = field(default="unloaded", kw_only=True, repr=False)
     phase: int
     time_s: float
 
@@ -290,8 +291,9 @@ class LoadFinished:
 
 @dataclass(frozen=True, slots=True)
 class StepRetried:
-    """A step failed in a way that may be retried."""
+    """A step failed in a way that may be retried, and is tried again."""
 
+    type: Literal["step_retried"] = field(default="step_retried", kw_only=True, repr=False)
     phase: int
     number: int
     attempt: int
@@ -302,7 +304,8 @@ class StepRetried:
 class PhaseFinished:
     """A sequence ended normally."""
 
-    index: int
+    type: Literal["phase_finished"] = field(default="phase_finished", kw_only=True, repr=False)
+    phase: int
     time_s: float
 
 

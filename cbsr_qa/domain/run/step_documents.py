@@ -11,7 +11,7 @@ from cbsr_qa.domain.filling import filled
 from cbsr_qa.domain.plan import Step
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock
 from cbsr_qa.domain.run.loads import EasedStrain
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken, StepRetried, StepStarted, Unloaded
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken, StepStarted
 
 
 @singledispatch
@@ -119,20 +119,6 @@ def _times(block: FrameBlock | SampleBlock) -> tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True)
-class UnloadedDocument:
-    """The sheet counts as rested from this time on."""
-
-    type: Literal["unloaded"]
-    phase: int
-    time_s: float
-
-
-@document_of.register
-def _unloaded(event: Unloaded) -> UnloadedDocument:
-    return filled(UnloadedDocument, event, type="unloaded")
-
-
-@dataclass(frozen=True, slots=True)
 class LoadFinishedDocument:
     """A press was held to its end and released, and its rest has ended (``time_s``).
 
@@ -165,19 +151,3 @@ def _load_finished(event: LoadFinished) -> LoadFinishedDocument:
     return filled(
         LoadFinishedDocument, record, type="load_finished", phase=event.phase, time_s=record.rest_end_s, **place
     )
-
-
-@dataclass(frozen=True, slots=True)
-class StepRetriedDocument:
-    """A step failed in a way that may be retried, and is tried again."""
-
-    type: Literal["step_retried"]
-    phase: int
-    number: int
-    attempt: int
-    why: str
-
-
-@document_of.register
-def _step_retried(event: StepRetried) -> StepRetriedDocument:
-    return filled(StepRetriedDocument, event, type="step_retried")

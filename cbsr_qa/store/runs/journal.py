@@ -265,11 +265,11 @@ class Journal:
     @_store.register
     def _(self, event: PhaseFinished, connection: Connection) -> None:
         unended = update(PhaseRow).where(
-            PhaseRow.run == self._run, PhaseRow.phase == event.index, PhaseRow.ended_s.is_(None)
+            PhaseRow.run == self._run, PhaseRow.phase == event.phase, PhaseRow.ended_s.is_(None)
         )
         if connection.execute(unended.values(ended_s=event.time_s)).rowcount != 1:
-            raise StoreError(f"phase {event.index} of run {self._run} was not started, or has ended already")
-        add_links(connection, self._run, [phase_end(event.index, event.time_s)])
+            raise StoreError(f"phase {event.phase} of run {self._run} was not started, or has ended already")
+        add_links(connection, self._run, [phase_end(event.phase, event.time_s)])
 
     @_store.register
     def _(self, event: RunEnded, connection: Connection) -> None:
