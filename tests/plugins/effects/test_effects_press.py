@@ -245,7 +245,6 @@ def test_what_acts_on_others_comes_after_those_that_are_on():
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: UnloadingSpike(OF, size=0.3, decay_s=-1.0), "decay_s is -1.0"),
         (lambda: UnloadingSpike(OF, size=3.0, decay_s=1.0), "from 0 to 2"),
         (lambda: Residue(OF, share=1.5, decay_s=300.0), "share is 1.5"),
         (lambda: Hysteresis(OF, width=0.9), "width is 0.9"),
@@ -253,8 +252,6 @@ def test_what_acts_on_others_comes_after_those_that_are_on():
         (lambda: PressureProfile(OF, shape="flat"), "'punch' or 'parabola'"),
         (lambda: Confinement(OF, factor=0.0), "factor is 0"),
         (lambda: TemperatureDrift(OF, coefficient_per_K=1.0), "coefficient_per_K is 1"),
-        (lambda: LoadCellSaturation(OF, limit_N=float("inf")), "limit_N is inf"),
-        (lambda: ApplicatorPositionError(OF, error_mm=-0.1), "error_mm is -0.1"),
         (lambda: Backlash(OF, play_mm=6.0), "play_mm is 6"),
     ],
 )

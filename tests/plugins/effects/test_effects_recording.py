@@ -130,17 +130,8 @@ def test_the_seed_says_what_happens(effect):
     ("make", "named", "allowed"),
     [
         (lambda: FrameLoss(setting(), share=1.5), "share is 1.5", "from 0 to 1"),
-        (lambda: FrameLoss(setting(), share=-0.1), "share is -0.1", "from 0 to 1"),
         (lambda: FrameLoss(setting(), share=0.1, most_rows=0), "most_rows is 0", "whole number from 1"),
-        (lambda: FrameLoss(setting(), share=0.1, most_rows=17), "most_rows is 17", "at most 16"),
         (lambda: FrameLoss(setting(), share=0.1, most_rows=2.5), "most_rows is 2.5", "whole"),
-        (lambda: WatchdogDump(setting(), period_s=float("nan")), "period_s is nan", "from 0.1"),
-        (lambda: WatchdogDump(setting(), pause_ms=-1), "pause_ms is -1", "from 0"),
-        (
-            lambda: WatchdogDump(setting(), pause_ms=5000),
-            "not over before the next dump after 5 s",
-            "longer period_s",
-        ),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_can(make, named, allowed):
