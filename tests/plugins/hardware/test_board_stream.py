@@ -68,13 +68,6 @@ def test_a_count_that_looks_like_the_mark_is_told_by_the_frame_in_which_it_chang
     assert not any(one.after_loss for one in found)
 
 
-def test_a_frame_joined_in_the_middle_costs_no_more_than_itself():
-    data = b"".join(binary(counts) for counts in FRAMES[:2])
-    (frame,) = BinaryStream().feed(data[400:])
-    np.testing.assert_array_equal(frame.counts, FRAMES[1])
-    assert not frame.after_loss
-
-
 @pytest.mark.parametrize("spoilt_at", [0, 2, 5, 401, 767, 768, 769])
 def test_a_byte_lost_on_the_way_costs_its_frame_and_is_noticed(spoilt_at):
     data = b"".join(binary(counts) for counts in FRAMES[:4])

@@ -209,25 +209,6 @@ def test_a_fault_in_any_row_gives_the_right_frame_or_none(opened, fault):
     assert not bench.emulation.ports["frames"].faults.met()
 
 
-def test_a_lost_byte_costs_one_frame(opened):
-    bench = opened()
-    bench.driver.acquire(1)
-    bench.arm(Fault.GARBLE)
-    block = bench.driver.acquire(2)
-    assert np.diff([*block.time_s]).item() == pytest.approx(PERIOD_S, rel=0.2)
-    assert bench.driver.frames_lost == 1
-
-
-@pytest.mark.rest
-def test_a_board_that_restarts_goes_on(opened):
-    bench = opened()
-    bench.driver.acquire(1)
-    bench.arm(Fault.RESET)
-    block = bench.driver.acquire(2)
-    usable = sensor_type().pattern.usable()
-    np.testing.assert_array_equal(block.voltages[1][usable], bench.counts(block)[usable])
-
-
 def test_a_silent_board_is_an_error_that_may_be_tried_again(opened):
     bench = opened()
     bench.arm(Fault.SILENCE)

@@ -6,16 +6,8 @@ from simulated_benches import SPEED, lying, opened
 from simulated_setting import context, scene
 
 from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.plugin import ForceApplicator, FrameSource, Sampler
 from cbsr_qa.system import in_ticks
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
-
-
-def test_one_object_fills_all_three_roles():
-    _, bench = opened()
-    for role in (FrameSource, ForceApplicator, Sampler):
-        assert isinstance(bench, role)
-
 
 # --- frames ---
 

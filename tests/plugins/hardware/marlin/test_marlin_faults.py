@@ -37,13 +37,6 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
 
 
-@pytest.mark.parametrize("fault", [Fault.COMPLIANCE, Fault.OVERLOAD])
-def test_faults_that_a_printer_cannot_have_change_nothing(station, homed, fault):
-    station.arm("applicator", fault)
-    homed.press(0.8, SPEED)
-    assert station.head.height_mm == pytest.approx(-0.8, abs=1e-3)
-
-
 @pytest.mark.parametrize("at", range(4, 40, 5))
 def test_an_old_answer_is_no_position(station, homed, at):
     port = station.emulation.ports["applicator"]
@@ -231,11 +224,6 @@ def test_nobody_at_the_address_is_said(make):
     station.arm("applicator", Fault.SILENCE)
     with pytest.raises(InstrumentError, match=r"no Marlin printer answers within 0\.5 s"):
         station.open("applicator", open_applicator, boot_s=0.5)
-
-
-def test_a_second_program_on_the_port_is_refused(station, head):
-    with pytest.raises(InstrumentError, match="in use by process"):
-        station.open("applicator", open_applicator)
 
 
 def test_unplugged_at_start():
