@@ -5,7 +5,7 @@ import threading
 import pytest
 from scanning_rig import OHM, Scanning, TabledWorld, context
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import CheckOutcome
 from cbsr_qa.simulate.instruments import Fault, TcpPort, source_meter, streams
 from cbsr_qa.system import RealClock
@@ -290,8 +290,3 @@ def test_another_unit_of_the_series_that_comes_back_in_its_place_is_refused(hast
 def test_an_instrument_that_is_switched_off_is_refused():
     with pytest.raises(InstrumentError, match="nothing listens there"):
         open_source_meter(context(address="TCPIP::127.0.0.1::1::SOCKET", timeout_s=0.1))
-
-
-def test_an_address_that_is_no_resource_is_refused():
-    with pytest.raises(ConfigError, match=r"'meter'.*'nonsense'"):
-        open_source_meter(context(address="nonsense"))

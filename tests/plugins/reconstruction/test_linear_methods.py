@@ -128,12 +128,6 @@ def test_samples_that_are_none_are_refused(problem, sample, reason):
     ("options", "reason"),
     [
         ({"choose": "taste"}, "it must be 'noise-figure', 'gcv', 'l-curve' or 'discrepancy'"),
-        ({"choose": 3}, "choose is 3"),
-        ({"choose": ["gcv"]}, r"choose is \['gcv'\]"),
-        ({"choose": {}}, "choose is a table"),
-        ({"noise_figure": 10**400}, "beyond 1.8e308"),
-        ({"noise_figure": "one"}, "noise_figure is 'one'"),
-        ({"noise_figure": True}, "noise_figure is True"),
         ({"choose": "gcv", "noise_figure": 1.0}, "not both"),
         ({"noise_figure": float("nan")}, "noise_figure is nan"),
     ],
@@ -147,20 +141,13 @@ def test_options_that_say_nothing_are_refused(problem, method, options, reason):
 @pytest.mark.parametrize(
     ("method", "options", "reason"),
     [
-        (GaussNewtonHighPass, {"width": "wide"}, "width is 'wide'"),
         (GaussNewtonHighPass, {"width": 0.0}, r"width is 0\.0"),
         (GaussNewtonHighPass, {"width": 1e-9}, r"2.5 to 1e\+03 mm on this image"),
         (GaussNewtonHighPass, {"width": 1e200}, "positive finite"),
-        (GaussNewtonHighPass, {"width": None}, "width is None"),
-        (GaussNewtonNoser, {"exponent": None}, "exponent is None"),
         (GaussNewtonNoser, {"exponent": 1.5}, "a number from 0 to 1"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": 1e-300}, "positive finite"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": 1e300}, "positive finite"),
-        (TruncatedSvd, {"components": 10**400}, "components is a whole number beyond"),
-        (TruncatedSvd, {"components": 10**5000}, "components is a whole number beyond"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": -13.0}, r"indenter_diameter_mm is -13\.0"),
-        (GaussNewtonNoser, {"exponent": "half"}, "exponent is 'half'"),
-        (TruncatedSvd, {"components": 2.5}, "a whole number"),
         (TruncatedSvd, {"components": 0}, "components is 0"),
         (TruncatedSvd, {"components": 105}, "allowed: 1 to"),
         (TruncatedSvd, {"components": 20, "choose": "gcv"}, "not both"),
@@ -240,15 +227,6 @@ def test_truncation_by_readings_follows_the_definitions(problem, measured):
     assert TruncatedSvd(choose="gcv").prepare(measured).choice.value == truncation.cuts[by_gcv]
     enough = int(np.flatnonzero(left <= evidence.variance * 6 * 104)[0])
     assert TruncatedSvd(choose="discrepancy").prepare(measured).choice.value == truncation.cuts[enough]
-
-
-def test_truncation_keeps_within_the_noise_figure(problem):
-    prepared = TruncatedSvd(noise_figure=1.5).prepare(problem)
-    truncation = Truncation(problem)
-    assert prepared.choice.noise_figure <= 1.5
-    further = truncation.cuts[truncation.cuts > prepared.choice.value]
-    assert (truncation.noise_figures(further.astype(float)) > 1.5).all()
-    assert prepared.choice.name == "components kept"
 
 
 def test_a_masked_sensor_keeps_no_half_pair(pin_sensor):

@@ -4,16 +4,13 @@ import importlib
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from recording_samples import sample_recording
 from report_samples import ended_early, without_blobs
 from section_texts import blocks, check_showable, tables, texts
 
-from cbsr_qa.analysis.defects import signal_to_noise_dB
 from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
 from cbsr_qa.plugin import Kind
-from cbsr_qa.report import alike
 from cbsr_qa_plugins.registry import BUILT_IN
 from cbsr_qa_plugins.sections.data_sheet import BaselineConductanceMap
 from cbsr_qa_plugins.sections.loads import LoadImages
@@ -86,11 +83,6 @@ def test_rejected_fits_are_counted_by_reason(result):
     assert {row[3] for row in by_strain} == {"–"}
 
 
-def test_reasons_that_differ_in_numbers_only_are_alike():
-    assert alike("R² 0.612 is below 0.85") == alike("R² 0.4 is below 0.9")
-    assert alike("too few points: 3") != alike("R² 0.4 is below 0.9")
-
-
 def test_the_baseline_section_says_what_was_assumed_and_reduced(result):
     section = BaselineConductanceMap().render(result)
     words = [block.text for block in blocks(section, Paragraph)]
@@ -106,26 +98,6 @@ def test_a_baseline_without_any_value_is_said_without_a_figure(result):
     )
     assert not blocks(section, Figure)
     assert {row[4] for row in texts(tables(section)[0])} == {"no blob"}
-
-
-def test_signal_to_noise_is_level_over_deviation_from_a_line(result):
-    unloaded = result.observation.unloaded
-    one = unloaded.voltages[:, 3, 7]
-    left = one - np.polyval(np.polyfit(unloaded.time_s, one, 1), unloaded.time_s)
-    expected = 20 * np.log10(abs(one.mean()) / np.sqrt(left @ left / (len(one) - 2)))
-    assert signal_to_noise_dB(unloaded)[3, 7] == pytest.approx(expected)
-    drift = one[:1] * 1e-3 * (unloaded.time_s - unloaded.time_s.mean())
-    drifting = replace(unloaded, voltages=unloaded.voltages + drift[:, None, None])
-    assert signal_to_noise_dB(drifting)[3, 7] == pytest.approx(expected, abs=1e-6)
-    assert signal_to_noise_dB(unloaded.select(slice(0, 2))) is None
-
-
-def test_a_reading_that_never_changes_has_no_finite_ratio(result):
-    run = result.observation
-    frozen = run.unloaded.voltages.copy()
-    frozen[:, 0, 5] = 1.0
-    ratio = signal_to_noise_dB(replace(run.unloaded, voltages=frozen))
-    assert np.isinf(ratio[0, 5])
 
 
 def test_the_worst_contact_is_named(result):

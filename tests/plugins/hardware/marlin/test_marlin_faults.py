@@ -1,13 +1,12 @@
 """The driver of Marlin printers over an emulated one: every fault of the line, and how it is opened."""
 
 import threading
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from marlin_printer import SPEED, TABLE, linked, until_it_moves
-from simulated_setting import MOTION, context
+from marlin_printer import SPEED, linked, until_it_moves
+from simulated_setting import MOTION
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
@@ -224,13 +223,6 @@ def test_nobody_at_the_address_is_said(make):
     station.arm("applicator", Fault.SILENCE)
     with pytest.raises(InstrumentError, match=r"no Marlin printer answers within 0\.5 s"):
         station.open("applicator", open_applicator, boot_s=0.5)
-
-
-def test_unplugged_at_start():
-    options = {key: value for key, value in TABLE.items() if key != "driver"} | {"address": "/dev/no-such-port"}
-    told = replace(context(None), options=options)
-    with pytest.raises(InstrumentError, match="no port /dev/no-such-port"):
-        open_applicator(told)
 
 
 def test_a_search_below_the_sheet_is_refused_before_anything_is_opened(station):
