@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from effect_setting import READING_SCALE_V, moment, setting
+from effect_setting import READING_SCALE_V, applied, moment, setting
 
 from cbsr_qa.config import load_material
 from cbsr_qa.domain.plan import SceneSetting
@@ -16,10 +16,7 @@ SIGNAL = np.linspace(-1, 1, 256).reshape(16, 16)
 def _frames(of: SceneSetting, count: int, **parameters: float) -> np.ndarray:
     effect, frames = MeasurementNoise(of, **parameters), []
     for index in range(count):
-        at = moment(of, 2.5 * index, index=index)
-        at.voltages = SIGNAL
-        effect.apply(at)
-        frames.append(at.voltages - SIGNAL)
+        frames.append(applied(effect, moment(of, 2.5 * index, index=index), voltages=SIGNAL).voltages - SIGNAL)
     return np.stack(frames)
 
 
@@ -64,9 +61,6 @@ def test_load_cell_noise_is_as_strong_as_stated():
     of = setting()
     effect, forces = LoadCellNoise(of, rms_N=0.03), []
     for index in range(20_000):
-        at = moment(of, index / 8, index=index)
-        at.force_N = 2.0
-        effect.apply(at)
-        forces.append(at.force_N)
+        forces.append(applied(effect, moment(of, index / 8, index=index), force_N=2.0).force_N)
     assert np.std(forces) == pytest.approx(0.03, rel=5 / np.sqrt(2 * len(forces)))
     assert np.mean(forces) == pytest.approx(2.0, abs=5 * 0.03 / np.sqrt(len(forces)))
