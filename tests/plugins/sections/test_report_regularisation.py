@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recording_samples import sample_recording
 from report_samples import sample_run
-from section_texts import blocks, tables, texts
+from section_texts import blocks, observed, tables, texts
 from sensor_samples import SENSOR
 
 from cbsr_qa.domain.results import Figure, Paragraph
@@ -40,8 +40,7 @@ def result():
 @pytest.fixture
 def section_of(result):
     def make(prepared):
-        observation = replace(result.observation, reconstruction=prepared)
-        return RegularisationParameter().render(replace(result, observation=observation))
+        return RegularisationParameter().render(observed(result, reconstruction=prepared))
 
     return make
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from recording_samples import sample_recording
 from report_samples import ended_early, without_blobs
-from section_texts import blocks, check_showable, tables, texts
+from section_texts import blocks, check_showable, observed, tables, texts
 
 from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
 from cbsr_qa.plugin import Kind
@@ -59,7 +59,7 @@ def test_not_settled_is_a_bound_and_never_a_number(result):
     first = loads[0].relaxations[0]
     late = replace(first, settling=replace(first.settling, value_s=60.0, censored=True))
     loads[0] = replace(loads[0], relaxations=(late, *loads[0].relaxations[1:]))
-    section = RelaxationFits().render(replace(result, observation=replace(result.observation, loads=tuple(loads))))
+    section = RelaxationFits().render(observed(result, loads=tuple(loads)))
     row = next(row for row in texts(tables(section)[1]) if row[5] == "1")
     assert row[3].startswith("≥ ")
 
@@ -72,8 +72,7 @@ def test_rejected_fits_are_counted_by_reason(result):
         fit = replace(worst.fit, status=FitStatus.REJECTED, r_squared=0.4 + k / 100, why=why)
         bad = replace(worst, fit=fit, settling=replace(worst.settling, value_s=None))
         loads.append(replace(load, relaxations=(bad, *load.relaxations[1:])))
-    observation = replace(result.observation, loads=tuple(loads))
-    section = RelaxationFits().render(replace(result, observation=observation))
+    section = RelaxationFits().render(observed(result, loads=tuple(loads)))
     (told,) = [block.text for block in blocks(section, Paragraph)]
     assert told == (
         "23 fits were rejected: 22 with R² below 0.85 (0.40 to 0.62), 1 because the data do not determine a time"
@@ -116,19 +115,17 @@ def test_time_adds_up(result):
 
 @pytest.mark.rest
 def test_only_so_many_images_are_printed_and_the_rest_is_said(result):
-    many = tuple(
-        replace(load) for load in (*result.observation.loads, *result.observation.loads, *result.observation.loads)
-    )
-    section = LoadImages().render(replace(result, observation=replace(result.observation, loads=many)))
+    many = tuple(replace(load) for load in 3 * result.observation.loads)
+    section = LoadImages().render(observed(result, loads=many))
     assert section.blocks[0].text.endswith("21 presses are not printed here; every frame is in the store.")
 
 
 @pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("components kept", "noise-figure"), ("μ", "")])
 def test_the_regularisation_parameter_stands_under_its_own_name(result, name, criterion):
-    run = result.observation
-    choice = replace(run.reconstruction.choice, name=name, criterion=criterion)
-    seen = replace(run, reconstruction=replace(run.reconstruction, choice=choice))
-    rows = dict(texts(tables(Traceability().render(replace(result, observation=seen)))[2]))
+    prepared = result.observation.reconstruction
+    choice = replace(prepared.choice, name=name, criterion=criterion)
+    seen = observed(result, reconstruction=replace(prepared, choice=choice))
+    rows = dict(texts(tables(Traceability().render(seen))[2]))
     assert rows["Regularisation parameter"] == f"{name} = 0.0123"
     said = criterion or "criterion not stated"
     assert rows["Parameter chosen by"] == f"{said}: noise figure 1.00 on the nominal model"
