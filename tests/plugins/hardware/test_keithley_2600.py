@@ -35,8 +35,7 @@ def test_opening_switches_a_source_off_that_was_left_on(bench):
 def test_prompts_that_another_program_switched_on_do_no_harm(bench):
     assert bench.emulation.instruments["meter"].received(b"localnode.prompts = 1\n") == b"TSP>\n"
     bench.emulation.ports["meter"].send(b"TSP>\n")
-    meter = bench.open_meter()
-    meter.source(1e-4)
+    meter = bench.sourcing()
     assert meter.measure().volts == pytest.approx(1e-4 * OHM[0, 0], rel=1e-6)
 
 
@@ -121,8 +120,7 @@ def test_a_value_that_reads_back_otherwise_is_refused(bench, monkeypatch, name, 
 
 
 def test_one_that_is_too_warm_is_not_used(bench, monkeypatch):
-    meter = bench.open_meter()
-    meter.source(1e-4)
+    meter = bench.sourcing()
     bench.world.drive_ohm[0] = 1e6  # at its limit, so that a status bit is there; and it is that of the heat
     monkeypatch.setattr(source_meter, "_COMPLIANCE", 0x02)
     with pytest.raises(InstrumentError, match="too warm") as refused:
@@ -133,8 +131,7 @@ def test_one_that_is_too_warm_is_not_used(bench, monkeypatch):
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.STALE, Fault.DELAY, Fault.RESET])
 def test_a_lost_answer_may_be_asked_for_again_and_is_never_taken_for_the_next(hasty, fault, monkeypatch):
     monkeypatch.setattr(streams, "LATE_S", 0.45)
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     hasty.rig.wiring.drive, hasty.rig.wiring.measure = 4, 4
     meter.measure()
     hasty.rig.wiring.drive, hasty.rig.wiring.measure = 5, 11
@@ -148,8 +145,7 @@ def test_a_lost_answer_may_be_asked_for_again_and_is_never_taken_for_the_next(ha
 
 
 def test_after_a_lost_answer_the_source_is_off_until_it_is_asked_for(hasty):
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     hasty.arm("meter", Fault.GARBLE)
     with pytest.raises(InstrumentError):
         meter.measure()
@@ -160,8 +156,7 @@ def test_after_a_lost_answer_the_source_is_off_until_it_is_asked_for(hasty):
 
 
 def test_one_that_was_reset_in_the_rest_is_noticed(hasty):
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     meter.alive()
     hasty.arm("meter", Fault.RESET)
     with pytest.raises(InstrumentError, match="it has been reset"):
@@ -169,8 +164,7 @@ def test_one_that_was_reset_in_the_rest_is_noticed(hasty):
 
 
 def test_a_source_that_somebody_switched_off_gives_no_reading(bench):
-    meter = bench.open_meter()
-    meter.source(1e-4)
+    meter = bench.sourcing()
     bench.emulation.instruments["meter"].received(b"smub.source.output = 0\n")
     with pytest.raises(InstrumentError, match=r"the source gives 0 mA where 0\.1 mA were asked for") as off:
         meter.measure()
@@ -181,8 +175,7 @@ def test_a_source_that_somebody_switched_off_gives_no_reading(bench):
 
 @pytest.mark.parametrize("fault", [Fault.DROP, Fault.SILENCE])
 def test_an_instrument_that_is_gone_is_an_error_with_role_and_address(hasty, fault):
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     hasty.arm("meter", fault)
     for _ in range(2):
         with pytest.raises(InstrumentError, match="meter at TCPIP::") as gone:
@@ -191,8 +184,7 @@ def test_an_instrument_that_is_gone_is_an_error_with_role_and_address(hasty, fau
 
 
 def test_it_tests_itself_without_current_and_is_off_after_it(bench, monkeypatch):
-    meter = bench.open_meter()
-    meter.source(1e-4)
+    meter = bench.sourcing()
     lines = {line.name: line for line in meter.self_test()}
     assert [line.outcome for line in lines.values()] == [CheckOutcome.OK] * 3
     assert lines["zero voltage"].allowed == "within 0.02 V"
@@ -213,8 +205,7 @@ def test_it_tests_itself_without_current_and_is_off_after_it(bench, monkeypatch)
 
 
 def test_the_safe_state_is_off_again_and_again(bench):
-    meter = bench.open_meter()
-    meter.source(1e-4)
+    meter = bench.sourcing()
     for _ in range(2):
         meter.safe_state()
         assert bench.rig.wiring.current_A is None
@@ -226,16 +217,14 @@ def test_the_safe_state_is_off_again_and_again(bench):
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.STALE, Fault.DELAY, Fault.RESET])
 def test_the_safe_state_is_reached_and_confirmed_whatever_the_link_does(hasty, fault, monkeypatch):
     monkeypatch.setattr(streams, "LATE_S", 0.45)
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     hasty.arm("meter", fault)
     meter.safe_state()
     assert hasty.rig.wiring.current_A is None
 
 
 def test_a_silent_instrument_is_switched_off_and_said_not_to_have_confirmed_it(hasty):
-    meter = hasty.open_meter()
-    meter.source(1e-4)
+    meter = hasty.sourcing()
     hasty.arm("meter", Fault.SILENCE)
     with pytest.raises(InstrumentError, match="no answer"):
         meter.safe_state()
@@ -243,8 +232,7 @@ def test_a_silent_instrument_is_switched_off_and_said_not_to_have_confirmed_it(h
 
 
 def test_the_safe_state_goes_around_a_thread_that_hangs(hasty):
-    meter = hasty.open_meter(timeout_s=0.6)
-    meter.source(1e-4)
+    meter = hasty.sourcing(timeout_s=0.6)
     hasty.arm("meter", Fault.SILENCE)
 
     def fails(operation):

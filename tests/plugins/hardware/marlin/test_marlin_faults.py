@@ -15,16 +15,22 @@ from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 # --- faults of the line ---
 
+
+def fault_at(station, fault, at):
+    """Let a fault meet the exchange of this number from now on; what counts them."""
+    faults, count = station.emulation.ports["applicator"].faults, iter(range(10**6))
+    met = faults.met
+    faults.met = lambda: fault if next(count) == at else met()
+    return count
+
+
 MENDED = [(fault, at) for fault in (Fault.GARBLE, Fault.STALE, Fault.RESEND) for at in range(0, 40, 3)]
 
 
 @pytest.mark.parametrize(("fault", "at"), [*MENDED, (Fault.BUSY, 0), (Fault.BUSY, 17)])  # the latter takes real time
 def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault, at):
     one_world.presses.clear()
-    port = station.emulation.ports["applicator"]
-    count = iter(range(10**6))
-    met = port.faults.met
-    port.faults.met = lambda: fault if next(count) == at else met()
+    count = fault_at(station, fault, at)
     homed.press(0.8, SPEED)
     assert next(count) > at
     if fault is not Fault.BUSY:  # two seconds a message pass in the middle of something
@@ -38,10 +44,7 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
 
 @pytest.mark.parametrize("at", range(4, 40, 5))
 def test_an_old_answer_is_no_position(station, homed, at):
-    port = station.emulation.ports["applicator"]
-    count = iter(range(10**6))
-    met = port.faults.met
-    port.faults.met = lambda: Fault.STALE if next(count) == at else met()
+    fault_at(station, Fault.STALE, at)
     since = station.clock.now()
     homed.press(0.8, SPEED)
     block = homed.samples_since(since)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from emulated_bench import SAFETY
-from marlin_printer import SPEED, linked, took
+from marlin_printer import SPEED, linked, took, until_it_moves
 from simulated_setting import MOTION
 
 from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
@@ -107,14 +107,8 @@ def test_opening_moves_nothing_and_stops_what_moves(make, one_world):
 
 
 def test_the_safe_state_comes_from_another_thread_in_the_middle_of_a_press(station, homed):
-    reached, go_on = threading.Event(), threading.Event()
-
-    def hold(now_s):
-        if station.head.touching and not reached.is_set():
-            reached.set()
-
-    station.clock.watch(hold)
-    met = []
+    reached, go_on, met = threading.Event(), threading.Event(), []
+    station.clock.watch(lambda now_s: station.head.touching and reached.set())
     real = station.force.samples_since
 
     def slow(time_s):
@@ -136,7 +130,7 @@ def test_the_safe_state_comes_from_another_thread_in_the_middle_of_a_press(stati
     homed.safe_state()
     go_on.set()
     thread.join(timeout=10.0)
-    assert "stopped on its way" in met[0].reason if hasattr(met[0], "reason") else False
+    assert "stopped on its way" in met[0].reason
     station.clock.sleep(5.0)
     assert station.head.up
 
@@ -156,10 +150,7 @@ def test_the_safe_state_gets_through_while_a_command_hangs(station, homed):
         thread.start()
         thread.join(timeout=5.0)
     assert "another command hangs" in str(met[0])  # nobody heard it answer: somebody must look
-    for _ in range(50):
-        if station.head.moving:
-            break
-        threading.Event().wait(0.02)
+    until_it_moves(station.head)
     station.clock.sleep(5.0)
     assert station.head.up
 
