@@ -63,8 +63,7 @@ def test_the_boards_scale_is_that_of_used_readings_and_driven_pairs_are_cut(tmp_
     apart = np.subtract.outer(np.arange(16), np.arange(16)) % 16
     voltages = np.where((apart > 1) & (apart < 15), 0.1, 7.0) * np.ones((9, 1, 1))
     voltages[4, 2, 9] = 3.0
-    recording, transcript = made_up(9, inner="measure", readings=voltages)
-    read, notes = written(tmp_path, "ert-board-csv", recording, transcript)
+    read, notes = written(tmp_path, "ert-board-csv", *made_up(9, inner="measure", readings=voltages))
     counts = read.frames.voltages
     assert 0.1 <= 0.1 * 2e5 / END_COUNTS <= 1  # 200 000 counts a volt: 1.5 × 0.1 V fill 30 000
     assert (counts[0][(apart > 1) & (apart < 15)] == 20_000).all()
@@ -111,8 +110,7 @@ def test_a_cell_that_was_not_recorded_is_off(tmp_path):
 
 
 def test_frames_that_lost_rows_are_named_and_counted(tmp_path):
-    recording, transcript = made_up(12, inner="measure", lost=LOST)
-    read, notes = written(tmp_path, "ert-board-csv", recording, transcript)
+    read, notes = written(tmp_path, "ert-board-csv", *made_up(12, inner="measure", lost=LOST))
     assert read.frames_dropped == 3
     said = [problem.what for problem in read.problems]
     assert [f"{rows} whole rows" in what for rows, what in zip((12, 14, 15), said, strict=True)] == [True] * 3
@@ -120,8 +118,10 @@ def test_frames_that_lost_rows_are_named_and_counted(tmp_path):
 
 
 def test_a_mark_stands_before_what_arrives_of_a_frame(tmp_path):
-    recording, transcript = made_up(5, lost=[(1, 0, 2), (3, 0, 16)])
-    said = [line.split(",")[2] for line in lines_of(tmp_path, "ert-board-csv", recording, transcript)[2:]]
+    said = [
+        line.split(",")[2]
+        for line in lines_of(tmp_path, "ert-board-csv", *made_up(5, lost=[(1, 0, 2), (3, 0, 16)]))[2:]
+    ]
     marks = [k for k, field in enumerate(said) if field == "A"]
     assert [len(frame) for frame in np.split(said, marks)] == [0, 17, 15, 17, 17]
 
@@ -142,8 +142,7 @@ def test_dumps_are_noted_cost_nothing_and_make_the_board_late(tmp_path):
 
 
 def test_lines_of_a_dump_stand_in_time_before_their_row(tmp_path):
-    recording, transcript = made_up(4, inner="measure", dumps=[Dump(1, 6, 0.075)])
-    lines = lines_of(tmp_path, "ert-board-csv", recording, transcript)
+    lines = lines_of(tmp_path, "ert-board-csv", *made_up(4, inner="measure", dumps=[Dump(1, 6, 0.075)]))
     first = next(k for k, line in enumerate(lines) if "task_wdt" in line)
     assert first == 2 + 17 + 1 + 6  # headers, a frame with its mark, a mark, six rows
     time_s = [float(line.split(",")[0]) for line in lines[2:]]
@@ -160,8 +159,7 @@ def test_frames_taken_at_once_have_one_time_a_frame(tmp_path):
 
 def test_a_written_file_is_built_like_a_real_one(tmp_path, shared):
     real = (shared / "data" / "black_sensor" / "expABCX_150mm_8.5wt_6.csv").read_text(encoding="utf-8").splitlines()
-    recording, transcript = made_up(12, inner="measure", dumps=DUMPS[:2])
-    ours = lines_of(tmp_path, "ert-board-csv", recording, transcript)
+    ours = lines_of(tmp_path, "ert-board-csv", *made_up(12, inner="measure", dumps=DUMPS[:2]))
 
     def built(lines):
         """Fields of marks and rows, whether rows end with a comma, rows from mark to mark, lines of a dump."""
@@ -213,8 +211,7 @@ def test_channels_nobody_recorded_are_nan_and_said(tmp_path):
 
 
 def test_the_current_stands_in_every_16th_line(tmp_path):
-    recording, transcript = made_up(3)
-    rows = [line.split(",") for line in lines_of(tmp_path, "smu-rig-csv", recording, transcript)[2:]]
+    rows = [line.split(",") for line in lines_of(tmp_path, "smu-rig-csv", *made_up(3))[2:]]
     assert len(rows) == 3 * 256
     assert [k for k, row in enumerate(rows) if row[2] != "nan"] == list(range(0, 3 * 256, 16))
 
