@@ -169,7 +169,8 @@ def test_random_loads_are_addressed_by_seed_and_name():
 
 @pytest.mark.parametrize(("x", "label"), [(0.0, "L0"), (30, "L1"), (12.5, "X0")])
 def test_relaxation_is_labelled_by_its_place(x, label):
-    assert loads_of(RelaxationSequence(x_mm=x))[0].label == label
+    load = loads_of(RelaxationSequence(x_mm=x, strain_percent=10))[0]
+    assert (load.label, load.strain) == (label, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -84,12 +84,12 @@ def test_what_was_an_hour_ago_is_forgotten(station, cell, monkeypatch):
 
 
 def test_the_temperature_is_read(station):
-    one = station.open("thermometer", open_thermometer)
+    one = station.open("thermometer", open_thermometer, scale=2.0, offset=-1.5)  # the emulated one says °C
     station.clock.sleep(10.0)
     block = one.samples_since(-1.0)
     assert (block.channel, block.unit) == ("temperature", "°C")
     assert len(block) >= 10
-    np.testing.assert_allclose(block.values, 22.0, atol=0.1)
+    np.testing.assert_allclose(block.values, 2 * 22.0 - 1.5, atol=0.2)
     assert (np.diff(block.time_s) > 0.5).all()
     assert len(one.samples_since(station.clock.now())) == 0
 
