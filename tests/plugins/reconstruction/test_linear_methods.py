@@ -56,12 +56,15 @@ def test_every_criterion_settles_every_method(problem, criterion, method):
     assert np.array_equal(method(choose=criterion).prepare(problem).matrix, prepared.matrix)
 
 
-@pytest.mark.parametrize("method", RIDGES)
+@pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
 def test_the_curve_holds_the_noise_figure_of_every_parameter(problem, method):
     curve = method().prepare(problem).choice.curve
     assert (np.diff(curve.values) > 0).all()
-    for at in np.searchsorted(curve.values, curve.answers[0].value * np.array([0.3, 1.0, 10.0])):
-        again = method(hyperparameter=float(curve.values[at])).prepare(problem).choice
+    wanted = np.searchsorted(curve.values, curve.answers[0].value * np.array([0.3, 1.0, 10.0]))
+    for at in wanted.clip(max=len(curve.values) - 1):
+        value = curve.values[at]
+        given = {"components": int(value)} if curve.discrete else {"hyperparameter": float(value)}
+        again = method(**given).prepare(problem).choice
         assert again.noise_figure == pytest.approx(curve.noise_figures[at], rel=1e-6)
         assert again.curve is None
 
