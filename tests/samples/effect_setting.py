@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from simulated_setting import installed
+from simulated_setting import world
 
 from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain.plan import (
@@ -45,10 +45,8 @@ def plain_sheet() -> SimulatedSheet:
 
 def world_of(*effects: tuple[str, dict[str, Any]], seed: int = 1, **more: Any) -> SimulatedWorld:
     """The setting's sheet under effects with their options, on a coarse mesh."""
-    of, choices = setting(), tuple(PluginChoice(*effect) for effect in effects)
-    scene = Scene("t", choices, 4e-4, 2.5, 8.0, ())
-    return SimulatedWorld(
-        scene, of.sensor_type, of.material, of.indenter, seed=seed, effect_factory=installed, **more
+    return world(
+        Scene("t", tuple(PluginChoice(*effect) for effect in effects), 4e-4, 2.5, 8.0, ()), seed=seed, **more
     )
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from marlin_printer import SPEED, linked, took
-from simulated_setting import HEAD, MOTION, base_scene, installed, material, sensor_type
+from simulated_setting import MOTION, base_scene, world
 
 from cbsr_qa.domain import InstrumentError, SafetyError
 from cbsr_qa.domain.plan import steps as kinematics
-from cbsr_qa.simulate import SimulatedHead, SimulatedWorld
+from cbsr_qa.simulate import SimulatedHead
 from cbsr_qa.system import VirtualClock
 
 # --- motion ---
@@ -125,7 +125,7 @@ def test_a_machine_whose_z_grows_downwards(make):
 
 def test_the_surface_is_where_the_simulated_bench_finds_it(station, homed, one_world):
     clock = VirtualClock()
-    other = SimulatedWorld(base_scene(), sensor_type(), material(), HEAD, seed=1, effect_factory=installed)
+    other = world(base_scene())
     simulated = SimulatedHead(clock, other, MOTION, role="head")
     simulated.travel(10.0, 5.0)
 

@@ -1,14 +1,15 @@
 """Drivers of load cells and thermometers that send lines, over emulated ones: what is read, tare and self test."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from emulated_bench import EmulatedStation
 from line_samplers import CELL, skipped, true_N
-from simulated_setting import HEAD, base_scene, held, installed, material, sensor_type
+from simulated_setting import base_scene, held, world
 
 from cbsr_qa.domain import InstrumentError, SafetyError
 from cbsr_qa.domain.run import CheckOutcome
-from cbsr_qa.simulate import SimulatedWorld
 from cbsr_qa_plugins.hardware import _line_sampler
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell, open_thermometer
 
@@ -97,16 +98,10 @@ def test_the_temperature_is_read(station):
 def test_a_resumed_session_draws_noise_of_its_own(station, cell):
     station.clock.sleep(5.0)
     before = cell.samples_since(-1.0).values
-    later = SimulatedWorld(
-        base_scene(), sensor_type(), material(), HEAD, seed=1, effect_factory=installed, began_s=7.5
-    )
-    again = EmulatedStation(later, cell=dict(CELL))
-    try:
+    with closing(EmulatedStation(world(base_scene(), began_s=7.5), cell=dict(CELL))) as again:
         resumed = again.open("cell", open_load_cell)
         again.clock.sleep(5.0)
         after = resumed.samples_since(-1.0).values
-    finally:
-        again.close()
     assert len(before) == len(after)
     assert (before != after).all()
 
