@@ -1,6 +1,6 @@
 """The source-measure unit's driver over the emulated instrument's socket."""
 
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from scanning_rig import OHM, Scanning, TabledWorld, context
@@ -234,22 +234,16 @@ def test_a_silent_instrument_is_switched_off_and_said_not_to_have_confirmed_it(h
 def test_the_safe_state_goes_around_a_thread_that_hangs(hasty):
     meter = hasty.sourcing(timeout_s=0.6)
     hasty.arm("meter", Fault.SILENCE)
-
-    def fails(operation):
-        with pytest.raises(InstrumentError):
-            operation()
-
-    hanging = threading.Thread(target=fails, args=(meter.measure,))
-    hanging.start()
-    time = RealClock()
-    stopping = threading.Thread(target=fails, args=(meter.safe_state,))
-    stopping.start()
-    while hasty.rig.wiring.current_A is not None:
-        assert time.now() < 0.5, "only after the other thread gave up"
-    assert hanging.is_alive()
-    hanging.join()
-    meter.close()
-    stopping.join()
+    with ThreadPoolExecutor() as others:
+        hanging = others.submit(meter.measure)
+        time = RealClock()
+        stopping = others.submit(meter.safe_state)
+        while hasty.rig.wiring.current_A is not None:
+            assert time.now() < 0.5, "only after the other thread gave up"
+        assert hanging.running()
+        assert isinstance(hanging.exception(), InstrumentError)
+        meter.close()
+        assert isinstance(stopping.exception(), InstrumentError)
 
 
 # --- refused at opening ---
