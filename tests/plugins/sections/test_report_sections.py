@@ -1,6 +1,5 @@
 """Sections of a run: what they show is what was measured, and they are silent where there is nothing to show."""
 
-import importlib
 import re
 from dataclasses import replace
 
@@ -10,8 +9,7 @@ from report_samples import ended_early, without_blobs
 from section_texts import blocks, check_showable, observed, tables, texts
 
 from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
-from cbsr_qa.plugin import Kind
-from cbsr_qa_plugins.registry import BUILT_IN
+from cbsr_qa.plugin import Kind, discover
 from cbsr_qa_plugins.sections.data_sheet import BaselineConductanceMap
 from cbsr_qa_plugins.sections.loads import LoadImages
 from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts
@@ -19,16 +17,12 @@ from cbsr_qa_plugins.sections.relaxation import RelaxationFits
 from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
 from cbsr_qa_plugins.sections.traceability import Traceability
 
-OF_A_RUN = {
-    name: target
-    for kind, name, target in BUILT_IN
-    if kind is Kind.SECTION and not name.startswith(("recording", "characterisation"))
-}
+PLUGINS = discover()
+OF_A_RUN = [name for name in PLUGINS.names(Kind.SECTION) if not name.startswith(("recording", "characterisation"))]
 
 
 def made(name):
-    module, _, factory = OF_A_RUN[name].partition(":")
-    return getattr(importlib.import_module(f"cbsr_qa_plugins.{module}"), factory)()
+    return PLUGINS.factory(Kind.SECTION, name)()
 
 
 @pytest.mark.parametrize("name", OF_A_RUN)
