@@ -3,13 +3,24 @@
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
+from simulated_setting import world
 
 from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
+from cbsr_qa.domain.plan import (
+    Moment,
+    PluginChoice,
+    Scene,
+    SceneSetting,
+    SheetDesign,
+    SimulatedPress,
+    StrainRamp,
+)
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, SensorType
+from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld
 
 STEP_S = 1e-9  #: a ramp this short is a step
 READING_SCALE_V = 2.0
@@ -25,6 +36,20 @@ def setting(material: Material | None = None, *, seed: int = 1) -> SceneSetting:
     return SceneSetting(sensor_type, material or shipped, Indenter(13.0), seed, 1e-3)
 
 
+@cache
+def plain_sheet() -> SimulatedSheet:
+    """The setting's sheet, on a coarse mesh."""
+    design = SheetDesign.plain(setting().sensor_type, setting().indenter)
+    return SimulatedSheet(design, size_mm=8.0, interelectrode_resistance_ohm=1e4)
+
+
+def world_of(*effects: tuple[str, dict[str, Any]], seed: int = 1, **more: Any) -> SimulatedWorld:
+    """The setting's sheet under effects with their options, on a coarse mesh."""
+    return world(
+        Scene("t", tuple(PluginChoice(*effect) for effect in effects), 4e-4, 2.5, 8.0, ()), seed=seed, **more
+    )
+
+
 def with_line(slope: float, intercept: float) -> Material:
     line = QuasiStatic(Parameter(slope, None, "test"), Parameter(intercept, None, "test"))
     return replace(_shipped()[1], against_strain=line)
@@ -34,6 +59,14 @@ def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int
     return Moment(
         of, time_s, index, list(presses), [0.0] * len(presses), [0.0] * len(presses), reading_scale_V=READING_SCALE_V
     )
+
+
+def applied(effect: Any, at: Moment, **fields: Any) -> Moment:
+    """What an effect makes of a moment with these fields."""
+    for name, value in fields.items():
+        setattr(at, name, value)
+    effect.apply(at)
+    return at
 
 
 def history(*ramps: tuple[float, float, float]) -> SimulatedPress:

@@ -74,9 +74,21 @@ class Scanning:
         self.opened.append(open_source_meter(self.context("meter", **options)))
         return self.opened[-1]
 
+    def sourcing(self, **options):
+        """A meter whose source gives 0.1 mA."""
+        meter = self.open_meter(**options)
+        meter.source(1e-4)
+        return meter
+
     def open_multiplexer(self, **options):
         self.opened.append(open_multiplexer(self.context("multiplexer", **options)))
         return self.opened[-1]
+
+    def started(self, **options):
+        """A multiplexer at its first combination."""
+        scanner = self.open_multiplexer(**options)
+        scanner.start()
+        return scanner
 
     def open_frames(self, **options):
         self.meter, self.multiplexer = self.open_meter(), self.open_multiplexer()

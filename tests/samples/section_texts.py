@@ -1,7 +1,14 @@
 """What a section holds and says, for the tests of sections."""
 
+from dataclasses import replace
+
 from cbsr_qa.domain.results import Figure, Table
 from cbsr_qa.report.draw import checked_svg
+
+
+def observed(result, **changes):
+    """The result with other parts of its observation."""
+    return replace(result, observation=replace(result.observation, **changes))
 
 
 def blocks(section, kind):

@@ -47,9 +47,9 @@ def installed(name: str) -> Callable[..., Any]:
 
 
 def world(
-    of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed
+    of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed, **more: Any
 ) -> SimulatedWorld:
-    return SimulatedWorld(of, sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory)
+    return SimulatedWorld(of, sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory, **more)
 
 
 def context(

@@ -5,14 +5,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from simulated_setting import truth
+from simulated_setting import MOTION, scene, truth, world
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import PluginChoice, SceneSetting, SimulatedPress, StrainRamp, Transcript
+from cbsr_qa.config import load_material, load_sensor_type
+from cbsr_qa.domain.plan import SceneLoad, ScenePlan, SceneSetting, Transcript
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Indenter, Load, LoadRecord
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.simulate.recording import record_scene
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv
@@ -91,44 +90,17 @@ def made_up(count, *, inner=None, readings=None, flags=None, lost=(), dumps=()):
     return recording, transcript
 
 
-def simulated_press(inner, count=60, *, x_mm=20.0, y_mm=15.0, start_s=60.0, hold_s=45.0):
+def simulated_press(inner):
     """One press of 20 % on a noisy sheet that is read reading by reading, by a rig that loses rows and dumps logs.
 
     Returns the recording, its transcript, and the true relative change of the conductance under the head.
     """
-    effects = [
-        PluginChoice("piezoresistivity", {}),
-        PluginChoice("elastic-stress", {}),
-        PluginChoice("time-skew", {"inner": inner}),
-        PluginChoice("measurement-noise", {}),
-        PluginChoice("frame-loss", {"share": 0.1}),
-    ]
-    if inner == "measure":
-        effects.append(PluginChoice("watchdog-dump", {"period_s": 15.0}))
-    scene = replace(
-        load_scene("none").value, name="test", effects=tuple(effects), current_A=CURRENT_A, sheet_mesh_size_mm=5.0
-    )
-    plugins = discover()
-    one = setting()
-    world = SimulatedWorld(
-        scene, one.sensor_type, one.material, HEAD, seed=1, effect_factory=lambda n: plugins.factory(Kind.EFFECT, n)
-    )
-    down, up = StrainRamp(start_s, 1.2, 0.2), StrainRamp(start_s + hold_s, 1.2, -0.2)
-    world.presses.append(SimulatedPress(0, x_mm, y_mm, [down, up]))
-    transcript = world.transcript(middles_s(count))
-    pauses_s = transcript.pauses_s()
-    taken = [world.frame(at_s, k, pauses_s[k]) for k, at_s in enumerate(transcript.time_s.tolist())]
-    block = FrameBlock(
-        transcript.time_s + pauses_s[:, 8],
-        np.stack([one.voltages for one in taken]),
-        np.stack([one.flags for one in taken]),
-        VoltageUnit.VOLT,
-        CURRENT_A,
-        np.stack([one.time_s for one in taken]),
-    )
-    samples_s = np.arange(int(count * PERIOD_S * 8)) / 8
-    force = [world.force_N(at_s, k) for k, at_s in enumerate(samples_s.tolist())]
-    recording, _ = made_up(count)
-    change = truth(world, start_s + hold_s / 2)[0].relative_change
-    cell = SampleBlock("force", "N", samples_s, np.array(force))
-    return replace(recording, frames=block, samples=(cell,), loads=()), transcript, change
+    dumping = ("watchdog-dump",) if inner == "measure" else ()
+    effects = ("piezoresistivity", "elastic-stress", "time-skew", "measurement-noise", "frame-loss", *dumping)
+    options = {"time_skew": {"inner": inner}, "frame_loss": {"share": 0.1}, "watchdog_dump": {"period_s": 15.0}}
+    of = replace(scene(*effects, **options), current_A=CURRENT_A)
+    load = SceneLoad(20.0, 15.0, 0.2, 60.0, 45.0)
+    one = world(of)
+    made = record_scene(one, ScenePlan(of, indenter=HEAD, motion=MOTION, seed=1, duration_s=150.0, loads=(load,)))
+    change = truth(one, 80.0)[0].relative_change
+    return replace(made.recording, simulated=SIMULATED), made.transcript, change

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from effect_setting import READING_SCALE_V, moment, setting
+from effect_setting import READING_SCALE_V, applied, moment, setting
 
 from cbsr_qa.config import load_material
-from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import SceneSetting
 from cbsr_qa.simulate import RandomStream
 from cbsr_qa_plugins.effects.force import LoadCellNoise
@@ -17,10 +16,7 @@ SIGNAL = np.linspace(-1, 1, 256).reshape(16, 16)
 def _frames(of: SceneSetting, count: int, **parameters: float) -> np.ndarray:
     effect, frames = MeasurementNoise(of, **parameters), []
     for index in range(count):
-        at = moment(of, 2.5 * index, index=index)
-        at.voltages = SIGNAL
-        effect.apply(at)
-        frames.append(at.voltages - SIGNAL)
+        frames.append(applied(effect, moment(of, 2.5 * index, index=index), voltages=SIGNAL).voltages - SIGNAL)
     return np.stack(frames)
 
 
@@ -30,25 +26,6 @@ def test_reading_noise_is_as_strong_as_the_material_says():
     expected = load_material("cbsr-8wt").value.relative_noise.value * READING_SCALE_V
     assert noise.std() == pytest.approx(expected, rel=5 / np.sqrt(2 * noise.size))
     assert abs(noise.mean()) < 5 * expected / np.sqrt(noise.size)
-
-
-def test_reading_noise_is_independent_between_readings_and_frames():
-    noise = _frames(setting(), 2000, relative_noise=0.5).reshape(2000, 256)
-    correlation = np.corrcoef(noise[:, :40].T)[np.triu_indices(40, 1)]
-    assert np.abs(correlation).max() < 5 / np.sqrt(2000)
-    assert abs((noise[1:] * noise[:-1]).mean()) < 5 / np.sqrt(noise.size)
-
-
-def test_the_scene_may_state_another_noise_also_none():
-    of = setting()
-    np.testing.assert_array_equal(_frames(of, 3, relative_noise=0.0), 0.0)
-    assert _frames(of, 50, relative_noise=0.1).std() == pytest.approx(0.2, rel=0.05)
-
-
-def test_noise_leaves_the_clean_voltages_alone():
-    before = SIGNAL.copy()
-    _frames(setting(), 2)
-    np.testing.assert_array_equal(SIGNAL, before)
 
 
 def test_a_frames_noise_is_its_address_in_the_effects_own_stream():
@@ -80,35 +57,10 @@ def test_white_noise_falls_with_the_root_of_the_integration_time_down_to_the_flo
     assert found > 0.99 * floor
 
 
-def test_a_longer_reading_is_as_noisy_as_the_mean_of_as_many_short_ones():
-    """White samples averaged in a rectangular window, 25 to a reading."""
-    short = _frames(setting(), 2500, relative_noise=0.1)
-    means = short.reshape(100, 25, 16, 16).mean(axis=1)
-    found = _frames(setting(seed=2), 100, relative_noise=0.1, nplc=0.25)
-    assert found.std() == pytest.approx(means.std(), rel=5 / np.sqrt(100 * 256))
-
-
-def test_a_floor_above_the_noise_it_is_part_of_is_refused():
-    with pytest.raises(ConfigError, match=r"relative_floor is 0\.2") as refused:
-        MeasurementNoise(setting(), relative_noise=0.1, relative_floor=0.2)
-    assert "at most relative_noise, 0.1" in refused.value.remedy
-
-
 def test_load_cell_noise_is_as_strong_as_stated():
     of = setting()
     effect, forces = LoadCellNoise(of, rms_N=0.03), []
     for index in range(20_000):
-        at = moment(of, index / 8, index=index)
-        at.force_N = 2.0
-        effect.apply(at)
-        forces.append(at.force_N)
+        forces.append(applied(effect, moment(of, index / 8, index=index), force_N=2.0).force_N)
     assert np.std(forces) == pytest.approx(0.03, rel=5 / np.sqrt(2 * len(forces)))
     assert np.mean(forces) == pytest.approx(2.0, abs=5 * 0.03 / np.sqrt(len(forces)))
-
-
-@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
-def test_an_impossible_strength_is_refused(value: float):
-    with pytest.raises(ConfigError, match="relative_noise"):
-        MeasurementNoise(setting(), relative_noise=value)
-    with pytest.raises(ConfigError, match="rms_N"):
-        LoadCellNoise(setting(), rms_N=value)

@@ -5,17 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_setting import STEP_S, history, moment, setting
+from effect_setting import STEP_S, applied, history, moment, setting, world_of
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.plan import PluginChoice, Scene, SheetDesign
+from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.simulate import build_chain
 from cbsr_qa_plugins.effects.force import (
     Confinement,
     ElasticStress,
-    LoadCellNoise,
     LoadCellSaturation,
     StressRelaxation,
 )
@@ -35,9 +33,7 @@ PRESS = history((0.0, STEP_S, 0.2), (60.0, STEP_S, -0.2))
 
 
 def response(effect, time_s, press=PRESS):
-    at = moment(OF, time_s, press)
-    effect.apply(at)
-    return at.response[0]
+    return applied(effect, moment(OF, time_s, press)).response[0]
 
 
 def test_a_spike_goes_the_other_way_and_fades():
@@ -151,27 +147,20 @@ def test_a_confined_layer_is_stiffer_relaxation_and_all():
 def test_warmth_scales_what_electrodes_see():
     drift = TemperatureDrift(OF, coefficient_per_K=0.01, rate_K_per_h=2.0, swing_K=0.5, period_s=600.0)
     for time_s in (0.0, 150.0, 3600.0):
-        at = moment(OF, time_s)
-        at.impedance_ohm = np.eye(16)
-        drift.apply(at)
+        at = applied(drift, moment(OF, time_s), impedance_ohm=np.eye(16))
         warmer = 2 * time_s / 3600 + 0.5 * math.sin(2 * math.pi * time_s / 600)
         assert at.impedance_ohm[3, 3] == pytest.approx(1 / (1 + 0.01 * warmer))
 
 
 @pytest.mark.parametrize(("force_N", "read_N"), [(3.0, 3.0), (9.0, 7.35), (-9.0, -7.35)])
 def test_a_cell_reads_its_limit_beyond_it(force_N, read_N):
-    at = moment(OF, 0.0)
-    at.force_N = force_N
-    LoadCellSaturation(OF, limit_N=7.35).apply(at)
-    assert at.force_N == read_N
+    assert applied(LoadCellSaturation(OF, limit_N=7.35), moment(OF, 0.0), force_N=force_N).force_N == read_N
 
 
 def test_the_head_is_off_as_stated_and_differently_each_time():
     effect, found = ApplicatorPositionError(OF, error_mm=0.2, depth_error_mm=0.01), []
     for index in range(2000):
-        at = moment(OF, 0.0, index=index)
-        at.place_mm, at.depth_mm = (10.0, -5.0), 0.8
-        effect.apply(at)
+        at = applied(effect, moment(OF, 0.0, index=index), place_mm=(10.0, -5.0), depth_mm=0.8)
         found.append((*at.place_mm, at.depth_mm))
     assert np.mean(found, axis=0) == pytest.approx([10, -5, 0.8], abs=0.02)
     assert np.std(found, axis=0) == pytest.approx([0.2, 0.2, 0.01], rel=0.08)
@@ -183,9 +172,7 @@ def test_a_misplaced_sheet_moves_all_places_by_one_motion(x_mm, y_mm, rotation_d
     effect = MisplacedSheet(OF, x_mm=3.0, y_mm=-2.0, rotation_deg=rotation_deg)
     found = []
     for told in ((3.0, -2.0), (x_mm, y_mm), (x_mm + 1.0, y_mm)):
-        at = moment(OF, 0.0)
-        at.place_mm, at.depth_mm = told, 0.8
-        effect.apply(at)
+        at = applied(effect, moment(OF, 0.0), place_mm=told, depth_mm=0.8)
         assert at.depth_mm == 0.8
         found.append(complex(*at.place_mm))
     assert abs(found[0]) < 1e-12
@@ -210,9 +197,7 @@ def test_play_is_used_up_before_an_axis_follows(told, play):
     """It is never further off than half of its play, never moves away from where it is told, and may stay."""
     effect, here = Backlash(OF, play_mm=0.1, depth_play_mm=play), 0.0
     for depth in told:
-        at = moment(OF, 0.0)
-        at.from_depth_mm, at.depth_mm = here, depth
-        effect.apply(at)
+        at = applied(effect, moment(OF, 0.0), from_depth_mm=here, depth_mm=depth)
         assert abs(at.depth_mm - depth) <= play / 2 + 1e-12
         assert abs(at.depth_mm - depth) <= max(abs(here - depth), 0.0)
         if abs(here - depth) <= play / 2:
@@ -220,32 +205,20 @@ def test_play_is_used_up_before_an_axis_follows(told, play):
         here = at.depth_mm
 
 
-def chain(*effects):
-    classes = {
-        "elastic-stress": ElasticStress,
-        "stress-relaxation": StressRelaxation,
-        "confinement": Confinement,
-        "load-cell-noise": LoadCellNoise,
-        "load-cell-saturation": LoadCellSaturation,
-    }
-    of = Scene("t", tuple(PluginChoice(name, options) for name, options in effects), 1e-3, 2.5, 5.0, ())
-    return build_chain(of, OF, classes.__getitem__)
-
-
 def test_what_acts_on_others_comes_after_those_that_are_on():
-    chain(("elastic-stress", {}), ("confinement", {}))
-    chain(("elastic-stress", {}), ("stress-relaxation", {}), ("confinement", {}))
+    elastic, relaxing, confined = ((name, {}) for name in ("elastic-stress", "stress-relaxation", "confinement"))
+    world_of(elastic, confined)
+    world_of(elastic, relaxing, confined)
     with pytest.raises(ConfigError, match="'confinement' before 'stress-relaxation', which it acts on") as caught:
-        chain(("elastic-stress", {}), ("confinement", {}), ("stress-relaxation", {}))
+        world_of(elastic, confined, relaxing)
     assert "move 'stress-relaxation' above 'confinement'" in caught.value.remedy
     with pytest.raises(ConfigError, match="before 'load-cell-noise'"):
-        chain(("load-cell-saturation", {"limit_N": 7.0}), ("load-cell-noise", {"rms_N": 0.1}))
+        world_of(("load-cell-saturation", {"limit_N": 7.0}), ("load-cell-noise", {"rms_N": 0.1}))
 
 
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: UnloadingSpike(OF, size=0.3, decay_s=-1.0), "decay_s is -1.0"),
         (lambda: UnloadingSpike(OF, size=3.0, decay_s=1.0), "from 0 to 2"),
         (lambda: Residue(OF, share=1.5, decay_s=300.0), "share is 1.5"),
         (lambda: Hysteresis(OF, width=0.9), "width is 0.9"),
@@ -253,8 +226,6 @@ def test_what_acts_on_others_comes_after_those_that_are_on():
         (lambda: PressureProfile(OF, shape="flat"), "'punch' or 'parabola'"),
         (lambda: Confinement(OF, factor=0.0), "factor is 0"),
         (lambda: TemperatureDrift(OF, coefficient_per_K=1.0), "coefficient_per_K is 1"),
-        (lambda: LoadCellSaturation(OF, limit_N=float("inf")), "limit_N is inf"),
-        (lambda: ApplicatorPositionError(OF, error_mm=-0.1), "error_mm is -0.1"),
         (lambda: Backlash(OF, play_mm=6.0), "play_mm is 6"),
     ],
 )
@@ -265,7 +236,5 @@ def test_parameters_that_make_no_sense_are_named(made, said):
 
 def test_a_temperature_that_leaves_no_conductance_is_refused():
     drift = TemperatureDrift(OF, coefficient_per_K=-0.05, rate_K_per_h=20.0)
-    at = moment(OF, 2 * 3600.0)
-    at.impedance_ohm = np.eye(16)
     with pytest.raises(RefusedError, match="no conductance at 7200 s"):
-        drift.apply(at)
+        applied(drift, moment(OF, 7200.0), impedance_ohm=np.eye(16))

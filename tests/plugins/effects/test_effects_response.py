@@ -37,13 +37,6 @@ def test_the_quasi_static_change_is_the_fitted_line_of_the_strain(slope, interce
     assert response == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_step_is_answered_by_the_loading_kernel():
-    of = setting()
-    for time_s in (0.1, 2.0, 30.0, 500.0):
-        expected = 0.6 * 0.2 * kernel(MATERIAL.loading_relaxation, time_s)
-        assert _response(of, time_s, history((0.0, STEP_S, 0.2)))[0] == pytest.approx(expected, rel=1e-7)
-
-
 def test_a_release_is_answered_by_the_unloading_kernel_on_top():
     of = setting()
     for after_s in (0.1, 2.0, 36.0):
@@ -79,11 +72,6 @@ def test_presses_keep_to_themselves():
     of, one, other = setting(), history((0.0, 1.2, 0.2)), history((20.0, 1.2, 0.1))
     together = _response(of, 40.0, one, other)
     assert together == [*_response(of, 40.0, one), *_response(of, 40.0, other)]
-
-
-def test_everything_is_forgotten_in_the_end():
-    press = history((0.0, 1.2, 0.2), (61.2, 1.2, -0.2))
-    assert _response(setting(with_line(0.6, 0.02)), 2000.0, press)[0] == pytest.approx(0.0, abs=1e-15)
 
 
 @pytest.mark.parametrize(("name", "loading_s", "unloading_s"), [("cbsr-8wt", 30.0, 36.0), ("cbsr-9wt", 31.0, 38.0)])

@@ -108,10 +108,8 @@ def test_pins_are_off_as_stated():
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: UnevenResponse(OF, deviation=-0.1, correlation_mm=10.0), "deviation is -0.1"),
         (lambda: UnevenConductance(OF, deviation=0.1, correlation_mm=0.0), "correlation_mm is 0"),
         (lambda: UnevenThickness(OF, deviation=3.0, correlation_mm=10.0), "from 0 to 1"),
-        (lambda: ContactSpread(OF, deviation=0.1, contact_mm=-1.0), "contact_mm is -1"),
         (lambda: PinPositionError(OF, error_mm=50.0), "from 0 to 5"),
     ],
 )

@@ -28,63 +28,47 @@ def test_good_contacts_have_no_faults():
     assert contact_faults(RING, np.random.default_rng(1).uniform(12e3, 27e3, 16)) == ()
 
 
-def test_an_open_pin_is_named_with_both_its_pairs():
-    (fault,) = contact_faults(RING, ohm(p6_7=1.2e6, p7_8=INF))
-    assert fault.pins == (7,)
-    assert fault.words() == (
-        "pin 7 open: pairs 6-7 and 7-8 read 1.2 MΩ and more than the source can drive, the median pair 18.1 kΩ"
-    )
+OPEN, POOR, TOUCH = ContactState
+SAID = {
+    "pin 7 open: pairs 6-7 and 7-8 read 1.2 MΩ and more than the source can drive": {"p6_7": 1.2e6, "p7_8": INF},
+    "pin 7 open: pairs 6-7 and 7-8 read more than the source can drive": {"p6_7": INF, "p7_8": INF},
+    "pin 0 open: pairs 0-1 and 15-0 read more than the source can drive": {"p15_0": INF, "p0_1": INF},
+    "pins 6 or 7 open: pair 6-7 reads 200 kΩ": {"p6_7": 200e3},
+    "pins 6 and 7 touch: pair 6-7 reads 12 Ω": {"p6_7": 12.0, "p5_6": 15e3},
+}
 
 
-def test_what_both_its_pairs_read_is_said_once():
-    (fault,) = contact_faults(RING, ohm(p6_7=INF, p7_8=INF))
-    assert fault.words() == (
-        "pin 7 open: pairs 6-7 and 7-8 read more than the source can drive, the median pair 18.1 kΩ"
-    )
+@pytest.mark.parametrize("said", SAID)
+def test_a_fault_is_said_with_its_pins_and_what_their_pairs_read(said):
+    (fault,) = contact_faults(RING, ohm(**SAID[said]))
+    assert fault.words() == f"{said}, the median pair 18.1 kΩ"
 
 
-def test_the_first_pin_is_a_neighbour_of_the_last():
-    assert found(ohm(p15_0=INF, p0_1=INF)) == [(ContactState.OPEN, (0,))]
-
-
-def test_two_open_pins_beside_each_other():
-    assert found(ohm(p5_6=INF, p6_7=INF, p7_8=INF)) == [(ContactState.OPEN, (6,)), (ContactState.OPEN, (7,))]
-
-
-def test_two_open_pins_with_one_between_them():
-    assert found(ohm(p5_6=INF, p6_7=INF, p7_8=INF, p8_9=INF)) == [
-        (ContactState.OPEN, (6,)), (ContactState.OPEN, (8,))
-    ]  # fmt: skip
-
-
-def test_a_poor_contact_is_no_open_one():
-    assert found(ohm(p6_7=40e3, p7_8=45e3)) == [(ContactState.POOR, (7,))]
-
-
-def test_a_pair_alone_names_both_its_pins():
-    (fault,) = contact_faults(RING, ohm(p6_7=200e3))
-    assert fault.words() == "pins 6 or 7 open: pair 6-7 reads 200 kΩ, the median pair 18.1 kΩ"
-
-
-def test_pins_that_touch():
-    (fault,) = contact_faults(RING, ohm(p6_7=12.0, p5_6=15e3))
-    assert fault.words() == "pins 6 and 7 touch: pair 6-7 reads 12 Ω, the median pair 18.1 kΩ"
-
-
-def test_open_ones_come_first():
-    assert [state for state, _ in found(ohm(p0_1=1.0, p6_7=INF, p7_8=INF, p10_11=40e3, p11_12=40e3))] == list(
-        ContactState
-    )
+@pytest.mark.parametrize(
+    ("pairs", "faults"),
+    [
+        ({"p5_6": INF, "p6_7": INF, "p7_8": INF}, [(OPEN, (6,)), (OPEN, (7,))]),
+        ({"p5_6": INF, "p6_7": INF, "p7_8": INF, "p8_9": INF}, [(OPEN, (6,)), (OPEN, (8,))]),
+        ({"p6_7": 40e3, "p7_8": 45e3}, [(POOR, (7,))]),
+        (
+            {"p0_1": 1.0, "p6_7": INF, "p7_8": INF, "p10_11": 40e3, "p11_12": 40e3},
+            [(OPEN, (7,)), (POOR, (11,)), (TOUCH, (0, 1))],
+        ),
+    ],
+    ids=["two beside each other", "one between two", "poor is not open", "open ones first"],
+)
+def test_pins_are_told_from_their_pairs(pairs, faults):
+    assert found(ohm(**pairs)) == faults
 
 
 def test_pins_that_pairs_cannot_tell_apart_are_named_together():
     opposite = DrivePattern(16, named_pairs("opposite", 16), named_pairs("adjacent", 16))
-    assert found(ohm(opposite, p2_10=INF), opposite) == [(ContactState.OPEN, (2, 10))]
+    assert found(ohm(opposite, p2_10=INF), opposite) == [(OPEN, (2, 10))]
 
 
 def test_no_sensor_at_all_is_every_pin():
     faults = contact_faults(RING, np.full(16, INF))
-    assert {fault.state for fault in faults} == {ContactState.OPEN}
+    assert {fault.state for fault in faults} == {OPEN}
     assert {pair for fault in faults for pair in fault.pairs} == set(RING.drive)
     assert "median" not in faults[0].words()
 

@@ -27,7 +27,6 @@ WRONG = {
     "ert-board-stream": [
         {"format": "text"},
         {"frame_period_s": 0.004},
-        {"frame_period_s": "fast"},
         {"range_counts": [5, 5]},
         {"range_counts": [0, 70_000]},
         {"order": "voltage"},
@@ -38,14 +37,13 @@ WRONG = {
     "esp32-multiplexer": [{"inner": "drive"}, {"settle_ms": -1}],
     "keithley-2600": [{"nplc": 30}, {"source_channel": "c"}, {"readings": 0}],
     "manual-applicator": [{"tolerance_mm": 0}],
-    "manual-load-cell": [{"unit": "lb"}, {"tare": "yes"}],
+    "manual-load-cell": [{"unit": "lb"}],
     "manual-thermometer": [{"every_min": 0}],
     "marlin-applicator": [{"centre_mm": [1]}, {"firmware": "reprap"}],
-    "phidget-bridge": [{"gain": 2}, {"data_interval_ms": 4}, {"channel": -1}],
-    "replayed-recording": [{"start_s": "now"}, {"file": 3}],
+    "phidget-bridge": [{"gain": 7}, {"gain": True}, {"gain": 8.0}, {"data_interval_ms": 4}, {"channel": -1}],
     "scanned-frames": [{"current": "most"}, {"current_mA": -1}, {"contacts": "ignore"}],
     "serial-load-cell": [{"unit": "lb"}, {"scale": 0}, {"sign": 0}, {"time": "gps"}, {"rate_hz": 0}, {"limit_N": -1}],
-    "simulated-bench": [{"hover_mm": 0}, {"hover_mm": -1}, {"hover_mm": "25"}],
+    "simulated-bench": [{"hover_mm": 0}],
 }
 #: Options that do not fit together, and what is said of which.
 UNFIT = [

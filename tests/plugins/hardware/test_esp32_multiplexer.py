@@ -7,7 +7,7 @@ from scanning_rig import MATERIAL, SENSOR, Scanning
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, Indenter
-from cbsr_qa.plugin import Alive, Multiplexer, StationContext
+from cbsr_qa.plugin import StationContext
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.simulate.instruments import Fault, PtyPort, WatchedClock, multiplexer as emulated, streams
 from cbsr_qa.system import RealClock
@@ -83,10 +83,7 @@ def test_the_board_says_when_it_starts_and_is_at_its_first_combination(bench, li
 @pytest.mark.parametrize("inner", ["current", "voltage"])
 def test_it_connects_every_combination_in_its_declared_order(inner):
     with Scanning(multiplexer={"inner": inner}) as bench:
-        scanner = bench.open_multiplexer()
-        assert isinstance(scanner, Multiplexer)
-        assert isinstance(scanner, Alive)
-        scanner.start()
+        scanner = bench.started()
         seen = []
         for expected in scanner.order():
             seen.append(connected(bench))
@@ -105,8 +102,7 @@ def test_a_step_waits_until_it_has_settled(bench):
 
 
 def test_start_goes_on_to_the_first_combination_from_anywhere(bench):
-    scanner = bench.open_multiplexer()
-    scanner.start()
+    scanner = bench.started()
     for _ in range(40):
         scanner.step()
     assert scanner.position() == 40
@@ -115,8 +111,7 @@ def test_start_goes_on_to_the_first_combination_from_anywhere(bench):
 
 
 def test_a_start_where_it_knows_where_it_is_costs_nothing(bench):
-    scanner = bench.open_multiplexer()
-    scanner.start()
+    scanner = bench.started()
     before_s = bench.clock.now()
     scanner.start()
     assert bench.clock.now() == before_s
@@ -150,8 +145,7 @@ def test_a_counter_that_stays_out_is_let_pass(bench, monkeypatch):
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.DELAY])
 def test_a_step_whose_echo_is_lost_may_be_tried_again_from_the_start(hasty, fault, monkeypatch):
     monkeypatch.setattr(streams, "LATE_S", 0.45)
-    scanner = hasty.open_multiplexer()
-    scanner.start()
+    scanner = hasty.started()
     hasty.arm("multiplexer", fault)
     with pytest.raises(InstrumentError) as lost:
         scanner.step()
@@ -162,8 +156,7 @@ def test_a_step_whose_echo_is_lost_may_be_tried_again_from_the_start(hasty, faul
 
 
 def test_an_old_echo_ahead_of_the_right_one_is_not_taken_for_the_next_step(bench):
-    scanner = bench.open_multiplexer()
-    scanner.start()
+    scanner = bench.started()
     scanner.step()
     bench.arm("multiplexer", Fault.STALE)
     for _ in range(5):
@@ -172,16 +165,14 @@ def test_an_old_echo_ahead_of_the_right_one_is_not_taken_for_the_next_step(bench
 
 
 def test_an_old_position_ahead_of_the_right_one_is_not_taken_for_it(bench):
-    scanner = bench.open_multiplexer()
-    scanner.start()
+    scanner = bench.started()
     bench.emulation.ports["multiplexer"]._last = b"gisrc5,isnk4,vn0,vp1\r\n"
     bench.arm("multiplexer", Fault.STALE)
     assert scanner.position() == 0
 
 
 def test_a_restart_in_between_is_noticed_by_asking(hasty):
-    scanner = hasty.open_multiplexer()
-    scanner.start()
+    scanner = hasty.started()
     for _ in range(3):
         scanner.step()
     hasty.arm("multiplexer", Fault.RESET)
@@ -196,8 +187,7 @@ def test_a_restart_in_between_is_noticed_by_asking(hasty):
 
 @pytest.mark.parametrize("fault", [Fault.DROP, Fault.SILENCE])
 def test_a_board_that_is_gone_is_an_error_with_role_and_address(hasty, fault):
-    scanner = hasty.open_multiplexer(boot_s=0.1)
-    scanner.start()
+    scanner = hasty.started(boot_s=0.1)
     hasty.arm("multiplexer", fault)
     for attempt in range(2):
         with pytest.raises(InstrumentError, match="multiplexer at /dev/") as gone:
@@ -208,8 +198,7 @@ def test_a_board_that_is_gone_is_an_error_with_role_and_address(hasty, fault):
 
 
 def test_a_board_that_was_unplugged_is_opened_again(bench, monkeypatch):
-    scanner = bench.open_multiplexer()
-    scanner.start()
+    scanner = bench.started()
     port = scanner._link._port
     monkeypatch.setattr(port, "write", lambda data: (_ for _ in ()).throw(OSError("device not configured")))
     with pytest.raises(InstrumentError, match="the link is down") as lost:

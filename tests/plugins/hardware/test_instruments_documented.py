@@ -1,21 +1,18 @@
 """An option of a driver that the reference of instruments does not name is a failing test, and so is one too many."""
 
-import importlib
 import re
 from pathlib import Path
 
 import pytest
 
-from cbsr_qa.plugin import Kind
-from cbsr_qa_plugins.registry import BUILT_IN
+from cbsr_qa.plugin import Kind, discover
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "instruments.md").read_text()
-DRIVERS = {name: where for kind, name, where in BUILT_IN if kind is Kind.INSTRUMENT}
+PLUGINS = discover()
 
 
-def factory(driver):
-    module, _, name = DRIVERS[driver].partition(":")
-    return getattr(importlib.import_module(f"cbsr_qa_plugins.{module}"), name)
+def options(driver):
+    return PLUGINS.factory(Kind.INSTRUMENT, driver).Options.model_fields
 
 
 def documented(driver):
@@ -28,9 +25,9 @@ def documented(driver):
     return {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
 
 
-@pytest.mark.parametrize("driver", DRIVERS)
+@pytest.mark.parametrize("driver", PLUGINS.names(Kind.INSTRUMENT))
 def test_every_option_of_a_driver_is_documented_and_no_other(driver):
-    assert documented(driver) == set(factory(driver).Options.model_fields)
+    assert documented(driver) == set(options(driver))
 
 
 @pytest.mark.parametrize("driver", ["keithley-2600", "esp32-multiplexer", "scanned-frames"])
@@ -38,6 +35,6 @@ def test_the_defaults_of_the_scanning_drivers_are_the_documented_ones(driver):
     section = re.search(rf"^## `{driver}`$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)[1]
     for keys, values in re.findall(r"^\| (`[^|]*?) \| ([^|]+) \|", section, re.M):
         for key, value in zip(re.findall(r"`(\w+)`", keys), values.strip("` ").split("`, `"), strict=False):
-            default = factory(driver).Options.model_fields[key].default
+            default = options(driver)[key].default
             if isinstance(default, int | float) and re.fullmatch(r"[\d.]+", value):
                 assert default == float(value), key

@@ -6,16 +6,8 @@ from simulated_benches import SPEED, lying, opened
 from simulated_setting import context, scene
 
 from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.plugin import ForceApplicator, FrameSource, Sampler
 from cbsr_qa.system import in_ticks
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
-
-
-def test_one_object_fills_all_three_roles():
-    _, bench = opened()
-    for role in (FrameSource, ForceApplicator, Sampler):
-        assert isinstance(bench, role)
-
 
 # --- frames ---
 
@@ -105,24 +97,23 @@ def test_it_says_that_it_is_simulated_and_of_what():
     assert "seed 12" in identity.model
 
 
-def test_a_place_off_the_sheet_is_refused_before_anything_moves():
+@pytest.mark.parametrize(
+    ("order", "arguments", "said"),
+    [
+        ("move_to", (40.0, 40.0), "outside the sheet"),
+        ("move_to", (float("nan"), 0.0), "outside the sheet"),
+        ("press", (4.0, 1.0), "cannot press"),
+        ("press", (-0.1, 1.0), "cannot press"),
+        ("press", (0.8, 0.0), "cannot press"),
+        ("press", (float("nan"), 1.0), "cannot press"),
+        ("acquire", (0,), "at least 1"),
+    ],
+)
+def test_an_impossible_order_is_refused_before_anything_moves(order, arguments, said):
     clock, bench = opened()
-    with pytest.raises(InstrumentError, match="outside the sheet"):
-        bench.move_to(40.0, 40.0)
-    with pytest.raises(InstrumentError, match="outside the sheet"):
-        bench.move_to(float("nan"), 0.0)
+    with pytest.raises(InstrumentError, match=said):
+        getattr(bench, order)(*arguments)
     assert clock.now() == 0.0
-
-
-@pytest.mark.parametrize(("depth_mm", "speed_mm_s"), [(4.0, 1.0), (-0.1, 1.0), (0.8, 0.0), (float("nan"), 1.0)])
-def test_an_impossible_press_is_refused(depth_mm: float, speed_mm_s: float):
-    with pytest.raises(InstrumentError, match="cannot press"):
-        opened()[1].press(depth_mm, speed_mm_s)
-
-
-def test_no_frames_cannot_be_taken():
-    with pytest.raises(InstrumentError, match="at least 1"):
-        opened()[1].acquire(0)
 
 
 def test_a_closed_bench_takes_no_orders_but_still_goes_safe():

@@ -18,18 +18,6 @@ from cbsr_qa.testing import example_identity, example_plan
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 
 
-def test_press_and_release_take_the_time_the_dry_run_counts():
-    clock, bench = opened(lying(None))
-    bench.move_to(30.0, 0.0)
-    assert clock.now() == pytest.approx(travel_s(MOTION, 30.0))
-    start = clock.now()
-    bench.press(0.8, SPEED)
-    assert clock.now() - start == pytest.approx(stroke_s(MOTION, 0.8))
-    start = clock.now()
-    bench.release()
-    assert clock.now() - start == pytest.approx(stroke_s(MOTION, 0.8))
-
-
 def test_a_press_is_a_ramp_of_the_asked_strain_rate():
     clock, bench = opened(lying(None))
     bench.press(0.8, SPEED)

@@ -1,15 +1,13 @@
 """The simulated bench: numbers that repeat, step by step, and noise that never does."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from simulated_benches import SPEED, opened
-from simulated_setting import base_scene, context, installed, scene
+from simulated_setting import scene
 
-from cbsr_qa.domain.plan import Moment, PluginChoice, Scene, SceneSetting
+from cbsr_qa.domain.plan import Scene
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench, open_bench
+from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
 
 
 def _session(bench: SimulatedBench) -> tuple[FrameBlock, SampleBlock]:
@@ -31,23 +29,6 @@ def test_two_benches_of_one_seed_give_identical_numbers():
 def test_another_seed_gives_another_noise():
     one, other = (opened(seed=seed)[1].acquire(1).voltages for seed in (1, 2))
     assert (one != other).all()
-
-
-def test_an_effect_more_changes_no_number_of_the_others():
-    class Shift:
-        needs, perturbs = (), "force"
-
-        def __init__(self, setting: SceneSetting) -> None:
-            self._draw = np.random.default_rng(setting.seed)
-
-        def apply(self, moment: Moment) -> None:
-            self._draw.standard_normal()
-
-    more = replace(base_scene(), effects=(PluginChoice("shift"), *base_scene().effects))
-    found = context(more, effect_factory=lambda name: Shift if name == "shift" else installed(name))
-    (one, force), (other, other_force) = _session(opened()[1]), _session(open_bench(found))
-    np.testing.assert_array_equal(one.voltages, other.voltages)
-    np.testing.assert_array_equal(force.values, other_force.values)
 
 
 def _load(bench: SimulatedBench, number: int) -> tuple[FrameBlock, SampleBlock]:

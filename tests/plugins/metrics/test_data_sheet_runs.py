@@ -16,7 +16,7 @@ from cbsr_qa.domain.plan import Role, SheetDesign
 from cbsr_qa.domain.run import Load
 from cbsr_qa.simulate import Transients
 from cbsr_qa_plugins.effects.sheet import UnevenResponse
-from cbsr_qa_plugins.metrics.data_sheet import Creep, Nonlinearity, PreconditioningChange, Repeatability, ZeroReturn
+from cbsr_qa_plugins.metrics.data_sheet import Creep, Nonlinearity, Repeatability, ZeroReturn
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus, Uniformity
 
 _TABLES = ("scene", "effects")
@@ -177,19 +177,6 @@ def test_repeatability_is_the_noise_of_the_sensed_change():
     said = float(re.search(r"alone would make ([\d.]+) %", even.how)[1])
     assert said == pytest.approx(found.value / np.sqrt(3), rel=0.1)
     assert even.value < 3 * said
-
-
-@pytest.mark.rest
-def test_preconditioning_of_a_sheet_without_softening_changes_nothing_but_noise():
-    record = simulated_run((), loads=_loads((0.3,), trials=3), hold_s=10.0, rest_s=30.0, noise=_QUIET)
-    run = _observed(record, Role.PRECONDITIONING)
-    count, whole, *each = PreconditioningChange().measure_run(run)
-    assert (count.value, whole.name) == (3.0, "preconditioning_change")
-    assert whole.value == pytest.approx(0.0, abs=2.0)  # each cycle stands on what the last one left
-    assert [m.location for m in each if not m.qualifier] == ["L0", "L1", "L2", "L3"]
-    stress = _one(PreconditioningChange(), run, "preconditioning_change", "stress")
-    assert stress.value == pytest.approx(0.0, abs=0.5)
-    assert all(m.value is None for m in Creep().measure_run(run))
 
 
 def test_a_load_that_was_sensed_elsewhere_says_nothing_about_its_place(quiet):

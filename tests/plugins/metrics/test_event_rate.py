@@ -2,10 +2,7 @@
 
 import pytest
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.results import Bound, Measurement
-from cbsr_qa.plugin import Kind, create_plugin, discover
 from cbsr_qa_plugins.metrics import relaxation as event_rate
 from cbsr_qa_plugins.metrics.relaxation import EventRate
 
@@ -55,8 +52,3 @@ def test_what_has_no_rate_says_why(rates, times, said):
 def test_other_signals_do_not_count(rates):
     stress = Measurement("common_settling_time", 5.0, "s", qualifier="stress, loading")
     assert rates(stress)["waiting"].value is None
-
-
-def test_it_has_no_options():
-    with pytest.raises(ConfigError, match="held"):
-        create_plugin(discover(), Kind.METRIC, PluginChoice("event-rate", {"held": 1}), "[metrics]")

@@ -1,7 +1,6 @@
 """A run whose loads are held at the same time: each is measured on its own region, what shares one is said."""
 
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -12,9 +11,9 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role, SheetDesign
 from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
 from cbsr_qa.domain.results import EndReason, RunObservation
-from cbsr_qa.domain.run import Indenter, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.run import Indenter, Load, LoadRecord, PhaseRecord, RunRecord
 from cbsr_qa.simulate import SimulatedSheet
+from cbsr_qa.testing import example_identity
 from cbsr_qa_plugins.metrics.images import GreitFiguresOfMerit, LoadAssignment, TwoTouchResolution
 from cbsr_qa_plugins.metrics.location import AreaOverlap, CentreOfMassError
 
@@ -44,19 +43,8 @@ def observed(sheet):
             for k, (x, y) in enumerate(places)
         )
         phase = PhaseRecord(0, "together", "any", 0.0, end_s + 2, frames, (), loads, 0.0, Role.GRID)
-        identity = RunIdentity(
-            "run",
-            SensorIdentity("S", "", SENSOR.name),
-            "test",
-            "test",
-            "",
-            datetime(2026, 1, 1, tzinfo=UTC),
-            "",
-            (),
-            (),
-        )
         material = load_material("cbsr-8wt").value
-        record = RunRecord(identity, SENSOR, material, HEAD, (phase,), EndReason.FINISHED)
+        record = RunRecord(example_identity(), SENSOR, material, HEAD, (phase,), EndReason.FINISHED)
         return observed_run(record, **settings)
 
     return observe

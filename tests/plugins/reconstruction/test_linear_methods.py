@@ -56,12 +56,15 @@ def test_every_criterion_settles_every_method(problem, criterion, method):
     assert np.array_equal(method(choose=criterion).prepare(problem).matrix, prepared.matrix)
 
 
-@pytest.mark.parametrize("method", RIDGES)
+@pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
 def test_the_curve_holds_the_noise_figure_of_every_parameter(problem, method):
     curve = method().prepare(problem).choice.curve
     assert (np.diff(curve.values) > 0).all()
-    for at in np.searchsorted(curve.values, curve.answers[0].value * np.array([0.3, 1.0, 10.0])):
-        again = method(hyperparameter=float(curve.values[at])).prepare(problem).choice
+    wanted = np.searchsorted(curve.values, curve.answers[0].value * np.array([0.3, 1.0, 10.0]))
+    for at in wanted.clip(max=len(curve.values) - 1):
+        value = curve.values[at]
+        given = {"components": int(value)} if curve.discrete else {"hyperparameter": float(value)}
+        again = method(**given).prepare(problem).choice
         assert again.noise_figure == pytest.approx(curve.noise_figures[at], rel=1e-6)
         assert again.curve is None
 
@@ -128,12 +131,6 @@ def test_samples_that_are_none_are_refused(problem, sample, reason):
     ("options", "reason"),
     [
         ({"choose": "taste"}, "it must be 'noise-figure', 'gcv', 'l-curve' or 'discrepancy'"),
-        ({"choose": 3}, "choose is 3"),
-        ({"choose": ["gcv"]}, r"choose is \['gcv'\]"),
-        ({"choose": {}}, "choose is a table"),
-        ({"noise_figure": 10**400}, "beyond 1.8e308"),
-        ({"noise_figure": "one"}, "noise_figure is 'one'"),
-        ({"noise_figure": True}, "noise_figure is True"),
         ({"choose": "gcv", "noise_figure": 1.0}, "not both"),
         ({"noise_figure": float("nan")}, "noise_figure is nan"),
     ],
@@ -147,20 +144,13 @@ def test_options_that_say_nothing_are_refused(problem, method, options, reason):
 @pytest.mark.parametrize(
     ("method", "options", "reason"),
     [
-        (GaussNewtonHighPass, {"width": "wide"}, "width is 'wide'"),
         (GaussNewtonHighPass, {"width": 0.0}, r"width is 0\.0"),
         (GaussNewtonHighPass, {"width": 1e-9}, r"2.5 to 1e\+03 mm on this image"),
         (GaussNewtonHighPass, {"width": 1e200}, "positive finite"),
-        (GaussNewtonHighPass, {"width": None}, "width is None"),
-        (GaussNewtonNoser, {"exponent": None}, "exponent is None"),
         (GaussNewtonNoser, {"exponent": 1.5}, "a number from 0 to 1"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": 1e-300}, "positive finite"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": 1e300}, "positive finite"),
-        (TruncatedSvd, {"components": 10**400}, "components is a whole number beyond"),
-        (TruncatedSvd, {"components": 10**5000}, "components is a whole number beyond"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": -13.0}, r"indenter_diameter_mm is -13\.0"),
-        (GaussNewtonNoser, {"exponent": "half"}, "exponent is 'half'"),
-        (TruncatedSvd, {"components": 2.5}, "a whole number"),
         (TruncatedSvd, {"components": 0}, "components is 0"),
         (TruncatedSvd, {"components": 105}, "allowed: 1 to"),
         (TruncatedSvd, {"components": 20, "choose": "gcv"}, "not both"),
@@ -240,15 +230,6 @@ def test_truncation_by_readings_follows_the_definitions(problem, measured):
     assert TruncatedSvd(choose="gcv").prepare(measured).choice.value == truncation.cuts[by_gcv]
     enough = int(np.flatnonzero(left <= evidence.variance * 6 * 104)[0])
     assert TruncatedSvd(choose="discrepancy").prepare(measured).choice.value == truncation.cuts[enough]
-
-
-def test_truncation_keeps_within_the_noise_figure(problem):
-    prepared = TruncatedSvd(noise_figure=1.5).prepare(problem)
-    truncation = Truncation(problem)
-    assert prepared.choice.noise_figure <= 1.5
-    further = truncation.cuts[truncation.cuts > prepared.choice.value]
-    assert (truncation.noise_figures(further.astype(float)) > 1.5).all()
-    assert prepared.choice.name == "components kept"
 
 
 def test_a_masked_sensor_keeps_no_half_pair(pin_sensor):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.geometry import Polygon
 from cbsr_qa.domain.sensor import (
     DrivePattern,
@@ -125,21 +125,21 @@ def test_it_is_neither_heard_nor_felt(problem, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("method", [PyeitJac, PyeitGreit])
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("method", "key", "value"),
     [
-        ({"lamb": -1.0}, "lamb is -1.0"),
-        ({"lamb": float("nan")}, "lamb is nan"),
-        ({"lamb": 0.0}, "lamb is 0.0"),
-        ({"lamb": 1e200}, r"lamb is 1e\+200"),
-        ({"p": 2.0}, "p is 2.0"),
-        ({"mesh_size": 0.5}, "mesh_size is 0.5"),
+        *((method, *wrong) for method in (PyeitJac, PyeitGreit) for wrong in (
+            ("lamb", -1.0), ("lamb", float("nan")), ("lamb", 0.0), ("lamb", 1e200), ("p", 2.0), ("mesh_size", 0.5)
+        )),
+        (PyeitGreit, "n", 3),
+        (PyeitGreit, "n", 3.5),
+        (PyeitGreit, "ratio", 0.0),
+        (PyeitGreit, "s", float("nan")),
     ],
-)
-def test_impossible_options_are_refused(method, options, reason):
-    with pytest.raises(ConfigError, match=reason):
-        method(**options)
+)  # fmt: skip
+def test_impossible_options_are_refused(method, key, value):
+    with pytest.raises(ConfigError, match=re.escape(f"{key} is {value}")):
+        method(**{key: value})
 
 
 @pytest.mark.parametrize("method", [PyeitJac, PyeitGreit])
@@ -158,22 +158,6 @@ def test_what_rounding_alone_would_decide_is_refused(problem, method, p):
     if method is PyeitJac:
         assert apart < 0.05 * np.abs(jac.H).max()
     method(lamb=1.1 * least, p=p, mesh_size=0.17).prepare(problem)
-
-
-@pytest.mark.parametrize(
-    "options", [{"lamb": "small"}, {"p": True}, {"lamb": None}, {"mesh_size": None}, {"p": 10**400}]
-)
-def test_options_that_are_no_numbers_are_refused(options):
-    with pytest.raises(RefusedError):
-        PyeitJac(**options)
-    with pytest.raises(ConfigError, match=r"n is 3\.5"):
-        PyeitGreit(n=3.5)
-
-
-@pytest.mark.parametrize("options", [{"n": 3}, {"ratio": 0.0}, {"s": float("nan")}])
-def test_rasters_that_are_none_are_refused(options):
-    with pytest.raises(ConfigError, match=next(iter(options))):
-        PyeitGreit(**options)
 
 
 def test_what_it_cannot_do_is_refused_with_a_remedy(problem):

@@ -29,11 +29,6 @@ def test_every_layout_gives_the_same_frames(tmp_path, mass, clock):
     np.testing.assert_allclose(recording.frames.time_s, np.arange(5) * 0.24, atol=1e-9)
 
 
-def test_a_last_frame_that_is_whole_is_kept(tmp_path):
-    recording = read(BoardFile().header().frames(BLOCK).save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK)
-
-
 def test_saved_again_by_a_spreadsheet(tmp_path):
     file = whole()
     file.lines[0] = "UTC:,26:11.6"

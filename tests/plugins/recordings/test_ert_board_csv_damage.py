@@ -7,8 +7,6 @@ from drawn import drawn
 from hypothesis import HealthCheck, given, strategies as st
 
 from cbsr_qa.domain import RecordingError
-from cbsr_qa.domain.readings import ScanKind
-from cbsr_qa_plugins.recordings.ert_board_rows import assemble
 from cbsr_qa_plugins.recordings.lab_files import LONGEST_LINE, MOST_BAD_IN_A_ROW, text_lines
 
 
@@ -194,7 +192,3 @@ def test_a_line_without_an_end_is_read_in_bounded_pieces(tmp_path):
     ]
     path.write_bytes(b"y" * LONGEST_LINE + b"\nz")
     assert [line.text[:1] for line in text_lines(path)] == ["y", "z"]
-
-
-def test_no_lines_are_no_frames():
-    assert not assemble([], ScanKind.FULL).frames

@@ -14,20 +14,18 @@ from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv
 
 
-def _other_pattern():
-    sensor_type = replace(
-        setting().sensor_type, pattern=DrivePattern(16, named_pairs("adjacent", 16), named_pairs("skip-1", 16))
-    )
+def _of(**changes):
+    """A transcript of another sensor type."""
+    sensor_type = replace(setting().sensor_type, **changes)
     return Transcript.complete(replace(setting(), sensor_type=sensor_type), middles_s(4))
+
+
+def _other_pattern():
+    return _of(pattern=DrivePattern(16, named_pairs("adjacent", 16), named_pairs("skip-1", 16)))
 
 
 def _eight():
-    sensor_type = replace(
-        setting().sensor_type,
-        electrodes=replace(setting().sensor_type.electrodes, count=8),
-        pattern=adjacent_pattern(8),
-    )
-    return Transcript.complete(replace(setting(), sensor_type=sensor_type), middles_s(4))
+    return _of(electrodes=replace(setting().sensor_type.electrodes, count=8), pattern=adjacent_pattern(8))
 
 
 def _lost(count):

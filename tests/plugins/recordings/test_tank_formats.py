@@ -112,15 +112,6 @@ def test_a_cut_tank_file_is_refused_with_its_count(tmp_path, keep):
         DsTankText().read(path, ReadOptions())
 
 
-def test_a_row_that_is_no_three_numbers_is_named_by_its_line(tmp_path):
-    path = ds_file(tmp_path, "odd.txt", [0.01] * 208, rows_twice=False)
-    lines = path.read_text().split("\n")
-    lines[9] = "0.01 0.02"
-    path.write_text("\n".join(lines))
-    with pytest.raises(RecordingError, match="line 10"):
-        DsTankText().read(path, ReadOptions())
-
-
 @pytest.mark.parametrize("twice", [True, False])
 @pytest.mark.parametrize("damage", ["lost", "bad"])
 @pytest.mark.parametrize("row", [0, 100, 207])

@@ -11,7 +11,6 @@ from section_texts import blocks, tables, texts
 from cbsr_qa.analysis.recording import analyse_recording
 from cbsr_qa.domain.readings import ReadOptions
 from cbsr_qa.domain.results import Figure, Paragraph
-from cbsr_qa.report import render_recording
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.sections.recording import RecordingChannels, RecordingEvents, RecordingRows
@@ -67,12 +66,6 @@ def test_rejected_rows_come_first_with_line_and_reason(result):
     assert [cell.text for cell in table.rows[0]][:2] == ["41", "rejected"]
     assert "watchdog" in table.rows[-1][2].text
     assert "1 row rejected, 1 frame dropped" in table.caption
-
-
-def test_the_report_holds_all_three_sections(result):
-    html = render_recording(result, SECTIONS)
-    for title in ("Events", "Channels and noise", "Rows of the file"):
-        assert title in html
 
 
 def test_runs_have_no_such_sections():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from load_samples import Sampler
 from report_samples import sample_run
-from section_texts import blocks
+from section_texts import blocks, observed
 
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, LoopObservation, Measurement, Table, Trace
@@ -58,8 +58,7 @@ def test_hysteresis_is_said_to_be_missing_with_the_reason(result):
     value, why = rows(DataSheet().render(result))["Hysteresis"]
     assert value == "not determined"
     assert "from below and from above" in why
-    observation = result.observation
-    asked = (*result.measurements, *Hysteresis().measure_run(observation))
+    asked = (*result.measurements, *Hysteresis().measure_run(result.observation))
     found = rows(DataSheet().render(replace(result, measurements=asked)))
     assert found["Hysteresis"][0] == "not determined"
     assert "hysteresis-loop" in found["Hysteresis"][1]
@@ -80,9 +79,9 @@ def looped():
 
 
 def test_a_loop_has_its_rows_and_its_figure(result):
-    observation = replace(result.observation, loops=(looped(),))
-    measured = (*result.measurements, *Hysteresis().measure_run(observation))
-    section = DataSheet().render(replace(result, observation=observation, measurements=measured))
+    seen = observed(result, loops=(looped(),))
+    measured = (*result.measurements, *Hysteresis().measure_run(seen.observation))
+    section = DataSheet().render(replace(seen, measurements=measured))
     value, _, error = rows(section)["Hysteresis"][0].removesuffix("\N{NO-BREAK SPACE}%").partition(" ± ")
     assert float(value) == pytest.approx(5.0, abs=4 * float(error))
     assert float(error) < 0.1
@@ -120,13 +119,11 @@ def test_the_figures_show_every_place(result):
 
 def test_one_strain_has_no_curve_but_a_map(result):
     loads = tuple(load for load in result.observation.loads if load.record.load.strain == 0.2)
-    one = replace(result, observation=replace(result.observation, loads=loads))
-    assert len(blocks(DataSheet().render(one), Figure)) == 1
+    assert len(blocks(DataSheet().render(observed(result, loads=loads)), Figure)) == 1
 
 
 def test_a_recipe_without_these_metrics_has_no_such_section(result):
     assert DataSheet().render(replace(result, measurements=())) is None
     random = tuple(replace(phase, role=Role.RANDOM) for phase in result.observation.record.phases)
-    record = replace(result.observation.record, phases=random)
-    shown = DataSheet().render(replace(result, observation=replace(result.observation, record=record)))
+    shown = DataSheet().render(observed(result, record=replace(result.observation.record, phases=random)))
     assert blocks(shown, Figure) == []

@@ -6,7 +6,7 @@ from statistics import fmean
 import numpy as np
 import pytest
 from report_samples import without_blobs
-from section_texts import tables, texts
+from section_texts import observed, tables, texts
 
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, Limit, Measurement, Outcome
@@ -69,9 +69,8 @@ def test_trials_are_averaged_and_the_worst_outcome_shown(result):
         for k, v in enumerate(values)
     )
     phases = (replace(result.record.phases[0], role=Role.GRID),)
-    record = replace(result.record, phases=phases)
-    observation = replace(result.observation, record=record, loads=tuple(loads))
-    (table,) = tables(NineLocations().render(replace(result, observation=observation, measurements=measured)))
+    seen = observed(result, record=replace(result.record, phases=phases), loads=tuple(loads))
+    (table,) = tables(NineLocations().render(replace(seen, measurements=measured)))
     (row,) = table.rows
     assert row[2].text == "3"
     assert float(row[3].text.partition(" ±")[0]) == pytest.approx(fmean(values), abs=0.05)
@@ -84,9 +83,7 @@ def test_two_grids_stand_apart_and_strains_have_rows_of_their_own(result):
     phases = tuple(
         replace(phase, role=Role.GRID if phase.name in ("nine", "random") else phase.role) for phase in phases
     )
-    observation = replace(run, record=replace(run.record, phases=phases))
-    other = replace(result, observation=observation)
-    section = NineLocations().render(other)
+    section = NineLocations().render(observed(result, record=replace(run.record, phases=phases)))
     captions = [block.caption for block in section.blocks if isinstance(block, Figure)]
     assert [caption.partition(".")[0] for caption in captions] == ["Phase nine", "Phase random"]
     nine, strains, random = tables(section)
@@ -111,11 +108,9 @@ def test_loads_of_one_name_and_trial_are_told_apart_by_their_index_in_whatever_o
 
 def test_sections_ask_what_a_phase_is_for_and_not_who_made_it(result):
     phases = tuple(replace(phase, sequence="strangers-grid") for phase in result.record.phases)
-    observation = replace(result.observation, record=replace(result.record, phases=phases))
-    assert NineLocations().render(replace(result, observation=observation))
+    assert NineLocations().render(observed(result, record=replace(result.record, phases=phases)))
     nameless = tuple(replace(phase, sequence="location-grid", role=Role.OTHER) for phase in phases)
-    observation = replace(result.observation, record=replace(result.record, phases=nameless))
-    assert NineLocations().render(replace(result, observation=observation)) is None
+    assert NineLocations().render(observed(result, record=replace(result.record, phases=nameless))) is None
 
 
 def test_masks_are_compared_over_the_grid_alone(result):

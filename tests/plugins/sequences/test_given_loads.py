@@ -51,11 +51,6 @@ def test_a_load_without_a_place_or_with_two_is_refused_by_number(load, named):
     assert caught.value.remedy.startswith("it must be a")
 
 
-def test_a_list_is_needed():
-    with pytest.raises(ConfigError, match="loads"):
-        GivenLoadsSequence()
-
-
 def test_the_recipe_of_the_paper_presses_its_random_loads_where_it_says():
     from cbsr_qa.studies.reproduce import published
 

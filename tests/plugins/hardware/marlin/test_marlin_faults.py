@@ -1,13 +1,12 @@
 """The driver of Marlin printers over an emulated one: every fault of the line, and how it is opened."""
 
 import threading
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from marlin_printer import SPEED, TABLE, linked, until_it_moves
-from simulated_setting import MOTION, context
+from marlin_printer import SPEED, linked, until_it_moves
+from simulated_setting import MOTION
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
@@ -16,16 +15,22 @@ from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 # --- faults of the line ---
 
+
+def fault_at(station, fault, at):
+    """Let a fault meet the exchange of this number from now on; what counts them."""
+    faults, count = station.emulation.ports["applicator"].faults, iter(range(10**6))
+    met = faults.met
+    faults.met = lambda: fault if next(count) == at else met()
+    return count
+
+
 MENDED = [(fault, at) for fault in (Fault.GARBLE, Fault.STALE, Fault.RESEND) for at in range(0, 40, 3)]
 
 
 @pytest.mark.parametrize(("fault", "at"), [*MENDED, (Fault.BUSY, 0), (Fault.BUSY, 17)])  # the latter takes real time
 def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault, at):
     one_world.presses.clear()
-    port = station.emulation.ports["applicator"]
-    count = iter(range(10**6))
-    met = port.faults.met
-    port.faults.met = lambda: fault if next(count) == at else met()
+    count = fault_at(station, fault, at)
     homed.press(0.8, SPEED)
     assert next(count) > at
     if fault is not Fault.BUSY:  # two seconds a message pass in the middle of something
@@ -37,19 +42,9 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
 
 
-@pytest.mark.parametrize("fault", [Fault.COMPLIANCE, Fault.OVERLOAD])
-def test_faults_that_a_printer_cannot_have_change_nothing(station, homed, fault):
-    station.arm("applicator", fault)
-    homed.press(0.8, SPEED)
-    assert station.head.height_mm == pytest.approx(-0.8, abs=1e-3)
-
-
 @pytest.mark.parametrize("at", range(4, 40, 5))
 def test_an_old_answer_is_no_position(station, homed, at):
-    port = station.emulation.ports["applicator"]
-    count = iter(range(10**6))
-    met = port.faults.met
-    port.faults.met = lambda: Fault.STALE if next(count) == at else met()
+    fault_at(station, Fault.STALE, at)
     since = station.clock.now()
     homed.press(0.8, SPEED)
     block = homed.samples_since(since)
@@ -231,18 +226,6 @@ def test_nobody_at_the_address_is_said(make):
     station.arm("applicator", Fault.SILENCE)
     with pytest.raises(InstrumentError, match=r"no Marlin printer answers within 0\.5 s"):
         station.open("applicator", open_applicator, boot_s=0.5)
-
-
-def test_a_second_program_on_the_port_is_refused(station, head):
-    with pytest.raises(InstrumentError, match="in use by process"):
-        station.open("applicator", open_applicator)
-
-
-def test_unplugged_at_start():
-    options = {key: value for key, value in TABLE.items() if key != "driver"} | {"address": "/dev/no-such-port"}
-    told = replace(context(None), options=options)
-    with pytest.raises(InstrumentError, match="no port /dev/no-such-port"):
-        open_applicator(told)
 
 
 def test_a_search_below_the_sheet_is_refused_before_anything_is_opened(station):

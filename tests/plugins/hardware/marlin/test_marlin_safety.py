@@ -1,12 +1,13 @@
 """The driver of Marlin printers over an emulated one: force, the safe state, and restarts."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from emulated_bench import SAFETY
-from marlin_printer import SPEED, linked, took
+from marlin_printer import SPEED, linked, took, until_it_moves
 from simulated_setting import MOTION
 
 from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
@@ -108,13 +109,7 @@ def test_opening_moves_nothing_and_stops_what_moves(make, one_world):
 
 def test_the_safe_state_comes_from_another_thread_in_the_middle_of_a_press(station, homed):
     reached, go_on = threading.Event(), threading.Event()
-
-    def hold(now_s):
-        if station.head.touching and not reached.is_set():
-            reached.set()
-
-    station.clock.watch(hold)
-    met = []
+    station.clock.watch(lambda now_s: station.head.touching and reached.set())
     real = station.force.samples_since
 
     def slow(time_s):
@@ -124,42 +119,23 @@ def test_the_safe_state_comes_from_another_thread_in_the_middle_of_a_press(stati
 
     station.force.samples_since = slow
 
-    def press():
-        try:
-            homed.press(1.2, SPEED)
-        except InstrumentError as error:
-            met.append(error)
-
-    thread = threading.Thread(target=press)
-    thread.start()
-    assert reached.wait(10.0)
-    homed.safe_state()
-    go_on.set()
-    thread.join(timeout=10.0)
-    assert "stopped on its way" in met[0].reason if hasattr(met[0], "reason") else False
+    with ThreadPoolExecutor() as other:
+        pressing = other.submit(homed.press, 1.2, SPEED)
+        assert reached.wait(10.0)
+        homed.safe_state()
+        go_on.set()
+        assert "stopped on its way" in pressing.exception(10.0).reason
     station.clock.sleep(5.0)
     assert station.head.up
 
 
 def test_the_safe_state_gets_through_while_a_command_hangs(station, homed):
     homed.press(0.8, SPEED)
-    with homed._marlin.alone(1.0):
-        met = []
-
-        def stop():
-            try:
-                homed.safe_state()
-            except InstrumentError as error:
-                met.append(error)
-
-        thread = threading.Thread(target=stop)
-        thread.start()
-        thread.join(timeout=5.0)
-    assert "another command hangs" in str(met[0])  # nobody heard it answer: somebody must look
-    for _ in range(50):
-        if station.head.moving:
-            break
-        threading.Event().wait(0.02)
+    with homed._marlin.alone(1.0), ThreadPoolExecutor() as other:
+        met = other.submit(homed.safe_state).exception(5.0)
+    assert isinstance(met, InstrumentError)
+    assert "another command hangs" in met.reason  # nobody heard it answer: somebody must look
+    until_it_moves(station.head)
     station.clock.sleep(5.0)
     assert station.head.up
 
@@ -168,21 +144,15 @@ def test_a_stop_in_the_middle_of_homing_leaves_no_position(station, head):
     printer = station.emulation.instruments["applicator"]
     real, met = printer._g28, []
 
-    def stop():
-        with pytest.raises(InstrumentError, match="another command hangs"):
-            head.safe_state()
-        met.append(True)
-
     def g28(parameters):
-        thread = threading.Thread(target=stop)
-        thread.start()
-        thread.join(timeout=5.0)
+        with ThreadPoolExecutor() as other:
+            met.append(other.submit(head.safe_state).exception(5.0))
         return real(parameters)
 
     printer._g28 = g28
     with pytest.raises(InstrumentError, match="stopped on its way"):
         head.home()
-    assert met
+    assert "another command hangs" in met[0].reason
     with pytest.raises(InstrumentError, match="position is lost"):
         head.move_to(0.0, 0.0)
     printer._g28 = real

@@ -91,12 +91,6 @@ def test_a_cell_named_by_its_identity_is_read_again_once_it_is_back(monkeypatch,
     assert (np.diff(block.time_s) > 0).all()
 
 
-@pytest.mark.parametrize("fault", [Fault.RESEND, Fault.BUSY, Fault.COMPLIANCE])
-def test_faults_that_a_load_cell_cannot_have_change_nothing(station, cell, fault):
-    assert len(run_through(station, cell, fault)) >= 8 * 15 - 2
-    assert skipped(cell) == 0
-
-
 @pytest.mark.parametrize(
     "fault", [Fault.GARBLE, Fault.STALE, Fault.RESET, Fault.DELAY, Fault.OVERLOAD, Fault.SILENCE]
 )
