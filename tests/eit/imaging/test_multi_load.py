@@ -14,8 +14,7 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.imaging.blobs import component_labels, find_blobs, groups
-from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.blobs import find_blobs
 from cbsr_qa.eit.imaging.multi_load import assign_regions, loads_change, split_blobs, two_touch_resolution
 from cbsr_qa.eit.inverse import imaging_problem
 
@@ -84,24 +83,10 @@ def test_beyond_the_gate_a_load_is_missed_and_the_region_false():
     assert not found.apart
 
 
-def test_nothing_pressed_and_nothing_seen():
-    assert assign_regions([], [], gate_mm=13.0).apart
-    assert assign_regions([_disc(0, 0)], [], gate_mm=13.0).false == (0,)
-    assert assign_regions([], [_load(0, 0)], gate_mm=13.0).missed == (0,)
-
-
 @pytest.mark.parametrize("gate", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_gate_that_is_none_is_refused(gate):
     with pytest.raises(NumericsError, match="gate"):
         assign_regions([], [], gate_mm=gate)
-
-
-def test_components_are_numbered_by_their_lowest_vertex_and_grouped_in_order():
-    label = component_labels(7, np.array([[5, 1], [4, 2], [2, 6]]))
-    assert label.tolist() == [0, 1, 2, 3, 2, 1, 2]
-    assert {number: where.tolist() for number, where in groups(label).items()} == {
-        0: [0], 1: [1, 5], 2: [2, 4, 6], 3: [3]
-    }  # fmt: skip
 
 
 # --- parting what touches -----------------------------------------------------------------------------------------
@@ -228,8 +213,3 @@ def test_readings_of_several_loads_are_their_sum(blurring):
 def test_distances_that_cannot_be_tried_are_refused(blurring, wrong):
     with pytest.raises(NumericsError, match="apart"):
         two_touch_resolution(blurring(5.0), Indenter(13.0), **wrong)
-
-
-def test_contours_and_masks_agree_on_two_loads():
-    image = _two_bumps(24.0)
-    assert len(contour_regions(image, 0.5)) == len(find_blobs(image, image.values > 0.5)) == 2
