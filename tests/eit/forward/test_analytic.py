@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.reference_solutions import pin_transfer_impedance, point_transfer_impedance
+from benchmarks.reference_solutions import point_transfer_impedance
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
@@ -68,28 +68,6 @@ def test_high_contact_impedance_makes_the_current_uniform():
         full = arc_transfer_impedance(sheet, ANGLES, width / 2, z, modes=12, harmonics=20_000)
         contacts = z / width * (np.eye(16) - 1 / 16)
         assert np.abs(full - contacts - gap).max() < allowed
-
-
-def test_pins_agree_with_two_point_sources_when_small_and_far(pin_sensor):
-    from dataclasses import replace
-
-    layout = replace(pin_sensor().electrodes, width_mm=0.02, ring_radius_mm=30.0)
-    found = pin_transfer_impedance(50.0, 2.0, layout, 1e-3)
-    place = layout.positions_mm() @ np.array([1, 1j])
-    apart = np.abs(place[:, None] - place)
-    image = np.abs(1 - place[:, None] * place.conj() / 50**2)
-    np.fill_diagonal(apart, 1)
-    points = -np.log(apart * image) / (2 * np.pi * 2.0)
-    usable = PATTERN.usable()
-    assert np.abs((readings(found) - readings(points))[usable]).max() < 1e-6
-
-
-def test_pins_are_converged_and_reciprocal(pin_sensor):
-    layout = pin_sensor().electrodes
-    coarse, fine = (pin_transfer_impedance(50.0, 1.0, layout, 0.3, points=points) for points in (16, 32))
-    assert np.abs(coarse - fine).max() < 1e-12
-    assert np.abs(fine - fine.T).max() < 1e-12
-    assert np.abs(fine.sum(axis=0)).max() < 1e-12
 
 
 def test_impossible_sheets_are_refused():
