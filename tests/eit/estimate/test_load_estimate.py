@@ -336,9 +336,3 @@ def test_no_place_is_reported_with_nan_or_beside_a_refusal():
             if located:
                 assert np.isfinite(found.place_covariance_mm2).all()
                 assert (np.linalg.eigvalsh(found.place_covariance_mm2) > 0).all()
-
-
-def test_a_zero_frame_is_not_detected():
-    found = estimator(60, known=False).estimate(np.zeros((1, 208)))[0]
-    assert found.finding is LoadFinding.NOT_DETECTED
-    assert found.detectability == 0

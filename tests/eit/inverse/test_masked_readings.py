@@ -7,7 +7,6 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem, masked_electrodes
 from cbsr_qa.eit.inverse.uncertainty import masking_effect
-from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 
 @pytest.fixture(scope="module")
@@ -94,17 +93,6 @@ def test_the_effect_is_said_in_words(sensor):
     single = masking_effect(imaging_problem(sensor, used=used, image_size_mm=6.0))
     assert "without some readings, from 207 of 208 readings" in single.words()
     assert 1 <= single.typical < 1.05
-
-
-def test_the_unit_of_variances_does_not_matter(sensor):
-    """λ is the type's: weighing by measured noise must not change how much is smoothed with it."""
-    variance = np.random.default_rng(2).uniform(0.5, 3.0, 208)
-    one, other = (imaging_problem(sensor, noise_variance=f * variance, image_size_mm=6.0) for f in (1.0, 1e-12))
-    assert np.allclose(one.noise_variance, other.noise_variance, rtol=1e-12)
-    alike = imaging_problem(sensor, noise_variance=np.full(208, 7.0), image_size_mm=6.0)
-    plain = imaging_problem(sensor, image_size_mm=6.0)
-    matrices = [GaussNewtonLaplace().prepare(problem).matrix for problem in (alike, plain)]
-    assert np.allclose(*matrices, rtol=1e-9, atol=1e-12 * np.abs(matrices[1]).max())
 
 
 def test_measured_frames_come_whole_or_as_used_readings(sensor):
