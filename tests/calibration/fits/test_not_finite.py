@@ -93,7 +93,7 @@ def test_a_number_that_is_not_finite_is_refused(name, bad):
     call(good)  # the others are fine
     spoilt = good.copy()
     spoilt[3] = bad
-    with pytest.raises(RefusedError):
+    with pytest.raises(RefusedError, match="finite"):
         call(spoilt)
 
 
