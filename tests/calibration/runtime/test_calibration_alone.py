@@ -81,13 +81,6 @@ def test_frames_become_force_with_numpy_scipy_and_h5py_alone(file, calibration, 
     np.testing.assert_allclose(np.load(tmp_path / "out.npy"), np.column_stack([here.force_N, here.stderr_N]))
 
 
-def test_an_unknown_name_of_the_package_is_no_name():
-    import cbsr_qa.calibration
-
-    with pytest.raises(AttributeError, match="has no attribute 'Calibrator'"):
-        _ = cbsr_qa.calibration.Calibrator
-
-
 # --- the formula of the page ---------------------------------------------------------------------------------
 
 
@@ -226,12 +219,6 @@ def test_noise_of_any_size_is_flagged_wherever_it_gives_no_number(calibration, s
         load = calibration.force(calibration.issued.reference + noise, place_mm=place)
         missing = ~np.isfinite(load.force_N) | ~np.isfinite(load.stderr_N) | ~np.isfinite(load.place_stderr_mm)
         assert (load.flags[missing] != 0).all()
-
-
-def test_a_sheet_nobody_presses_shows_no_load(calibration):
-    loads = calibration.force(frames(np.zeros((200, 2)), np.zeros(200)))
-    assert np.mean(loads.flags & Flag.NOT_DETECTED > 0) == 1.0
-    assert (loads.force_N == 0).all()
 
 
 def test_a_model_in_which_nothing_can_be_searched_is_refused(calibration):

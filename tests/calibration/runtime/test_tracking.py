@@ -147,10 +147,6 @@ class TestOneLoad:
         assert left.flags & Flag.UNSETTLED
         assert 10.0 < left.settled_in_s < 100.0
 
-    def test_error_shrinks_with_time(self, seen):
-        errors = [pressing(at(seen, 20.0 + after))[0].stderr_N for after in (6, 15, 50)]
-        assert errors[0] > errors[1] > errors[2]
-
 
 def test_two_loads_at_once_and_one_on_what_another_left(calibration, response):
     presses = [
