@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from drawn import drawn
-from hypothesis import given, strategies as st
 
 from benchmarks.reference_solutions import pin_transfer_impedance, point_transfer_impedance
 from cbsr_qa.domain import NumericsError
@@ -135,18 +133,6 @@ def test_an_inclusion_that_the_mesh_does_not_follow(arcs):
             assert error < relative_error(scaled.voltages()[usable], expected)
 
 
-def test_readings_are_reciprocal_and_currents_balance(model):
-    voltages = model.voltages()
-    assert np.abs(voltages - voltages.T).max() < 1e-13 * np.abs(voltages).max()
-    currents = np.zeros_like(model.electrode_fields)
-    cells = model.elements.cells
-    np.add.at(currents, cells, model.element_matrices(np.arange(len(cells))) @ model.electrode_fields[cells])
-    for number, nodes in enumerate(model.prepared.contacts.nodes):
-        assert np.allclose(currents[nodes].sum(axis=0), np.eye(8)[number] - 1 / 8, atol=1e-10)
-    inner = np.setdiff1d(np.arange(len(currents)), np.concatenate(model.prepared.contacts.nodes))
-    assert np.abs(currents[inner]).max() < 1e-10
-
-
 def test_driving_point_resistances_rise_with_the_order(pin_sensor):
     """They are a maximum over all functions (Dirichlet's principle), and the second order has those of the first."""
     mesh = sheet_mesh(pin_sensor(), size_mm=8.0)
@@ -156,33 +142,6 @@ def test_driving_point_resistances_rise_with_the_order(pin_sensor):
         for order in (1, 2)
     )
     assert (np.diag(two.voltages()) > np.diag(one.voltages())).all()
-
-
-@given(factor=st.floats(1e-6, 1e6))
-@drawn(10)
-def test_voltages_scale_with_resistance(model, factor):
-    scaled = model.changed(conductance=factor * model.conductance, contact_impedance=model.contact_impedance / factor)
-    assert np.allclose(scaled.voltages() * factor, model.voltages(), rtol=1e-9, atol=0)
-
-
-def test_jacobian_is_the_derivative(model):
-    random = np.random.default_rng(6)
-    direction = model.conductance * random.normal(0, 1, len(model.conductance))
-    linear = model.jacobian() @ direction
-    steps = (0.01, 0.005, 0.0025)
-    errors = []
-    for step in steps:
-        ahead, behind = (model.changed(conductance=model.conductance + s * step * direction) for s in (1, -1))
-        errors.append(float(np.abs((ahead.voltages() - behind.voltages()) / (2 * step) - linear).max()))
-    assert_expected_order(errors, steps, 2.0, 0.05)
-    assert errors[-1] < 1e-4 * np.abs(linear).max()
-
-
-def test_chosen_rows_of_the_jacobian(model):
-    drive, measure = np.nonzero(np.triu(model.pattern.usable()))
-    rows = model.jacobian_rows(drive, measure)
-    assert rows.shape == (20, len(model.mesh.elements))  # of eight electrodes, reciprocals left out
-    assert np.allclose(rows, model.jacobian()[drive, measure], rtol=1e-13, atol=0)
 
 
 @pytest.mark.parametrize(

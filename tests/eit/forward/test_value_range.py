@@ -168,7 +168,7 @@ def test_values_of_other_types_are_refused_not_cast(model, name):
 
 @pytest.mark.parametrize("name", ["conductance", "contact_impedance"])
 def test_every_refusal_of_values_has_a_remedy(model, name):
-    for wrong in (0 * getattr(model, name), getattr(model, name)[1:]):
-        with pytest.raises(NumericsError) as refused:
+    for wrong, said in ((0 * getattr(model, name), "positive finite"), (getattr(model, name)[1:], "has shape")):
+        with pytest.raises(NumericsError, match=said) as refused:
             model.changed(**{name: wrong})
         assert refused.value.remedy
