@@ -17,13 +17,6 @@ def _curve(offset, amplitudes, taus, time_s=TIME_S):
     return offset + sum(a * np.exp(-time_s / tau) for a, tau in zip(amplitudes, taus, strict=True))
 
 
-def test_one_exponential_without_noise_stays_one():
-    fit = fit_relaxation(TIME_S, _curve(-3.0, (0.7,), (8.0,)))
-    assert fit.status is FitStatus.ONE
-    assert fit.time_constants_s == pytest.approx((8.0,), rel=1e-9)
-    assert fit.amplitudes == pytest.approx((0.7,), rel=1e-9)
-
-
 @given(
     offset=st.floats(-5, 5),
     scale=st.floats(1e-6, 1e6),

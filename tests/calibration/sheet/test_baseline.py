@@ -37,13 +37,6 @@ def test_a_load_gives_change_over_predicted_change():
     assert found.value == pytest.approx(0.03 / predicted, rel=1e-12)
 
 
-def test_the_noise_floor_is_not_subtracted_from_the_change():
-    load = sample_load(change=0.03)
-    assert load.masks[1].sensed.image.values[0] == pytest.approx(0.025)
-    found = load_baseline(load, STRESS, QUIET, 0.85)
-    assert found.value * predicted_change(STRESS, load.stress_kPa)[0] == pytest.approx(0.03)
-
-
 def test_a_material_that_conducts_less_under_load_gives_the_same():
     noise = 1e-3 * np.random.default_rng(2).standard_normal((8, 180))
     rising = load_baseline(sample_load(), STRESS, noise, 0.85)
