@@ -35,15 +35,6 @@ def test_points_agree_with_published_reference_numbers(shared):
         assert np.abs(found - case["drive0"]).max() < 1e-14
 
 
-def test_homogeneous_point_readings_have_their_closed_form():
-    found = readings(point_transfer_impedance(ConcentricSheet(7.0, 0.25), ANGLES))
-    half = np.pi / 16
-    for measure in range(2, 15):
-        middle = np.sin(measure * half)
-        ratio = np.sin((measure - 1) * half) * np.sin((measure + 1) * half) / middle**2
-        assert found[0, measure] == pytest.approx(np.log(ratio) / (np.pi * 0.25), rel=1e-12)
-
-
 def test_small_arcs_tend_to_points():
     points = readings(point_transfer_impedance(ConcentricSheet(1.0, 1.0, 0.6, 4.0), ANGLES))
     usable = PATTERN.usable()

@@ -7,7 +7,6 @@ from benchmarks.reference_solutions import pin_transfer_impedance
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
-from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.testing import assert_expected_order
 
@@ -54,33 +53,6 @@ def test_pins_converge_to_the_exact_solution(pin_sensor, model_of, contact):
     assert errors[-1] < 5e-3
 
 
-@pytest.mark.rest
-def test_a_concentric_inclusion_is_seen_as_it_is(arc_sensor, model_of):
-    sensor = arc_sensor()
-    sheet = ConcentricSheet(1.0, 1.0, 0.5, 3.0)
-    exact = arc_transfer_impedance(sheet, sensor.electrodes.angles_rad(), 0.05, 0.05, modes=12, harmonics=20_000)
-    usable = sensor.pattern.usable()
-    errors = []
-    for size in SIZES:
-        plain = model_of(sensor, size_mm=size)  # its mesh does not follow the inclusion
-        elements, fraction = disc_coverage(plain.mesh, 0.0, 0.0, 0.5)
-        conductance = plain.conductance.copy()
-        conductance[elements] += 2.0 * fraction
-        model = ForwardModel(plain.mesh, sensor.pattern, conductance, plain.contact_impedance)
-        errors.append(relative_error(model.voltages()[usable], model.readings(exact)[usable]))
-    assert errors[-1] < 1.5e-3
-    assert errors[-1] < 0.6 * errors[0]
-
-
-def test_uniform_current_limit_matches_the_gap_series(arc_sensor, model_of):
-    sensor = arc_sensor()
-    angles = sensor.electrodes.angles_rad()
-    gap = arc_transfer_impedance(ConcentricSheet(1.0, 1.0), angles, 0.05, 0.0, modes=1, harmonics=20_000)
-    model = model_of(sensor, size_mm=0.05, contact=1e3)
-    usable = sensor.pattern.usable()
-    assert relative_error(model.voltages()[usable], model.readings(gap)[usable]) < 2e-3
-
-
 @given(factor=st.floats(1e-3, 1e3))
 @drawn(15)
 def test_a_sheet_is_as_good_enlarged(model, factor):
@@ -95,13 +67,6 @@ def test_turning_by_one_electrode_changes_nothing(model, pin_sensor):
     for steps in (1, 5, 8):
         turned = np.roll(voltages, (steps, steps), axis=(0, 1))
         assert relative_error(turned[usable], voltages[usable]) < 5e-3
-
-
-def test_counting_clockwise_mirrors_the_sheet(pin_sensor, model_of):
-    one = model_of(pin_sensor(), size_mm=4.0).voltages()
-    other = model_of(pin_sensor(counterclockwise=False), size_mm=4.0).voltages()
-    usable = pin_sensor().pattern.usable()
-    assert relative_error(other[usable], one[usable]) < 5e-3
 
 
 def test_any_pattern_is_a_combination_of_electrode_potentials(model):

@@ -9,7 +9,6 @@ from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.forward import ForwardModel, cover, disc_coverage
 from cbsr_qa.eit.loads import local, rims
 from cbsr_qa.eit.loads.local import LocalUpdate
-from cbsr_qa.eit.loads.rims import InverseEntries
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -157,30 +156,6 @@ def test_a_set_larger_than_the_bounds_is_served_all_the_same(model, monkeypatch)
     elements = np.unique(np.concatenate(heads(model, 5)))
     change = 0.2 * model.conductance[elements]
     assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
-
-
-@pytest.mark.rest
-def test_entries_of_the_inverse_are_those_of_whole_columns(model):
-    inverse = InverseEntries(model)
-    for seed in range(4):
-        nodes = np.random.default_rng(seed).choice(model.elements.count, 150, replace=False)
-        columns = model.solve(np.eye(model.elements.count)[:, nodes])
-        np.testing.assert_allclose(inverse.between(nodes), columns[nodes], rtol=0, atol=1e-12 * abs(columns).max())
-
-
-def test_nodes_one_by_one_are_copied_a_few_times_in_all(model):
-    inverse = InverseEntries(model)
-    sizes = {(inverse.between(np.array([node])).size, inverse.nbytes)[1] for node in range(200)}
-    assert len(sizes) <= 9  # 1, 2, 4 … 256 squared
-
-
-def test_first_order_term_is_the_jacobian(model, update):
-    elements, fraction = disc_coverage(model.mesh, 12.0, -7.0, 6.5)
-    direction = model.conductance[elements] * fraction
-    linear = model.jacobian()[:, :, elements] @ direction
-    step = 1e-5
-    difference = update.voltages(elements, step * direction) - update.voltages(elements, -step * direction)
-    assert np.allclose(difference / (2 * step), linear, rtol=1e-5, atol=1e-8 * np.abs(linear).max())
 
 
 @pytest.mark.parametrize(
