@@ -36,16 +36,6 @@ def calibration(file):
     return Calibration.load(file)
 
 
-def test_what_is_printed_of_calibration_and_forces_says_what_they_are(calibration):
-    assert repr(calibration).startswith("<Calibration of sensor S-1, ")
-    assert repr(calibration.issued).startswith("<Calibration of sensor S-1, issued at ")
-    forces = calibration.force(frames(np.zeros((2, 2)), np.array([0.0, 3.0])))
-    assert (
-        repr(forces)
-        == f"<Forces in 1 of 2 frames, {forces.force_N[1]:.3g} to {forces.force_N[1]:.3g} N, NOT_DETECTED in 1>"
-    )
-
-
 # --- imports -------------------------------------------------------------------------------------------------
 
 _ALONE = """

@@ -15,7 +15,7 @@ from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.eit.imaging.blobs import find_blobs
-from cbsr_qa.eit.imaging.multi_load import assign_regions, loads_change, split_blobs, two_touch_resolution
+from cbsr_qa.eit.imaging.multi_load import assign_regions, split_blobs, two_touch_resolution
 from cbsr_qa.eit.inverse import imaging_problem
 
 PLACES = st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), max_size=4)
@@ -200,13 +200,6 @@ def test_a_watershed_parts_what_the_mask_does_not(blurring):
         two_touch_resolution(method, Indenter(13.0), mask=mask, furthest_mm=30.0, step_mm=1.0) for mask in (0.5, None)
     )
     assert parted.separation_mm < contour.separation_mm
-
-
-def test_readings_of_several_loads_are_their_sum(blurring):
-    problem = blurring(5.0).problem
-    one, other = _load(-12, 3), _load(9, 0)
-    both = loads_change(problem, [one, other])
-    assert both == pytest.approx(loads_change(problem, [one]) + loads_change(problem, [other]))
 
 
 @pytest.mark.parametrize("wrong", [{"step_mm": 0.0}, {"furthest_mm": 12.0}, {"step_mm": float("nan")}])
