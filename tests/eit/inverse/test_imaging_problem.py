@@ -11,16 +11,6 @@ from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 
 @pytest.fixture(scope="module")
-def sensor(pin_sensor) -> SensorType:
-    return pin_sensor()
-
-
-@pytest.fixture(scope="module")
-def problem(sensor):
-    return imaging_problem(sensor, image_size_mm=6.0)
-
-
-@pytest.fixture(scope="module")
 def frame(problem) -> np.ndarray:
     """A frame of the unit model, its other readings zero."""
     whole = np.zeros(problem.used.shape)

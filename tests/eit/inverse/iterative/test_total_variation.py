@@ -7,7 +7,6 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation as Minimise, jump_matrix
@@ -17,11 +16,6 @@ from cbsr_qa_plugins.reconstruction.iterative import TotalVariation
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 _ALPHA = 2.6e-8
-
-
-@pytest.fixture(scope="module")
-def problem(pin_sensor) -> ImagingProblem:
-    return imaging_problem(pin_sensor(), image_size_mm=6.0)
 
 
 @pytest.fixture(scope="module")
