@@ -97,13 +97,13 @@ def test_a_rejected_fit_and_a_missing_band_have_no_number():
     assert "no steady change" in nothing.why
 
 
-def test_impossible_settings_are_refused():
-    with pytest.raises(NumericsError, match="'steady' or 'step'"):
-        settling_time(_fit(1.0), window_s=60.0, band="peak")
-    with pytest.raises(NumericsError, match="positive"):
-        settling_time(_fit(1.0), window_s=0.0)
-    with pytest.raises(NumericsError, match="positive"):
-        settling_time(_fit(1.0), window_s=60.0, tolerance=0.0)
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [({"band": "peak"}, "'steady' or 'step'"), ({"window_s": 0.0}, "positive"), ({"tolerance": 0.0}, "positive")],
+)
+def test_impossible_settings_are_refused(settings, said):
+    with pytest.raises(NumericsError, match=said):
+        settling_time(_fit(1.0), **({"window_s": 60.0} | settings))
 
 
 # --- means with censoring ------------------------------------------------------------------------------------

@@ -132,10 +132,29 @@ def test_every_flag_is_on_the_page_for_users():
 # --- frames that are not what they should be -----------------------------------------------------------------
 
 
-def test_frames_of_another_shape_are_refused_by_shape(calibration):
-    for wrong in (np.zeros((8, 8)), np.zeros((2, 16, 15)), np.zeros(256), np.zeros((1, 1, 16, 16))):
-        with pytest.raises(CalibrationError, match=r"frames of shape .* are not of sensor S-1"):
-            calibration.force(wrong)
+_FRAME = frames(_PLACES[:1], _FORCES[:1])
+_NO_NUMBERS = (lambda f: f * (1 + 1j), lambda f: f.astype(str), lambda f: f.astype(object))
+
+
+@pytest.mark.parametrize(
+    ("seen", "options", "error", "said"),
+    [
+        *(
+            (np.zeros(shape), {}, CalibrationError, r"frames of shape .* are not of sensor S-1")
+            for shape in ((8, 8), (2, 16, 15), (256,), (1, 1, 16, 16))
+        ),
+        *((cast(_FRAME), {}, NumericsError, "frames are of type") for cast in _NO_NUMBERS),
+        *((_FRAME, {"place_mm": cast(_PLACES[0])}, NumericsError, "places are of type") for cast in _NO_NUMBERS),
+        (_FRAME, {"place_mm": (1.0, 2.0, 3.0)}, CalibrationError, "places of shape"),
+        *(
+            (_FRAME, {"current_A": current}, CalibrationError, "is not a positive number")
+            for current in (0.0, np.nan, np.inf, -1.0, "1 mA", 1e-3j)
+        ),
+    ],
+)
+def test_what_is_no_frame_place_or_current_is_refused(calibration, seen, options, error, said):
+    with pytest.raises(error, match=said):
+        calibration.force(seen, **options)
 
 
 def test_what_cannot_be_a_frame_of_this_sensor_is_flagged_and_gives_no_number(calibration):
@@ -153,15 +172,6 @@ def test_what_cannot_be_a_frame_of_this_sensor_is_flagged_and_gives_no_number(ca
     np.testing.assert_allclose(calibration.force(unused).force_N, loads.force_N[:1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("cast", [lambda f: f * (1 + 1j), lambda f: f.astype(str), lambda f: f.astype(object)])
-def test_frames_that_are_not_real_numbers_are_refused(calibration, cast):
-    pressed = frames(_PLACES[:1], _FORCES[:1])
-    with pytest.raises(NumericsError, match="frames are of type"):
-        calibration.force(cast(pressed))
-    with pytest.raises(NumericsError, match="places are of type"):
-        calibration.force(pressed, place_mm=cast(_PLACES[0]))
-
-
 def test_a_masked_reading_is_missing_and_not_laid_bare(calibration):
     pressed = frames(np.repeat(_PLACES[:1], 2, axis=0), np.full(2, 3.0))
     mask = np.zeros(pressed.shape, dtype=bool)
@@ -177,12 +187,6 @@ def test_a_frame_that_cannot_be_used_has_no_place_found(calibration):
     assert np.isnan([*found.place_mm[0], found.place_stderr_mm[0]]).all()
     given = calibration.force(np.full((1, 16, 16), np.nan), place_mm=(1.0, 2.0))
     assert given.place_mm.tolist() == [[1.0, 2.0]]
-
-
-@pytest.mark.parametrize("current", [0.0, np.nan, np.inf, -1.0, "1 mA", 1e-3j])
-def test_a_current_that_is_no_positive_number_is_refused(calibration, current):
-    with pytest.raises(CalibrationError, match="is not a positive number"):
-        calibration.force(frames(_PLACES[:1], _FORCES[:1]), current_A=current)
 
 
 def test_templates_of_a_few_heads_are_kept_and_not_of_every_one(calibration):
