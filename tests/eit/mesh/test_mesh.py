@@ -116,7 +116,7 @@ def test_elements_cover_the_sheet_and_electrodes_are_where_they_were_said_to_be(
         along, away = outline.curve.nearest(ends.reshape(-1, 2))
         assert away.max() < 1e-8
         begin = outline.curve.nearest(place[None])[0] - width / 2
-        assert ((along - begin + 1e-6 * size) % outline.curve.perimeter).max() < width + 1e-5 * size
+        assert ((along - begin + 1e-6) % outline.curve.perimeter).max() < width + 1e-5
 
 
 @st.composite
