@@ -277,35 +277,6 @@ def firmware():
     return json.loads(json.dumps(firmware_document(force_calibration()), allow_nan=False))
 
 
-def _values(document, path):
-    held = document["datasets"][path]
-    values = np.array([np.nan if v is None else v for v in held["values"]]) * held.get("scale", 1)
-    return values.reshape(held["shape"])
-
-
-def test_the_firmware_file_gives_the_same_forces_but_for_the_loss_it_states(firmware, calibration, printed):
-    """By the printed function, given the firmware's values by the same names."""
-    data = {path: _values(firmware, path) for path, told in firmware["datasets"].items() if told["kind"] != "text"}
-    for path in ("force/node",):
-        data[path] = data[path].astype(int)
-    row, weight = data["force/merging_row"].astype(int), data["force/merging_weight"]
-    merging = np.zeros((row.max() + 1, len(row)))
-    merging[row, np.arange(len(row))] = weight
-    data["force/merging"] = merging
-    seen = frames(_PLACES, _FORCES, noise=0.0)
-    ours = calibration.force(seen, place_mm=_PLACES).force_N
-    kept = printed.__globals__["data"]
-    printed.__globals__["data"] = data
-    try:
-        theirs = [printed(frame, x, y)[0] for frame, (x, y) in zip(seen, _PLACES, strict=True)]
-    finally:
-        printed.__globals__["data"] = kept
-    assert firmware["loss"]["places_lost"] == 0
-    worst = firmware["loss"]["relative_force_error_worst"]
-    assert 0 < worst <= 0.02
-    np.testing.assert_allclose(theirs, ours, rtol=1.5 * worst)
-
-
 def test_the_reader_that_the_page_prints_gives_the_same_forces_but_for_the_loss_that_is_stated(
     firmware, calibration, tmp_path
 ):
