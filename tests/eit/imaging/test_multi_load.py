@@ -83,12 +83,6 @@ def test_beyond_the_gate_a_load_is_missed_and_the_region_false():
     assert not found.apart
 
 
-@pytest.mark.parametrize("gate", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_gate_that_is_none_is_refused(gate):
-    with pytest.raises(NumericsError, match="gate"):
-        assign_regions([], [], gate_mm=gate)
-
-
 # --- parting what touches -----------------------------------------------------------------------------------------
 
 
@@ -136,12 +130,6 @@ def test_blobs_apart_stay_as_they_were_heaviest_first():
     assert len(blobs) == 2
     assert split_blobs(blobs[::-1], 0.1) == blobs
     assert split_blobs((), 0.1) == ()
-
-
-@pytest.mark.parametrize("prominence", [0.0, 1.0, -0.1, float("nan")])
-def test_an_impossible_prominence_is_refused(prominence):
-    with pytest.raises(NumericsError, match="prominence"):
-        split_blobs((), prominence)
 
 
 # --- two-touch resolution -----------------------------------------------------------------------------------------
@@ -202,7 +190,20 @@ def test_a_watershed_parts_what_the_mask_does_not(blurring):
     assert parted.separation_mm < contour.separation_mm
 
 
-@pytest.mark.parametrize("wrong", [{"step_mm": 0.0}, {"furthest_mm": 12.0}, {"step_mm": float("nan")}])
-def test_distances_that_cannot_be_tried_are_refused(blurring, wrong):
-    with pytest.raises(NumericsError, match="apart"):
-        two_touch_resolution(blurring(5.0), Indenter(13.0), **wrong)
+@pytest.mark.parametrize(
+    ("call", "wrong", "said"),
+    [
+        *(
+            (lambda _, gate: assign_regions([], [], gate_mm=gate), gate, "gate")
+            for gate in (0.0, -1.0, np.nan, np.inf)
+        ),
+        *((lambda _, least: split_blobs((), least), least, "prominence") for least in (0.0, 1.0, -0.1, np.nan)),
+        *(
+            (lambda method, options: two_touch_resolution(method, Indenter(13.0), **options), options, "apart")
+            for options in ({"step_mm": 0.0}, {"furthest_mm": 12.0}, {"step_mm": np.nan})
+        ),
+    ],
+)
+def test_gates_prominences_and_distances_that_are_none_are_refused(blurring, call, wrong, said):
+    with pytest.raises(NumericsError, match=said):
+        call(blurring(5.0), wrong)
