@@ -42,9 +42,10 @@ def test_driven_current_reaches_the_sheet_and_potentials_sum_to_zero(uneven):
     assert np.abs(uneven.transfer_impedance.sum(axis=0)).max() < 1e-12 * np.abs(uneven.transfer_impedance).max()
 
 
-@given(factor=st.floats(1e-6, 1e6))
+@given(factor=st.floats(1e-14, 1e14))
 @drawn(15)
 def test_voltages_scale_with_resistance(uneven, factor):
+    """Only ratios count: no conductance is extreme by itself."""
     scaled = uneven.changed(
         conductance=factor * uneven.conductance, contact_impedance=uneven.contact_impedance / factor
     )
