@@ -46,12 +46,6 @@ def test_small_arcs_tend_to_points():
     assert np.allclose(np.diff(np.log(error)), -2 * np.log(2), rtol=0.05)  # second order in the width
 
 
-def test_an_inclusion_like_its_surroundings_is_none():
-    plain = arc_transfer_impedance(ConcentricSheet(1.0, 2.0), ANGLES, 0.05, 0.1, modes=4, harmonics=2000)
-    same = ConcentricSheet(1.0, 2.0, 0.7, 2.0)
-    assert np.array_equal(plain, arc_transfer_impedance(same, ANGLES, 0.05, 0.1, modes=4, harmonics=2000))
-
-
 def test_high_contact_impedance_makes_the_current_uniform():
     sheet, width = ConcentricSheet(1.0, 1.0), 0.1
     gap = arc_transfer_impedance(sheet, ANGLES, width / 2, 0.0, modes=1, harmonics=20_000)

@@ -143,12 +143,6 @@ def test_reciprocity_and_rotation_by_one_electrode(model, x, y, radius, log_fact
     assert np.abs(np.roll(found, (1, 1), (0, 1)) - turned).max() <= 1e-7 * np.abs(found).max() + smallest
 
 
-def test_more_conductance_lowers_every_driven_pair_and_less_raises_it(model):
-    for contrast, sign in ((0.3, -1), (-0.3, 1)):
-        driven = np.diag(change(model, 12.0, 20.0, 6.5, contrast))
-        assert (sign * driven > 0).all()
-
-
 @pytest.mark.parametrize("place", [(48.0, 0.0), (47.9, 0.0), (60.0, 0.0), (np.nan, 0.0)])
 def test_a_load_where_the_field_has_no_power_series_is_refused(model, place):
     """On a pin a series of 1e18 V/A came out."""
