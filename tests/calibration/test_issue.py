@@ -78,6 +78,9 @@ def test_the_range_is_that_of_the_loads_of_the_named_phases():
     assert validity.radius_mm == 30.0
     assert validity.temperature_C is None
     assert validity.reduced == ("no force model: no force model was requested",)
+    few = _issue(_RUN, no_force="1 of 7 loads say something; 3 are needed")
+    assert few.no_force == "1 of 7 loads say something; 3 are needed"
+    assert few.validity.reduced == (f"no force model: {few.no_force}",)
     wider = _issue(sample_run(_loads()), phases=("nine locations", "random loads")).validity
     assert (wider.force_N, wider.radius_mm) == ((2.0, 9.0), 40.0)
 
