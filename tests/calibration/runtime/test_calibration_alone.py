@@ -14,9 +14,11 @@ from force_calibration import NOISE_V, force_calibration, frames
 
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.calibration.file import encode, firmware_document, lost_by, thinned, write_calibration
-from cbsr_qa.calibration.force import prepared_force
+from cbsr_qa.calibration.force import prepared_force, template_bank
+from cbsr_qa.calibration.runtime import TemplateFilter
 from cbsr_qa.domain import CalibrationError, NumericsError, as_filed
 from cbsr_qa.domain.run import Indenter
+from cbsr_qa.eit.estimate import load_model, merged_readings
 
 _DOCS = Path(__file__).parents[3] / "docs"
 _PAGE = (_DOCS / "reference" / "calibration-file.md").read_text()
@@ -96,8 +98,6 @@ def test_force_and_standard_error_follow_from_the_file_as_the_page_says(printed,
 
 def test_the_place_is_where_the_page_says(printed, calibration):
     """No place of a fine grid explains a frame better than the one that was found."""
-    from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
-
     seen = frames([(12.3, -8.7)], [3.0])
     found = calibration.force(seen)
     rows, _ = calibration.rows(seen)
@@ -233,10 +233,6 @@ def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
 
 def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calibration):
     """Against the model whose templates are prepared again in double precision."""
-    from cbsr_qa.calibration.force import template_bank
-    from cbsr_qa.eit.estimate import load_model, merged_readings
-    from cbsr_qa.eit.loads import RoundLoadModel  # noqa: F401 - what the bank is of
-
     issued = calibration.issued
     kind, used = issued.sensor_type, issued.reconstruction.problem.used
     readings = merged_readings(kind.pattern, used, np.full(used.shape, (NOISE_V / 7.24) ** 2))

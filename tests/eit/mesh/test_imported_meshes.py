@@ -1,5 +1,6 @@
 """Meshes made elsewhere: what is wrong with one is said by name, and what is right is used as it is."""
 
+import json
 import sys
 from dataclasses import replace
 from functools import cache
@@ -304,8 +305,6 @@ def test_a_sensor_type_file_takes_its_mesh_in_by_content(tmp_path):
     assert loaded.value.mesh is not None
     np.testing.assert_array_equal(loaded.value.mesh.mesh.nodes_mm, mesh.nodes_mm)
     # Without its files, as a stored run is resumed.
-    import json
-
     stored = json.loads(canonical_json(loaded.document.data))
     assert load_sensor_type(stored).value == loaded.value
 
