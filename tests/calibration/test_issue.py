@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from observation_samples import sample_load, sample_relaxation, sample_run
 
-from cbsr_qa.calibration.file import read_calibration, write_calibration
 from cbsr_qa.calibration.issue import issue_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.readings import SampleBlock
@@ -39,6 +38,9 @@ def _issue(run, verdict=PASSED, **changes):
     return issue_calibration(run, verdict, **(arguments | changes))
 
 
+_RUN = sample_run(_loads())
+
+
 def test_a_passed_run_issues_what_it_measured():
     run = sample_run(_loads())
     issued = _issue(run)
@@ -65,12 +67,8 @@ def test_a_relaxation_says_of_which_load_it_is_and_in_what_unit():
     assert {r.unit for r in issued.relaxations} == {"1"}
 
 
-def test_the_time_of_issue_is_in_utc_and_has_a_zone():
-    run = sample_run(_loads())
-    assert _issue(run, issued_at="2026-01-01T23:00:00+13:00").issued_at == "2026-01-01T10:00:00+00:00"
-    for wrong, said in (("2026-01-01T10:00:00", "states no zone"), ("yesterday", "not an ISO time")):
-        with pytest.raises(CalibrationError, match=said):
-            _issue(run, issued_at=wrong)
+def test_the_time_of_issue_is_in_utc():
+    assert _issue(_RUN, issued_at="2026-01-01T23:00:00+13:00").issued_at == "2026-01-01T10:00:00+00:00"
 
 
 def test_the_range_is_that_of_the_loads_of_the_named_phases():
@@ -80,6 +78,9 @@ def test_the_range_is_that_of_the_loads_of_the_named_phases():
     assert validity.radius_mm == 30.0
     assert validity.temperature_C is None
     assert validity.reduced == ("no force model: no force model was requested",)
+    few = _issue(_RUN, no_force="1 of 7 loads say something; 3 are needed")
+    assert few.no_force == "1 of 7 loads say something; 3 are needed"
+    assert few.validity.reduced == (f"no force model: {few.no_force}",)
     wider = _issue(sample_run(_loads()), phases=("nine locations", "random loads")).validity
     assert (wider.force_N, wider.radius_mm) == ((2.0, 9.0), 40.0)
 
@@ -111,39 +112,25 @@ def test_a_place_that_says_nothing_reduces_the_range():
     assert issued.validity.reduced[-1].startswith("1 readings were not imaged")
 
 
-@pytest.mark.parametrize("outcome", [Outcome.FAIL, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED])
-def test_a_run_that_did_not_pass_gets_none(outcome):
-    with pytest.raises(CalibrationError, match=f"verdict is {outcome}.*because"):
-        _issue(sample_run(_loads()), Verdict(outcome, "because"))
-
-
 def test_a_marginal_run_gets_one():
     assert _issue(sample_run(_loads()), Verdict(Outcome.MARGINAL, "close")).run == "0193-run"
 
 
-def test_an_unfinished_run_gets_none():
-    run = sample_run(_loads())
-    with pytest.raises(CalibrationError, match="not finished"):
-        _issue(replace(run, record=replace(run.record, end=EndReason.ABORTED)))
-
-
-def test_without_any_baseline_there_is_no_calibration():
-    with pytest.raises(CalibrationError, match="no force was recorded"):
-        _issue(sample_run((sample_load(force_N=None),)))
-    with pytest.raises(CalibrationError, match="no load in elsewhere"):
-        _issue(sample_run(_loads()), phases=("elsewhere",))
-
-
-def test_without_a_current_there_is_no_calibration():
-    with pytest.raises(CalibrationError, match="drive current"):
-        _issue(sample_run(_loads(), current_A=None))
-
-
-def test_what_was_issued_can_be_written_and_read(tmp_path):
-    issued = _issue(sample_run(_loads()))
-    assert write_calibration(tmp_path / "x.h5", issued) == issued.digest
-    again = read_calibration(tmp_path / "x.h5")
-    assert again.baseline == issued.baseline
-    assert again.relaxations == issued.relaxations
-    assert again.validity == issued.validity
-    assert (again.digest, again.record_digest) == (issued.digest, issued.record_digest)
+@pytest.mark.parametrize(
+    ("run", "verdict", "changes", "said"),
+    [
+        *(
+            (_RUN, Verdict(outcome, "because"), {}, f"verdict is {outcome}.*because")
+            for outcome in (Outcome.FAIL, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED)
+        ),
+        (replace(_RUN, record=replace(_RUN.record, end=EndReason.ABORTED)), PASSED, {}, "not finished"),
+        (sample_run((sample_load(force_N=None),)), PASSED, {}, "no force was recorded"),
+        (_RUN, PASSED, {"phases": ("elsewhere",)}, "no load in elsewhere"),
+        (sample_run(_loads(), current_A=None), PASSED, {}, "drive current"),
+        (_RUN, PASSED, {"issued_at": "2026-01-01T10:00:00"}, "states no zone"),
+        (_RUN, PASSED, {"issued_at": "yesterday"}, "not an ISO time"),
+    ],
+)
+def test_what_gets_no_calibration_says_why(run, verdict, changes, said):
+    with pytest.raises(CalibrationError, match=said):
+        _issue(run, verdict, **changes)

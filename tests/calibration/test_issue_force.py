@@ -51,11 +51,6 @@ def test_the_learned_line_takes_the_place_of_the_materials_and_baselines_are_tak
     assert issued.baseline[3].value == pytest.approx(plain.baseline[3].value * factor, rel=1e-12)
 
 
-def test_an_intercept_nobody_fitted_stays_assumed():
-    issued, _ = _issued(_loads(), fitted=False)
-    assert "β against stress" in issued.assumed
-
-
 def test_the_range_is_that_of_the_loads_that_were_used_and_the_others_are_named():
     why = "the standard error of its amplitude is 40%"
     validity = _issued(_loads(), ("", "", "", "", "", "", why))[0].validity
@@ -82,20 +77,16 @@ def test_many_loads_refused_for_one_reason_are_one_reason():
     ],
 )
 def test_loads_that_press_alike_say_nothing_of_the_intercept(strains, fitted, said):
-    (reason,) = _issued(_loads(strains), fitted=fitted)[0].validity.reduced
+    issued, _ = _issued(_loads(strains), fitted=fitted)
+    (reason,) = issued.validity.reduced
     assert reason.startswith(said)
+    assert ("β against stress" in issued.assumed) is not fitted
 
 
 def test_few_places_are_a_reason():
     why = "the load does not stand out of the noise of the readings"
     reasons = _issued(_loads(), ("", "", "", why, why, why, why))[0].validity.reduced
     assert any(reason.startswith("force was learned at only 3 places") for reason in reasons)
-
-
-def test_without_a_model_the_reason_is_in_the_range_too():
-    issued = _issue(sample_run(_loads()), no_force="1 of 7 loads say something; 3 are needed")
-    assert issued.no_force == "1 of 7 loads say something; 3 are needed"
-    assert issued.validity.reduced == ("no force model: 1 of 7 loads say something; 3 are needed",)
 
 
 def test_an_electrode_of_which_no_reading_could_be_used_is_named():

@@ -6,7 +6,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import edited, forged, old_calibration, sample_calibration, sample_force, sparse_calibration
+from calibration_samples import edited, forged, old_calibration, sample_calibration, sample_force
 
 from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
@@ -47,14 +47,6 @@ def test_a_file_of_before_there_were_force_models_is_read_and_written_as_it_was(
     again = tmp_path / "again.h5"
     assert write_calibration(again, old) == old.digest
     assert again.read_bytes() == path.read_bytes()
-
-
-def test_a_calibration_without_a_model_says_why(tmp_path):
-    write_calibration(tmp_path / "x.h5", sparse_calibration())
-    back = read_calibration(tmp_path / "x.h5")
-    assert back.force is None
-    assert back.no_force.startswith("2 of 9 loads")
-    assert verify_calibration_file(tmp_path / "x.h5").schema_version == 2
 
 
 def test_a_version_that_does_not_fit_the_content_is_refused(issued):

@@ -1,7 +1,6 @@
 """Calibrations as JSON: nothing is lost, and nothing unsound is taken."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -99,13 +98,6 @@ def test_what_was_edited_is_refused_by_name(tmp_path, what):
     (tmp_path / "x.json").write_text(json.dumps(document))
     with pytest.raises(CalibrationError, match=said):
         read_json_calibration(tmp_path / "x.json")
-
-
-def test_a_number_that_does_not_exist_is_null():
-    document = json_document(sample_calibration())
-    held = document["datasets"]["baseline_conductance/value"]["values"]
-    assert held == [0.31, None]
-    assert not any(isinstance(v, float) and math.isnan(v) for v in held)
 
 
 def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch):

@@ -1,6 +1,6 @@
 """Dataclasses as entries and back: what names and types say, what is declared, and files of before a field was."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -10,8 +10,8 @@ from calibration_samples import assert_same, sample_calibration, sparse_calibrat
 from cbsr_qa.calibration.file import decode, encode
 from cbsr_qa.calibration.file.content import Reading
 from cbsr_qa.calibration.file.fields import Codec, Entries, problems
-from cbsr_qa.domain import Array, CalibrationError, Kept, kept_fields, tabulated
-from cbsr_qa.domain.results import Calibration, ForceModel
+from cbsr_qa.domain import Array, CalibrationError, Kept, tabulated
+from cbsr_qa.domain.results import Calibration
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,3 @@ def test_every_path_of_the_table_is_in_a_file_and_no_other(make):
     }
     assert leaves - optional <= held
     assert_same(decode(encode(calibration)), calibration, "calibration")
-
-
-def test_force_is_checked_by_limits_of_every_number():
-    limited = {field.name for field in kept_fields(ForceModel) if field.kept.least is not None or field.kept.most}
-    plain = {"lattice", "node", "fits", "loading", "unloading"}  # a group, indices, flags, groups
-    assert {field.name for field in fields(ForceModel)} - limited == plain

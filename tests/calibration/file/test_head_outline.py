@@ -4,16 +4,13 @@ import json
 from dataclasses import replace
 from importlib.resources import files
 
-import numpy as np
 import pytest
 from calibration_samples import assert_same, sample_calibration
 
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
 from cbsr_qa.config import load_sensor_type, load_station
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.simulate import SimulatedSheet
 from cbsr_qa.store.runs import decoded_indenter, encoded
 
 ELL = [[-3.0, -3.0], [5.0, -3.0], [5.0, 0.0], [0.0, 0.0], [0.0, 5.0], [-3.0, 5.0]]
@@ -73,21 +70,3 @@ def test_a_calibration_keeps_the_outline(tmp_path):
     calibration = replace(sample_calibration(), indenter=Indenter.with_outline([(x, y) for x, y in ELL]))
     write_calibration(tmp_path / "sensor.h5", calibration)
     assert_same(read_calibration(tmp_path / "sensor.h5"), stamped(calibration), "calibration")
-
-
-def test_a_simulated_head_of_many_corners_is_the_round_one():
-    disc = load_sensor_type("disc-100mm").value
-
-    def under(head: Indenter) -> SimulatedSheet:
-        return SimulatedSheet(SheetDesign.plain(disc, head), size_mm=6.0, interelectrode_resistance_ohm=1e4)
-
-    sheet = under(Indenter(13.0))
-    place = {(12.0, 7.0): 0.3}
-    angle = 2 * np.pi * np.arange(256) / 256
-    radius = 6.5 * np.sqrt(2 * np.pi / 256 / np.sin(2 * np.pi / 256))  # of the same area
-    corners = Indenter.with_outline(zip(radius * np.cos(angle), radius * np.sin(angle), strict=True))
-    change = sheet.voltages(place) - sheet.unloaded
-    assert under(corners).voltages(place) - sheet.unloaded == pytest.approx(change, abs=1e-3 * np.abs(change).max())
-    long = Indenter.with_outline([(-10, -3.3), (10, -3.3), (10, 3.3), (-10, 3.3)])
-    assert long.area_mm2 == pytest.approx(132, abs=1)
-    assert np.abs(under(long).voltages(place) - sheet.unloaded - change).max() > 0.05 * np.abs(change).max()

@@ -25,12 +25,6 @@ def test_one_exponential_settles_after_tau_times_the_logarithm(amplitude, tau, t
     assert found.band == pytest.approx(tolerance)
 
 
-def test_the_material_file_settles_in_thirty_seconds():
-    # 23.1 s · ln(0.55 / 0.15) = 30 s: the fast part is gone by then.
-    found = settling_time(_fit(1.0, (-0.20, -0.55), (2.5, 23.1)), window_s=60.0)
-    assert found.value_s == pytest.approx(30.0, abs=0.05)
-
-
 def test_the_step_band_is_of_the_relaxing_part():
     found = settling_time(_fit(1.0, (-0.5,), (10.0,)), window_s=60.0, band="step")
     assert found.value_s == pytest.approx(10 * np.log(1 / 0.15))
@@ -42,30 +36,12 @@ def test_unloading_takes_the_band_of_the_loaded_change():
     assert found.value_s == pytest.approx(36.0, abs=0.1)
 
 
-def test_a_sign_change_does_not_hide_the_last_excursion():
-    fit = _fit(1.0, (1.0, -0.8), (3.0, 20.0))
-    found = settling_time(fit, window_s=100.0)
-    time_s = np.linspace(0, 100, 200001)
-    away = np.abs(1.0 * np.exp(-time_s / 3) - 0.8 * np.exp(-time_s / 20))
-    assert found.value_s == pytest.approx(time_s[away > 0.15][-1], abs=1e-3)
-
-
 @pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-9, 1e-6])
 def test_opposite_exponentials_that_are_alike(gap):
     """0.5 e^(−t/τ) whatever way it is shared out, to the rounding of the shares."""
     fit = _fit(1.0, (1.0, -0.5), (20.0, 20.0 * (1 + gap)))
     found = settling_time(fit, window_s=100.0).value_s
     assert found == pytest.approx(20.0 * np.log(0.5 / 0.15), rel=1e-12 + 2 * gap)
-
-
-def test_an_early_excursion_before_a_small_late_one():
-    # The late undershoot stays inside the band; the last exit is on the first, falling branch.
-    fit = _fit(1.0, (1.0, -0.15), (3.0, 20.0))
-    found = settling_time(fit, window_s=100.0)
-    time_s = np.linspace(0, 100, 200001)
-    away = np.abs(np.exp(-time_s / 3) - 0.15 * np.exp(-time_s / 20))
-    assert found.value_s == pytest.approx(time_s[away > 0.15][-1], abs=1e-3)
-    assert found.value_s < 6
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.5, 10), st.floats(1.2, 20))
@@ -86,11 +62,6 @@ def test_a_trace_that_does_not_settle_in_its_window_is_censored():
     assert found.censored
     assert found.value_s == 60.0
     assert "not settled within 60 s" in found.why
-
-
-def test_a_trace_inside_the_band_settles_at_zero():
-    assert settling_time(_fit(1.0, (-0.1,), (30.0,)), window_s=60.0).value_s == 0.0
-    assert settling_time(_fit(1.0), window_s=60.0).value_s == 0.0
 
 
 def test_a_drifting_trace_is_later_than_its_window():
@@ -126,13 +97,13 @@ def test_a_rejected_fit_and_a_missing_band_have_no_number():
     assert "no steady change" in nothing.why
 
 
-def test_impossible_settings_are_refused():
-    with pytest.raises(NumericsError, match="'steady' or 'step'"):
-        settling_time(_fit(1.0), window_s=60.0, band="peak")
-    with pytest.raises(NumericsError, match="positive"):
-        settling_time(_fit(1.0), window_s=0.0)
-    with pytest.raises(NumericsError, match="positive"):
-        settling_time(_fit(1.0), window_s=60.0, tolerance=0.0)
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [({"band": "peak"}, "'steady' or 'step'"), ({"window_s": 0.0}, "positive"), ({"tolerance": 0.0}, "positive")],
+)
+def test_impossible_settings_are_refused(settings, said):
+    with pytest.raises(NumericsError, match=said):
+        settling_time(_fit(1.0), **({"window_s": 60.0} | settings))
 
 
 # --- means with censoring ------------------------------------------------------------------------------------
@@ -149,11 +120,6 @@ def test_times_that_agree_to_a_hundred_millionth_have_their_deviation():
     mean, deviation = restricted_mean([30.0 + 3e-7, 30.0 - 3e-7], [False, False])
     assert mean == pytest.approx(30.0, rel=1e-15)
     assert deviation == pytest.approx(3e-7, rel=1e-7)
-
-
-def test_censored_at_one_window_count_as_the_window():
-    mean, _ = restricted_mean([20.0, 30.0, 60.0, 60.0], [False, False, True, True])
-    assert mean == pytest.approx((20 + 30 + 60 + 60) / 4)
 
 
 def test_kaplan_and_meier_by_hand():

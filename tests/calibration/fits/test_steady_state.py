@@ -270,36 +270,35 @@ def test_where_there_is_no_kernel_nothing_is_predicted(traces, why):
         predict_steady(TIME_S[:3], np.ones(3), 0.1, kernel)
 
 
+_TWO = TIME_S[:2], [1.0, 1.0], 0.1
+
+
 @pytest.mark.parametrize(
-    ("arguments", "options", "said"),
+    ("call", "said"),
     [
-        ((TIME_S[:2], [1.0, np.nan], 0.1, _kernel()), {}, "not a finite number"),
-        ((TIME_S[:2], [1.0, 1.0], 0.0, _kernel()), {}, "not positive"),
-        ((-TIME_S[:2], [1.0, 1.0], 0.1, _kernel()), {}, "no frame"),
-        ((TIME_S[:2], [1.0, 1.0], 0.1, _kernel()), {"released": 1.0}, "kernel of loadings"),
-        ((TIME_S[:2], [1.0, 1.0], 0.1, _kernel(loading=False)), {}, "no released change"),
-        ((TIME_S[:2], [1.0, 1.0], 0.1, _kernel(loading=False)), {"released": np.inf}, "released change or"),
-        ((TIME_S[:2], [1.0, 1.0], 0.1, _kernel()), {"at_s": -1.0}, "no change at -1"),
+        (lambda: predict_steady(TIME_S[:2], [1.0, np.nan], 0.1, _kernel()), "not a finite number"),
+        (lambda: predict_steady(TIME_S[:2], [1.0, 1.0], 0.0, _kernel()), "not positive"),
+        (lambda: predict_steady(-TIME_S[:2], [1.0, 1.0], 0.1, _kernel()), "no frame"),
+        (lambda: predict_steady(*_TWO, _kernel(), released=1.0), "kernel of loadings"),
+        (lambda: predict_steady(*_TWO, _kernel(loading=False)), "no released change"),
+        (lambda: predict_steady(*_TWO, _kernel(loading=False), released=np.inf), "released change or"),
+        (lambda: predict_steady(*_TWO, _kernel(), at_s=-1.0), "no change at -1"),
+        (lambda: learn_kernel([(TIME_S, TIME_S)], ramp_s=[1.0, 2.0]), "2 ramps"),
+        (lambda: learn_kernel([(TIME_S, TIME_S)], ramp_s=np.inf), "no finite number"),
+        (lambda: interval(predict_steady(*_TWO, _kernel()), 1.0), "level"),
+        (lambda: event_rate_per_min(0.0, 0.0), "no event rate"),
+        (lambda: event_rate_per_min(30.0, np.nan), "no event rate"),
+        (lambda: seen_share(np.array([1e-3]), frame_s=2.5), "says nothing about a time constant"),
     ],
 )
-def test_bad_input_is_refused_in_words(arguments, options, said):
+def test_bad_input_is_refused_in_words(call, said):
     with pytest.raises(NumericsError, match=said):
-        predict_steady(*arguments, **options)
-    with pytest.raises(NumericsError, match="2 ramps"):
-        learn_kernel([(TIME_S, TIME_S)], ramp_s=[1.0, 2.0])
-    with pytest.raises(NumericsError, match="no finite number"):
-        learn_kernel([(TIME_S, TIME_S)], ramp_s=np.inf)
-    with pytest.raises(NumericsError, match="level"):
-        interval(predict_steady(TIME_S[:2], [1.0, 1.0], 0.1, _kernel()), 1.0)
+        call()
 
 
 def test_the_event_rate_follows_from_the_settling_times():
     assert event_rate_per_min(30.0, 36.0, ramp_s=1.2) == pytest.approx(60 / (45 + 54 + 2.4))
     assert event_rate_per_min(30.0, 36.0, held=0.3, rested=0.3) == pytest.approx(60 / (9 + 10.8))
-    with pytest.raises(NumericsError, match="no event rate"):
-        event_rate_per_min(0.0, 0.0)
-    with pytest.raises(NumericsError, match="no event rate"):
-        event_rate_per_min(30.0, np.nan)
 
 
 def test_the_snippet_of_the_page_holds():
@@ -319,8 +318,3 @@ def test_short_ramps_and_frames_lose_no_digits(share):
         slopes = [(mpmath.exp(-exact) * (1 + exact) - 1) / -mpmath.expm1(-exact), exact * mpmath.coth(exact) - 1]
     np.testing.assert_allclose([ramp[0][0], frame[0][0]], np.array(values, dtype=float), rtol=1e-15)
     np.testing.assert_allclose([ramp[1][0], frame[1][0]], np.array(slopes, dtype=float), rtol=1e-14)
-
-
-def test_a_frame_of_a_thousand_time_constants_is_refused():
-    with pytest.raises(NumericsError, match="says nothing about a time constant"):
-        seen_share(np.array([1e-3]), frame_s=2.5)

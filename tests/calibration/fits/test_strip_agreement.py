@@ -146,17 +146,6 @@ def test_a_sheet_that_relaxes_otherwise_is_different(strip):
     assert unloading.found.shape_difference < -0.1
 
 
-@pytest.mark.rest
-def test_noise_is_no_proof_of_equivalence(strip):
-    noisy = observed(replace(MATERIAL, strip_relaxation=strip), noise=12 * MATERIAL.relative_noise.value)
-    for one in sheet_against_strip(noisy):
-        assert one.found.shape is not Agreement.EQUIVALENT
-        assert one.found.time is not Agreement.EQUIVALENT
-    vague = replace(strip.loading, covariance=tuple(tuple(100 * c for c in row) for row in strip.loading.covariance))
-    found = compare_relaxations(KernelCurve.of_press(vague), KernelCurve.of_press(strip.loading))
-    assert found.shape is found.time is Agreement.UNDECIDED
-
-
 @pytest.mark.parametrize(
     ("missing", "why"),
     [

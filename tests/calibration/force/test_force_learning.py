@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
+from cbsr_qa.calibration.force.templates import _pressed, _templates, template_bank
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.calibration.sheet import learn_response
 from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Parameter
 
 PLACES = 39  # nine locations and thirty more
@@ -33,6 +34,11 @@ def trial(seed, response, result, *, count=60, truth=None):
     inverse = ForceInverse(result.model, result.line, HEAD.area_mm2, map_tables(result.model))
     found, stderr = inverse.force(matches)
     return force, found, stderr
+
+
+def _somewhere_pressed(seed, count=40):
+    random = np.random.default_rng([seed, 3])
+    return somewhere(random, count), random.uniform(1.5, 5.0, count)
 
 
 @pytest.mark.rest
@@ -60,29 +66,6 @@ def test_the_map_is_the_response():
     error = np.exp(mean) / response(places) - 1
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert np.mean((mean - np.log(response(places))) ** 2 / variance) < 2.5
-
-
-def test_few_places_give_wide_intervals():
-    _, many = calibrated(22)
-    _, few = calibrated(22, count=9)
-    centre = np.zeros((1, 2))
-    assert few.response.predict(centre)[1] > 2 * many.response.predict(centre)[1]
-
-
-def test_far_from_all_loads_the_map_goes_back_to_the_mean():
-    random = np.random.default_rng(5)
-    places = somewhere(random, 25, 15.0) + np.array([-20.0, 0.0])
-    values = 0.1 * np.sin(places[:, 0] / 4) + 0.3
-    found = learn_response(places, values, np.full(25, 1e-4), radius_mm=50.0)
-    mean, variance = found.predict(np.array([[400.0, 0.0], [-20.0, 0.0]]))
-    assert mean[0] == pytest.approx(values.mean(), abs=0.1)
-    assert variance[0] > 5 * variance[1]
-
-
-def test_an_even_sheet_has_an_even_map():
-    result = learned(pressed(np.random.default_rng(6), lambda p: np.full(len(p), 0.8), *_somewhere_pressed(6)))
-    inside = result.model.fits
-    assert np.exp(result.model.log_response[inside]) == pytest.approx(0.8, rel=0.02)
 
 
 def test_a_wrong_intercept_is_mended_where_loads_differ():
@@ -169,6 +152,27 @@ def test_residues_of_earlier_loads_are_taken_out_as_far_as_they_are_known():
     assert (corrected.ratio_stderr > clean.ratio_stderr).all()
 
 
-def _somewhere_pressed(seed, count=40):
-    random = np.random.default_rng([seed, 3])
-    return somewhere(random, count), random.uniform(1.5, 5.0, count)
+# --- the bank of templates ---
+
+
+def test_slopes_are_those_of_the_templates():
+    here = setting()
+    place, step = np.array([[21.0, -13.0]]), 0.01
+
+    def at(place_mm):
+        return _templates(here.readings, next(_pressed(here.model, place_mm, HEAD)))
+
+    *_, slopes = at(place)
+    for axis, products in ((0, (0, 2)), (1, (1, 4))):
+        move = np.zeros((1, 2))
+        move[0, axis] = step
+        ahead, behind = at(place + move), at(place - move)
+        turn, growth = ((after - before)[0] / (2 * step) for after, before in zip(ahead[:2], behind[:2], strict=True))
+        assert slopes[0, products[0]] == pytest.approx(growth, rel=1e-4)
+        assert slopes[0, products[1]] == pytest.approx(turn @ turn, rel=1e-3)
+
+
+def test_a_head_larger_than_the_sheet_is_refused():
+    here = setting()
+    with pytest.raises(CalibrationError, match="fits nowhere on the sheet"):
+        template_bank(here.model, here.readings, Indenter(99.0))

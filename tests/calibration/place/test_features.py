@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet
+from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, readings, round_sensor
 
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
@@ -46,8 +46,6 @@ def test_one_polarity_is_enough():
 
 
 def test_readings_turn_as_the_sheet_does():
-    from pressed_sheets import readings, round_sensor
-
     pairs, angle = opposite_pairs(), 2 * np.pi * 3 / 16
     place = np.array([[20.0, 7.0]])
     for mirrored in (False, True):

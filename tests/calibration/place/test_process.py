@@ -1,13 +1,13 @@
-"""The Gaussian process from features to places."""
+"""The Gaussian process from features to places, and templates of presses without some of them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_sheets import adjacent_pairs
+from pressed_sheets import adjacent_pairs, pressed_sheet
 from scipy.optimize import check_grad
 
-from cbsr_qa.calibration.place.features import pattern_turns
+from cbsr_qa.calibration.place.features import features_of, pattern_turns
 from cbsr_qa.calibration.place.process import (
     _AT_ONCE,
     _Likelihood,
@@ -17,6 +17,8 @@ from cbsr_qa.calibration.place.process import (
     likely_scales,
     located,
 )
+from cbsr_qa.calibration.place.templates import NO_PRESS, TemplateLearning
+from cbsr_qa.domain.results import FeatureScaling
 
 TURNS = pattern_turns(adjacent_pairs(8), 8)
 
@@ -83,3 +85,18 @@ def test_the_turning_part_turns_places_with_readings(presses, scales):
 def test_a_hyperparameter_at_the_edge_of_its_range_is_named(presses, scales):
     assert at_edges(scales, TURNS, *presses) == []
     assert at_edges(replace(scales, noise_variance=1e8), TURNS, *presses) == ["noise"]
+
+
+@pytest.mark.parametrize("without_these", [[3], [0, 7, 8, 39], range(20)])
+def test_templates_without_presses_are_those_of_the_others(without_these):
+    sheet = pressed_sheet(40, seed=3, noise=0.05)
+    turns = pattern_turns(sheet.pairs, 16)
+    features = features_of(sheet.changes, FeatureScaling(0.7, 0.5, np.full(len(sheet.pairs), np.inf)))
+    others = np.setdiff1d(np.arange(40), without_these)
+    of_all = TemplateLearning(turns, features, sheet.places_mm, 50.0)
+    of_others = TemplateLearning(turns, features[others], sheet.places_mm[others], 50.0)
+    without, alone = of_all.without(np.array(without_these)), of_others.without(NO_PRESS)
+    np.testing.assert_allclose(without.uncertainty, alone.uncertainty, rtol=0, atol=1e-9)
+    for name in ("whitening", "templates"):
+        expected = getattr(alone, name)
+        np.testing.assert_allclose(getattr(without, name), expected, rtol=5e-7, atol=5e-9 * np.abs(expected).max())

@@ -1,10 +1,14 @@
 """Registration finds the pose that presses were labelled with, and refuses what does not determine it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_sensor, some
 
+from cbsr_qa.calibration.presses.ascent import ascended
 from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
+from cbsr_qa.calibration.presses.likeness import Likeness
 from cbsr_qa.calibration.presses.registration import register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.config import load_sensor_type
@@ -23,8 +27,7 @@ def registered(pressed, *, stated=True, radius_mm=None):
 @pytest.mark.parametrize(("pairs", "sign"), [(opposite_pairs(), 1), (adjacent_pairs(), -1)])
 def test_the_pose_that_presses_were_labelled_with_is_found(mirrored, pairs, sign):
     pressed = pressed_sheet(60, pairs=pairs, mirrored=mirrored, rotation_deg=-140.0, scale=1.04)
-    changes = sign * pressed.changes
-    found = register_presses(ModelledSheet(pressed.sensor), pairs, changes, pressed.labels_mm, radius_stated=True)
+    found = registered(replace(pressed, changes=sign * pressed.changes))
     pose = found.registration
     assert (pose.mirrored, found.sign, pose.trusted) == (mirrored, sign, True)
     assert pose.rotation_deg == pytest.approx(-140, abs=1.5)
@@ -61,9 +64,7 @@ def test_a_rectifying_front_end_and_spikes_do_not_turn_the_sheet():
     changes, random = pressed.changes.copy(), np.random.default_rng(0)
     for press in random.choice(40, 4, replace=False):
         changes[press, random.integers(changes.shape[1])] += 100 * np.median(np.abs(changes[press]))
-    found = register_presses(
-        ModelledSheet(pressed.sensor), pressed.pairs, changes, pressed.labels_mm, radius_stated=True
-    )
+    found = registered(replace(pressed, changes=changes))
     assert "rectify" in found.findings[0]
     assert found.registration.mirrored
     assert found.registration.rotation_deg == pytest.approx(70, abs=3)
@@ -110,32 +111,27 @@ _LINE = np.column_stack([np.linspace(-40, 40, 9), np.linspace(-20, 20, 9)])
     ],
 )
 def test_places_that_do_not_determine_a_pose_are_refused(places, why):
-    pressed = pressed_sheet(9)
-    sheet = ModelledSheet(pressed.sensor)
     with pytest.raises(NumericsError, match=why):
-        register_presses(sheet, pressed.pairs, pressed.changes, places, radius_stated=True)
+        registered(replace(pressed_sheet(9), labels_mm=places))
 
 
 def test_readings_that_have_nothing_to_do_with_the_places_are_not_trusted():
     pressed = pressed_sheet(30)
-    order = np.random.default_rng(1).permutation(30)
-    shuffled = register_presses(
-        ModelledSheet(pressed.sensor), pressed.pairs, pressed.changes[order], pressed.labels_mm, radius_stated=True
-    )
+    shuffled = registered(replace(pressed, changes=np.random.default_rng(1).permutation(pressed.changes)))
     assert not shuffled.registration.trusted
     assert "explains" in shuffled.registration.why
 
 
 @pytest.mark.parametrize("radius_stated", [True, pytest.param(False, marks=pytest.mark.rest)])
 def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, radius_stated):
-    plain, sheet = skins("no_pattern"), ModelledSheet(round_sensor())
-    whole = register_presses(sheet, plain.pairs, plain.changes, plain.labels_mm, radius_stated=radius_stated)
+    plain = skins("no_pattern")
+    whole = registered(plain, stated=radius_stated)
     assert "rectify" in whole.findings[0]
     on_sheet = 40 * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
     apart = []
     for seed in range(10):
         nine = some(plain, np.random.default_rng(seed).choice(len(plain.labels_mm), 9, replace=False))
-        found = register_presses(sheet, nine.pairs, nine.changes, nine.labels_mm, radius_stated=radius_stated)
+        found = registered(nine, stated=radius_stated)
         assert found.registration.trusted
         assert found.registration.mirrored
         places = [
@@ -172,8 +168,7 @@ def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
     pressed = pressed_sheet(40, noise=0.1)
     shifted = pressed.pairs.copy()
     shifted[:, 2:] = (shifted[:, 2:] - 3) % 16
-    sheet = ModelledSheet(pressed.sensor)
-    order = find_electrode_order(sheet, shifted, pressed.changes, pressed.labels_mm, radius_stated=True)
+    order = ordered(replace(pressed, pairs=shifted))
     assert "numbered from electrode 3 of the driving ones" in order.findings[0]
     np.testing.assert_array_equal(order.pairs, pressed.pairs)
 
@@ -189,3 +184,37 @@ def test_electrodes_numbered_the_other_way_round_are_a_mirrored_sheet():
     order = ordered(pressed_sheet(40, wired=-np.arange(16) % 16))
     assert order.registered.registration.mirrored
     assert not order.findings
+
+
+# --- its search: Newton's steps ---
+
+
+def test_slopes_and_bends_of_likelihoods_are_those_of_differences():
+    pressed = pressed_sheet(6, noise=0.3)
+    likeness = Likeness(ModelledSheet(pressed.sensor), pressed.pairs, pressed.changes)
+    places = np.random.default_rng(2).uniform(-1, 1, (40, 6, 2))  # some of them at the rim and beyond the sheet
+    _, *slopes, xx, xy, yy = likeness.at(places)
+    step = 1e-5
+    for slope, bends, along in zip(slopes, [(xx, xy), (xy, yy)], step * np.eye(2), strict=True):
+        change = (likeness.at(places + along) - likeness.at(places - along)) / (2 * step)
+        np.testing.assert_allclose(slope, change[0], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(bends, change[1:3], rtol=1e-4, atol=1e-3)
+    assert np.abs(slopes).max() > 1
+
+
+def test_an_ascent_ends_at_the_nearest_maximum_and_leaves_saddles():
+    def jet(at, which):
+        """cos x cos y, stretched for every start: maxima where x and y are both multiples of π with an even sum."""
+        scale = stretched[which]
+        (x, y), one = at.T * scale, np.ones(len(at))
+        value, mixed = np.cos(x) * np.cos(y), np.sin(x) * np.sin(y)
+        slope = -np.stack([np.sin(x) * np.cos(y), np.cos(x) * np.sin(y)], axis=-1)
+        bend = np.stack([np.stack([-value, mixed], -1), np.stack([mixed, -value * one], -1)], axis=-2)
+        return value, slope * scale[:, None], bend * scale[:, None, None] ** 2
+
+    stretched = np.array([1.0, 1.0, 2.0, 1.0])
+    starts = np.array([[0.5, -0.7], [2.9, 3.6], [0.3, 0.2], [np.pi / 2 + 0.01, np.pi / 2 + 0.01]])
+    at, value = ascended(jet, starts)
+    np.testing.assert_allclose(value, 1, atol=1e-12)
+    np.testing.assert_allclose(at[:3], [[0, 0], [np.pi, np.pi], [0, 0]], atol=1e-6)
+    np.testing.assert_allclose(np.abs(at[3] - np.pi / 2), np.pi / 2, atol=1e-6)

@@ -60,23 +60,28 @@ def test_clean_frames_have_none_of_the_faults(calibration, pressed):
         assert not any(each.flags & NAMES for each in calibration.forces(seen[:20]))
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
-def test_a_dead_drive_is_named_and_its_column_replaces_its_row(calibration, pressed, share):
-    faulty, dead = pressed[2].copy(), np.arange(COUNT) % 16
-    faulty[np.arange(COUNT), dead] *= share
-    faulty[np.arange(COUNT), dead, dead] *= -1  # its own reading is wrapped
-    located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
+def _weak_drive(share):
+    def spoil(frames):
+        dead = np.arange(COUNT) % 16
+        frames[np.arange(COUNT), dead] *= share
+        frames[np.arange(COUNT), dead, dead] *= -1  # its own reading is wrapped
+
+    return spoil
 
 
-def test_a_pair_that_hardly_measures_is_named_too(calibration, pressed):
+def _weak_pair(frames):
+    frames[:, :, 9] *= 0.2
+
+
+def _two_weak_drives(frames):
+    frames[:, [3, 7]] *= 0.2
+
+
+@pytest.mark.parametrize("spoil", [*map(_weak_drive, (0.05, 0.2, 0.3)), _weak_pair, _two_weak_drives])
+def test_pairs_that_hardly_drive_or_measure_are_named_and_no_sound_ones(calibration, pressed, spoil):
+    """A drive's column replaces its row."""
     faulty = pressed[2].copy()
-    faulty[:, :, 9] *= 0.2
-    located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
-
-
-def test_two_dead_drives_take_no_sound_pair_with_them(calibration, pressed):
-    faulty = pressed[2].copy()
-    faulty[:, [3, 7]] *= 0.2
+    spoil(faulty)
     located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
 
 
@@ -161,3 +166,44 @@ def test_a_stream_goes_on_through_faults(calibration):
         10: Flag.OFFSET,
         **dict.fromkeys(range(20, 30), Flag.DEAD_PAIR),
     }
+
+
+# --- spikes: one reading far from its reciprocal ---
+
+PLACES = np.array([(0.0, 0.0), (5.0, 7.0), (-20.3, 10.1), (25.0, -12.4), (-3.3, -31.0), (17.0, 30.5)])
+FORCES = np.array([1.2, 2.0, 3.0, 4.5, 5.4, 1.9])
+
+
+@pytest.mark.parametrize("size", [-1000.0, -0.01, 0.01, 0.3, 1e4])
+def test_a_spike_is_flagged_and_does_not_move_the_force(calibration, size):
+    clean = frames(PLACES, FORCES)
+    alone = calibration.force(clean)
+    spiked, random = clean.copy(), np.random.default_rng(3)
+    readings = np.argwhere(calibration.issued.reconstruction.problem.used)[random.choice(208, len(PLACES))]
+    for frame, (drive, measure) in enumerate(readings):
+        spiked[frame, drive, measure] += size
+    for found in (calibration.force(spiked), calibration.force(spiked, place_mm=PLACES)):
+        assert (found.flags & Flag.SPIKE != 0).all()
+        assert not (found.flags & (Flag.MORE_THAN_ONE | Flag.OTHER_SENSOR)).any()
+    found = calibration.force(spiked)
+    # One of 104 rows counts a single reading twice: less than a tenth of the errors that were there.
+    assert np.abs(found.force_N - alone.force_N) == pytest.approx(0, abs=0.5 * alone.stderr_N.max())
+    assert np.hypot(*(found.place_mm - PLACES).T).max() < 5 * alone.place_stderr_mm.max()
+    assert all(
+        several.flags & Flag.SPIKE and len(several.loads.force_N) == 1 for several in calibration.forces(spiked)
+    )
+
+
+@pytest.mark.parametrize("noise", [1.0, 5.0])
+def test_no_clean_frame_has_a_spike(calibration, noise):
+    places = np.repeat(PLACES, 200, axis=0)
+    found = calibration.force(frames(places, np.repeat(FORCES, 200), noise * NOISE_V))
+    assert not (found.flags & Flag.SPIKE).any()
+
+
+def test_a_whole_row_that_jumps_is_no_spike_but_no_load_either(calibration):
+    jumped = frames(PLACES, FORCES)
+    jumped[:, 4] += 0.3
+    flags = calibration.force(jumped).flags
+    assert not (flags & Flag.SPIKE).any()
+    assert (flags & (Flag.MORE_THAN_ONE | Flag.OTHER_SENSOR) != 0).all()

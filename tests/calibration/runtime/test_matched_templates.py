@@ -7,7 +7,6 @@ from force_samples import HEAD, setting, somewhere
 from cbsr_qa.calibration.force import CONTRAST, unlearned_model
 from cbsr_qa.calibration.runtime.interpolation import interpolated
 from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
-from cbsr_qa.domain import as_filed
 from cbsr_qa.domain.run import Indenter
 
 
@@ -69,19 +68,6 @@ class TestSearch:
         places = somewhere(np.random.default_rng(5), 400, radius_mm)
         found = finder.search(setting().rows(places, np.full(400, CONTRAST)))
         assert np.sqrt(np.mean((found.place_mm - places) ** 2)) < rms_mm
-
-    @pytest.mark.parametrize(("diameter_mm", "error"), [(13.0, 3e-4), (10.0, 2e-3), (18.0, 2e-3)])
-    def test_steps_of_a_file_cost_a_fifth_of_what_interpolation_does(self, model, diameter_mm, error):
-        places = somewhere(np.random.default_rng(9), 400, 36.0)
-        size = Indenter(diameter_mm).squared_radius_mm2 / HEAD.squared_radius_mm2
-        exact, filed = (TemplateFilter(one, size=size) for one in (model, as_filed(model)))
-        rows = exact.template(places)
-        one, other = exact.search(rows), filed.search(rows)
-        change = other.strength / one.strength - 1
-        assert np.abs(change).max() < error
-        assert np.sqrt(np.mean(change**2)) < 0.2 * np.sqrt(np.mean((one.strength - 1) ** 2))
-        moved = np.sqrt(np.mean((other.place_mm - one.place_mm) ** 2))
-        assert moved < 0.2 * np.sqrt(np.mean((one.place_mm - places) ** 2))
 
     def test_scatter_is_what_the_information_allows(self, finder):
         random = np.random.default_rng(6)

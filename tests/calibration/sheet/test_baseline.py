@@ -37,13 +37,6 @@ def test_a_load_gives_change_over_predicted_change():
     assert found.value == pytest.approx(0.03 / predicted, rel=1e-12)
 
 
-def test_the_noise_floor_is_not_subtracted_from_the_change():
-    load = sample_load(change=0.03)
-    assert load.masks[1].sensed.image.values[0] == pytest.approx(0.025)
-    found = load_baseline(load, STRESS, QUIET, 0.85)
-    assert found.value * predicted_change(STRESS, load.stress_kPa)[0] == pytest.approx(0.03)
-
-
 def test_a_material_that_conducts_less_under_load_gives_the_same():
     noise = 1e-3 * np.random.default_rng(2).standard_normal((8, 180))
     rising = load_baseline(sample_load(), STRESS, noise, 0.85)
@@ -51,26 +44,6 @@ def test_a_material_that_conducts_less_under_load_gives_the_same():
     assert falling == rising
     assert rising.value > 0
     assert rising.stderr > 0
-
-
-@pytest.mark.parametrize(
-    ("response", "fit", "said"),
-    [
-        (Response.DECREASE, STRESS, "conduct more; the response of this run is that they do less"),
-        (Response.INCREASE, _mirrored(STRESS), "conduct less; the response of this run is that they do more"),
-    ],
-)
-def test_a_fit_that_contradicts_the_response_is_named_as_such(response, fit, said):
-    found = load_baseline(sample_load(response=response), fit, QUIET, 0.85)
-    assert found.value is found.stderr is None
-    assert said in found.why
-
-
-def test_a_falling_fit_is_held_against_its_error_like_a_rising_one():
-    weak = _mirrored(_material(0.0, 0.0))
-    at = {force_N: sample_load(force_N=force_N, response=Response.DECREASE) for force_N in (0.7, 1.0)}
-    assert "not clear of zero" in load_baseline(at[0.7], weak, QUIET, 0.85).why  # 5.3 kPa: α σ = −0.024 ± 0.010
-    assert load_baseline(at[1.0], weak, QUIET, 0.85).value is not None
 
 
 def test_the_change_is_averaged_by_area():
@@ -91,25 +64,23 @@ def test_the_error_is_that_of_image_noise_and_force():
 
 
 @pytest.mark.parametrize(
-    ("load", "said"),
+    ("load", "fit", "said"),
     [
-        (sample_load(blob_mm=None), "no blob"),
-        (sample_load(force_N=None), "no force"),
-        (sample_load(force_N=0.0), "not clear of zero"),
-        (sample_load(change=-0.03), "sign"),
+        ({"blob_mm": None}, STRESS, "no blob"),
+        ({"force_N": None}, STRESS, "no force"),
+        ({"force_N": 0.0}, STRESS, "not clear of zero"),
+        ({"change": -0.03}, STRESS, "sign"),
+        ({"force_N": 0.7}, _material(0.0, 0.0), "not clear of zero"),  # 5.3 kPa: α σ = 0.024 ± 0.010
+        ({"force_N": 1.0}, _material(-0.033, 0.0), "not clear of zero"),
+        ({"response": Response.DECREASE}, STRESS, "conduct more; the response of this run is that they do less"),
+        ({}, _mirrored(STRESS), "conduct less; the response of this run is that they do more"),
     ],
 )
-def test_loads_that_say_nothing_are_left_out_with_the_reason(load, said):
-    found = load_baseline(load, STRESS, QUIET, 0.85)
+def test_loads_that_say_nothing_are_left_out_with_the_reason(load, fit, said):
+    found = load_baseline(sample_load(**load), fit, QUIET, 0.85)
     assert found.value is found.stderr is None
     assert said in found.why
-
-
-def test_a_predicted_change_within_three_standard_errors_of_zero_is_left_out():
-    load = sample_load(force_N=0.7)  # 5.3 kPa: α σ = 0.024 ± 0.010
-    assert "not clear of zero" in load_baseline(load, _material(0.0, 0.0), QUIET, 0.85).why
     assert load_baseline(sample_load(force_N=1.0), _material(0.0, 0.0), QUIET, 0.85).value is not None
-    assert "not clear of zero" in load_baseline(sample_load(force_N=1.0), _material(-0.033, 0.0), QUIET, 0.85).why
 
 
 def test_slope_and_intercept_that_err_together_err_less():

@@ -15,7 +15,6 @@ from cbsr_qa.calibration.strip.lines import (
     lowest_clear_strain,
     strain_levels,
 )
-from cbsr_qa.config import load_material
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import CharacterisationSettings, CycleChange
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
@@ -247,11 +246,3 @@ def test_the_line_reproduces_the_certified_values_of_norris():
     assert fit.slope == pytest.approx(1.00211681802045, rel=1e-12)
     assert fit.intercept == pytest.approx(-0.262323073774029, rel=1e-10)
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([0.429796848199937e-3, 0.232818234301152], rel=1e-9)
-
-
-@pytest.mark.rest
-def test_the_quieter_material_is_characterised_alike():
-    truth = Truth(load_material("cbsr-9wt").value)
-    one = characterised(truth, count=3, noise=2.02e-4, seed=7)
-    assert one.local_against_strain.line.slope.value == pytest.approx(0.2, rel=0.03)
-    assert one.modulus_kPa.value == pytest.approx(98.1, rel=1e-3)

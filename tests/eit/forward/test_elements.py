@@ -84,39 +84,37 @@ def test_sides_of_a_straight_electrode_have_their_exact_masses():
     assert np.allclose(masses, np.array([[4, -1, 2], [-1, 4, 2], [2, 2, 16]]) / 30, atol=1e-15)
 
 
-def test_orders_that_are_not_there_are_refused():
-    with pytest.raises(NumericsError, match="order is 3; allowed: 1 and 2"):
-        FiniteElements(square_mesh(1), 3)
+SQUARE = square_mesh(2)
+FLAT = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
+BELOW = CircleArcs(np.array([[0, 1]]), (0.0, -0.1), float(np.hypot(1, 0.1)))
 
 
-def test_an_arc_that_folds_an_element_is_refused():
-    nodes = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, 0.5]])
-    arcs = CircleArcs(np.array([[0, 1]]), (0.0, -0.1), float(np.hypot(1, 0.1)))
-    mesh = Mesh(nodes, np.array([[0, 1, 2]]), arcs=(arcs,))
-    with pytest.raises(NumericsError, match=r"bends element 0 .* inside out"):
-        _ = FiniteElements(mesh, 2).stiffness
+def carrying(*electrodes) -> FiniteElements:
+    return FiniteElements(Mesh(SQUARE.nodes_mm, SQUARE.elements, electrodes), 2)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: FiniteElements(SQUARE, 3), "order is 3; allowed: 1 and 2"),
+        (
+            lambda: FiniteElements(Mesh(FLAT, np.array([[0, 1, 2]]), arcs=(BELOW,)), 2).stiffness,
+            r"bends element 0 .* inside out",
+        ),
+        (lambda: edge_contacts(carrying()), "carries 0 electrodes"),
+        (lambda: edge_contacts(carrying(np.zeros((0, 2), dtype=np.int64))), "edges to electrode 0"),
+        (lambda: edge_contacts(carrying(np.array([[0, 8]]))), "nodes 0 and 8 .* by no element"),
+        (lambda: point_contacts(carrying(), np.array([0, 9])), "nodes from 0 to 8"),
+        (lambda: point_contacts(carrying(), np.array([], dtype=np.int64)), "nodes from"),
+        (lambda: point_contacts(carrying(), np.array([1, 1])), "same node"),
+    ],
+)
+def test_what_is_no_element_and_no_electrode_is_refused(call, said):
+    with pytest.raises(NumericsError, match=said):
+        call()
 
 
 def test_arcs_off_their_circle_are_refused():
     mesh = disc_mesh(2.0)
     with pytest.raises(RefusedError, match=r"radius 1\.9 mm joins nodes that are not on its circle"):
         Mesh(mesh.nodes_mm, mesh.elements, arcs=(CircleArcs(mesh.outline, (0.0, 0.0), 1.9),))
-
-
-def test_electrodes_beside_the_mesh_are_refused():
-    mesh = square_mesh(2)
-    for electrodes, reason in (
-        ((), "carries 0 electrodes"),
-        ((np.zeros((0, 2), dtype=np.int64),), "edges to electrode 0"),
-        ((np.array([[0, 8]]),), "nodes 0 and 8 .* by no element"),
-    ):
-        with pytest.raises(NumericsError, match=reason):
-            edge_contacts(FiniteElements(Mesh(mesh.nodes_mm, mesh.elements, electrodes), 2))
-
-
-@pytest.mark.parametrize(
-    ("nodes", "reason"), [([0, 9], "nodes from 0 to 8"), ([], "nodes from"), ([1, 1], "same node")]
-)
-def test_points_that_cannot_be_electrodes_are_refused(nodes, reason):
-    with pytest.raises(NumericsError, match=reason):
-        point_contacts(FiniteElements(square_mesh(2)), np.array(nodes, dtype=np.int64))

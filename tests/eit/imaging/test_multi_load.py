@@ -14,9 +14,8 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.imaging.blobs import component_labels, find_blobs, groups
-from cbsr_qa.eit.imaging.contours import contour_regions
-from cbsr_qa.eit.imaging.multi_load import assign_regions, loads_change, split_blobs, two_touch_resolution
+from cbsr_qa.eit.imaging.blobs import find_blobs
+from cbsr_qa.eit.imaging.multi_load import assign_regions, split_blobs, two_touch_resolution
 from cbsr_qa.eit.inverse import imaging_problem
 
 PLACES = st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), max_size=4)
@@ -84,26 +83,6 @@ def test_beyond_the_gate_a_load_is_missed_and_the_region_false():
     assert not found.apart
 
 
-def test_nothing_pressed_and_nothing_seen():
-    assert assign_regions([], [], gate_mm=13.0).apart
-    assert assign_regions([_disc(0, 0)], [], gate_mm=13.0).false == (0,)
-    assert assign_regions([], [_load(0, 0)], gate_mm=13.0).missed == (0,)
-
-
-@pytest.mark.parametrize("gate", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_gate_that_is_none_is_refused(gate):
-    with pytest.raises(NumericsError, match="gate"):
-        assign_regions([], [], gate_mm=gate)
-
-
-def test_components_are_numbered_by_their_lowest_vertex_and_grouped_in_order():
-    label = component_labels(7, np.array([[5, 1], [4, 2], [2, 6]]))
-    assert label.tolist() == [0, 1, 2, 3, 2, 1, 2]
-    assert {number: where.tolist() for number, where in groups(label).items()} == {
-        0: [0], 1: [1, 5], 2: [2, 4, 6], 3: [3]
-    }  # fmt: skip
-
-
 # --- parting what touches -----------------------------------------------------------------------------------------
 
 
@@ -151,12 +130,6 @@ def test_blobs_apart_stay_as_they_were_heaviest_first():
     assert len(blobs) == 2
     assert split_blobs(blobs[::-1], 0.1) == blobs
     assert split_blobs((), 0.1) == ()
-
-
-@pytest.mark.parametrize("prominence", [0.0, 1.0, -0.1, float("nan")])
-def test_an_impossible_prominence_is_refused(prominence):
-    with pytest.raises(NumericsError, match="prominence"):
-        split_blobs((), prominence)
 
 
 # --- two-touch resolution -----------------------------------------------------------------------------------------
@@ -217,19 +190,20 @@ def test_a_watershed_parts_what_the_mask_does_not(blurring):
     assert parted.separation_mm < contour.separation_mm
 
 
-def test_readings_of_several_loads_are_their_sum(blurring):
-    problem = blurring(5.0).problem
-    one, other = _load(-12, 3), _load(9, 0)
-    both = loads_change(problem, [one, other])
-    assert both == pytest.approx(loads_change(problem, [one]) + loads_change(problem, [other]))
-
-
-@pytest.mark.parametrize("wrong", [{"step_mm": 0.0}, {"furthest_mm": 12.0}, {"step_mm": float("nan")}])
-def test_distances_that_cannot_be_tried_are_refused(blurring, wrong):
-    with pytest.raises(NumericsError, match="apart"):
-        two_touch_resolution(blurring(5.0), Indenter(13.0), **wrong)
-
-
-def test_contours_and_masks_agree_on_two_loads():
-    image = _two_bumps(24.0)
-    assert len(contour_regions(image, 0.5)) == len(find_blobs(image, image.values > 0.5)) == 2
+@pytest.mark.parametrize(
+    ("call", "wrong", "said"),
+    [
+        *(
+            (lambda _, gate: assign_regions([], [], gate_mm=gate), gate, "gate")
+            for gate in (0.0, -1.0, np.nan, np.inf)
+        ),
+        *((lambda _, least: split_blobs((), least), least, "prominence") for least in (0.0, 1.0, -0.1, np.nan)),
+        *(
+            (lambda method, options: two_touch_resolution(method, Indenter(13.0), **options), options, "apart")
+            for options in ({"step_mm": 0.0}, {"furthest_mm": 12.0}, {"step_mm": np.nan})
+        ),
+    ],
+)
+def test_gates_prominences_and_distances_that_are_none_are_refused(blurring, call, wrong, said):
+    with pytest.raises(NumericsError, match=said):
+        call(blurring(5.0), wrong)

@@ -54,10 +54,6 @@ def test_sensitivities_within_a_group_are_equal(problems, name):
     assert np.abs(jacobian - fold.sign[:, None] * jacobian[fold.first][fold.group]).max() < 1e-9 * jacobian.max()
 
 
-def test_adjacent_folds_to_half(problems):
-    assert len(ReadingFold.of(problems["adjacent"]).first) == 104
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_means_weigh_by_information(problems, name):
     """Folding readings, then taking the matrix of the means, is taking the matrix of all."""

@@ -3,7 +3,7 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.inverse.dual import dual_matrix
@@ -59,52 +59,6 @@ def test_nine_places_are_found_at_60_dB(problem):
     assert np.max(errors[0.5]) < 3.6
 
 
-def test_masked_electrodes_are_left_out_and_still_give_an_image(pin_sensor):
-    sensor = pin_sensor()
-    dead = (3, 4, 9)
-    touches = np.array(
-        [[set(d) & set(dead) or set(m) & set(dead) for m in sensor.pattern.measure] for d in sensor.pattern.drive],
-        dtype=bool,
-    )
-    used = sensor.pattern.usable() & ~touches
-    problem = imaging_problem(sensor, used=used)
-    assert problem.jacobian.shape[0] == used.sum() < 130
-    full = imaging_problem(sensor)
-    rows = used[full.used]
-    assert np.array_equal(problem.jacobian, full.jacobian[rows])
-    prepared = GaussNewtonNoser(exponent=0.25).prepare(problem)
-    signal = target_signal(problem, x_mm=-15, y_mm=-15, radius_mm=6.5, contrast=0.3)
-    assert np.hypot(*(brightest_centre(problem, prepared.images(signal[None])[0]) + 15)) < 3.0
-
-
-def test_noisy_channels_weigh_less(problem):
-    variance = np.ones(problem.used.shape)
-    variance[5] = 1e6
-    noisy = imaging_problem(problem.sensor_type, noise_variance=variance)
-    plain = GaussNewtonNoser(hyperparameter=0.05).prepare(problem).matrix
-    weighted = GaussNewtonNoser(hyperparameter=0.05).prepare(noisy).matrix
-    of_drive = np.argwhere(problem.used)[:, 0] == 5
-    assert np.abs(weighted[:, of_drive]).max() < 1e-3 * np.abs(plain[:, of_drive]).max()
-
-
-def test_chosen_noise_figure_is_recorded(problem):
-    prepared = GaussNewtonNoser(noise_figure=1.2).prepare(problem)
-    assert prepared.choice.noise_figure == pytest.approx(1.2, rel=1e-8)
-    assert "noise figure 1.20" in prepared.choice.how
-    again = GaussNewtonNoser(hyperparameter=prepared.choice.value).prepare(problem)
-    assert np.array_equal(again.matrix, prepared.matrix)
-    assert again.choice.how == "hyperparameter given"
-
-
-def test_a_large_hyperparameter_blanks_the_image(problem):
-    signal = target_signal(problem, x_mm=0, y_mm=0, radius_mm=6.5, contrast=0.5)
-    amplitude = [
-        np.abs(GaussNewtonNoser(hyperparameter=value).prepare(problem).images(signal[None])).max()
-        for value in (1e-2, 1, 1e4)
-    ]
-    assert amplitude[0] > amplitude[1] > 1e3 * amplitude[2]
-
-
 def test_no_regularisation_at_all_explains_every_reading(problem):
     """λ = 0 is the image of least norm that explains the readings, to the digits their condition number leaves."""
     matrix = GaussNewtonNoser(hyperparameter=0.0).prepare(problem).matrix
@@ -119,21 +73,6 @@ def test_readings_that_do_not_determine_an_image_need_regularisation(problem):
     assert np.isfinite(dual_matrix(twice, noser(twice, 0.5), 1e-3)).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"hyperparameter": -1.0}, "hyperparameter is -1.0"),
-        ({"hyperparameter": float("nan")}, "hyperparameter is nan"),
-        ({"noise_figure": 1e-4}, "cannot be reached"),
-        ({"exponent": 1.5}, "exponent is 1.5"),
-        ({"noise_figure": 1.0, "hyperparameter": 1.0}, "not both"),
-    ],
-)
-def test_impossible_options_are_refused(problem, options, reason):
-    with pytest.raises((ConfigError, NumericsError), match=reason):
-        GaussNewtonNoser(**options).prepare(problem)
-
-
 def test_impossible_problems_are_refused(pin_sensor):
     sensor = pin_sensor()
     few = np.zeros(sensor.pattern.shape, dtype=bool)
@@ -142,14 +81,6 @@ def test_impossible_problems_are_refused(pin_sensor):
         imaging_problem(sensor, used=few)
     with pytest.raises(NumericsError, match="does not match frames"):
         imaging_problem(sensor, used=np.ones((16, 13), dtype=bool))
-    for wrong, reason in (
-        (np.zeros((16, 16)), "variance of reading .drive 0, measure 2. is 0.0 .* positive finite"),
-        (np.full(208, np.nan), "positive finite"),
-        (np.ones(207), r"shape \(207,\); there are 208 used"),
-    ):
-        with pytest.raises(NumericsError, match=reason) as refused:
-            imaging_problem(sensor, noise_variance=wrong)
-        assert refused.value.remedy
 
 
 @given(factor=st.floats(1e-6, 1e6), sign=st.sampled_from([-1, 1]))
@@ -188,9 +119,6 @@ def test_readings_that_are_no_numbers_are_refused_by_place(problem):
     frames[1, 4, 9] = np.inf
     with pytest.raises(NumericsError, match=r"drive 4, measure 9\) of frame 1"):
         changes(frames, reference, problem, 1.0)
-    for scale in (0.0, float("nan")):
-        with pytest.raises(NumericsError, match="scale of the sensor"):
-            changes(np.stack([reference]), reference, problem, scale)
     with pytest.raises(NumericsError, match="do not match frames"):
         changes(reference[None, :, :15], reference, problem, 1.0)
 

@@ -11,16 +11,6 @@ from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 
 @pytest.fixture(scope="module")
-def sensor(pin_sensor) -> SensorType:
-    return pin_sensor()
-
-
-@pytest.fixture(scope="module")
-def problem(sensor):
-    return imaging_problem(sensor, image_size_mm=6.0)
-
-
-@pytest.fixture(scope="module")
 def frame(problem) -> np.ndarray:
     """A frame of the unit model, its other readings zero."""
     whole = np.zeros(problem.used.shape)
@@ -60,16 +50,6 @@ def test_a_pattern_of_too_few_readings_is_not_blamed_on_a_mask(sensor):
     assert "mask" not in str(refused.value)
 
 
-@pytest.mark.parametrize("odd", [1e-15, 1e15])
-def test_a_variance_far_from_the_others_is_refused_by_its_reading(sensor, odd):
-    variance = np.ones(sensor.pattern.shape)
-    variance[3, 9] = odd
-    with pytest.raises(NumericsError, match="at most") as refused:
-        imaging_problem(sensor, noise_variance=variance, image_size_mm=6.0)
-    assert f"variance of reading (drive 3, measure 9) is {odd:g}, that of" in refused.value.reason
-    assert refused.value.remedy
-
-
 def test_only_variances_of_used_readings_are_compared(sensor, problem):
     variance = np.ones(sensor.pattern.shape)
     variance[3, 3], variance[3, 9] = 1e-30, 1e11
@@ -78,11 +58,31 @@ def test_only_variances_of_used_readings_are_compared(sensor, problem):
     assert weighed.max() / weighed.min() == pytest.approx(1e11)
 
 
-@pytest.mark.parametrize("unit", [1e-310, 1e-309, 1.7e308])
-def test_variances_whose_reciprocals_are_no_numbers_are_refused(sensor, unit):
-    with pytest.raises(NumericsError, match=r"\(drive 0, measure 2\) is .* beyond the range of numbers") as refused:
-        imaging_problem(sensor, noise_variance=np.full(208, unit), image_size_mm=6.0)
-    assert "unit" in refused.value.remedy
+def odd(value: float) -> np.ndarray:
+    variance = np.ones((16, 16))
+    variance[3, 9] = value
+    return variance
+
+
+@pytest.mark.parametrize(
+    ("variance", "said", "remedy"),
+    [
+        (odd(1e-15), r"of reading \(drive 3, measure 9\) is 1e-15, that of .* at most", "its channel"),
+        (odd(1e15), r"of reading \(drive 3, measure 9\) is 1e\+15, that of .* at most", "its channel"),
+        *(
+            (np.full(208, unit), r"\(drive 0, measure 2\) is .* beyond the range of numbers", "unit")
+            for unit in (1e-310, 1e-309, 1.7e308)
+        ),
+        (np.zeros((16, 16)), r"variance of reading \(drive 0, measure 2\) is 0\.0 .* positive finite", ""),
+        (np.full(208, np.nan), "positive finite", ""),
+        (np.ones(207), r"shape \(207,\); there are 208 used", ""),
+    ],
+)
+def test_variances_that_are_none_or_too_far_apart_are_refused_by_their_reading(sensor, variance, said, remedy):
+    with pytest.raises(NumericsError, match=said) as refused:
+        imaging_problem(sensor, noise_variance=variance, image_size_mm=6.0)
+    assert refused.value.remedy
+    assert remedy in refused.value.remedy
 
 
 @pytest.mark.parametrize("unit", [1e-290, 1e290])

@@ -3,77 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.sensor import DrivePattern, Mesh
 from cbsr_qa.eit.forward import ForwardModel, disc_coverage
-from cbsr_qa.eit.inverse.overlap import overlap_fractions
+from cbsr_qa.eit.inverse.overlap import overlap_fractions, overlap_pieces
 from cbsr_qa.eit.inverse.problem import image_jacobian, imaging_problem, nominal_model, target_signal
 from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
-from cbsr_qa.testing import assert_adjoint, assert_expected_order
-
-
-@pytest.fixture(scope="module")
-def uneven(pin_sensor, model_of) -> ForwardModel:
-    """A sheet with a seeded, uneven conductance: symmetry hides no mistakes."""
-    plain = model_of(pin_sensor(count=8), size_mm=8.0)
-    random = np.random.default_rng(5)
-    conductance = np.exp(random.normal(0, 0.5, len(plain.mesh.elements)))
-    return ForwardModel(plain.mesh, plain.pattern, conductance, random.uniform(0.1, 1, 8))
-
-
-def test_adjoint_fields_give_the_derivative(uneven):
-    random = np.random.default_rng(6)
-    direction = uneven.conductance * random.normal(0, 1, len(uneven.conductance))
-    linear = uneven.jacobian() @ direction
-    steps = (0.08, 0.04, 0.02)
-    errors = []
-    for step in steps:
-        ahead, behind = (
-            ForwardModel(
-                uneven.mesh,
-                uneven.pattern,
-                uneven.conductance + sign * step * direction / 8,
-                uneven.contact_impedance,
-            ).voltages()
-            for sign in (1, -1)
-        )
-        errors.append(float(np.abs((ahead - behind) / (2 * step / 8) - linear).max()))
-    assert_expected_order(errors, steps, 2.0, 0.05)
-    assert errors[-1] < 1e-4 * np.abs(linear).max()
-
-
-def test_single_elements_one_by_one(uneven):
-    jacobian = uneven.jacobian()
-    for element in np.random.default_rng(7).choice(len(uneven.conductance), 5, replace=False):
-        step = 1e-4 * uneven.conductance[element]
-        changed = []
-        for sign in (1, -1):
-            conductance = uneven.conductance.copy()
-            conductance[element] += sign * step
-            changed.append(
-                ForwardModel(uneven.mesh, uneven.pattern, conductance, uneven.contact_impedance).voltages()
-            )
-        difference = (changed[0] - changed[1]) / (2 * step)
-        assert np.allclose(difference, jacobian[:, :, element], atol=1e-5 * np.abs(jacobian[:, :, element]).max())
-
-
-def test_more_conductance_anywhere_lowers_every_driving_point_reading(uneven):
-    own = uneven.jacobian()[np.arange(8), np.arange(8)]
-    assert (own <= 0).all()
-
-
-def test_sensitivities_sum_to_the_scaling_law(uneven):
-    """V(aγ, z/a) = V/a, so Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V; contacts enter the driven readings alone."""
-    total = uneven.jacobian() @ uneven.conductance
-    factor = 1e-4
-    contacts = (
-        ForwardModel(
-            uneven.mesh, uneven.pattern, uneven.conductance, uneven.contact_impedance * (1 + sign)
-        ).voltages()
-        for sign in (factor, -factor)
-    )
-    by_contact = (next(contacts) - next(contacts)) / (2 * factor)
-    voltages = uneven.voltages()
-    assert np.allclose(total - by_contact, -voltages, atol=1e-7 * np.abs(voltages).max())
+from cbsr_qa.testing import assert_adjoint
 
 
 def test_image_jacobian_of_linear_elements_is_the_forward_one_through_the_overlap(pin_sensor, model_of):
@@ -126,3 +61,41 @@ def test_image_jacobian_predicts_a_simulated_target(pin_sensor):
         predicted = problem.jacobian[:, elements] @ fraction * 1e-3
         simulated = target_signal(problem, x_mm=x_mm, y_mm=y_mm, radius_mm=6.5, contrast=1e-3)
         assert np.linalg.norm(predicted - simulated) < 0.008 * np.linalg.norm(simulated)
+
+
+# --- overlap of meshes ---
+
+
+@pytest.fixture(scope="module")
+def meshes(pin_sensor) -> tuple[Mesh, Mesh]:
+    sensor = pin_sensor()
+    return sheet_mesh(sensor, size_mm=4.0), image_mesh(sensor, size_mm=5.0)
+
+
+def test_a_mesh_lies_in_itself(meshes):
+    _, coarse = meshes
+    share = overlap_fractions(coarse, coarse)
+    assert np.allclose(share.diagonal(), 1, atol=1e-12)
+    assert abs(share.sum() - len(coarse.elements)) < 1e-9
+
+
+def test_nothing_is_lost_and_area_arrives_where_it_lies(meshes):
+    fine, coarse = meshes
+    share = overlap_fractions(fine, coarse)
+    assert np.allclose(np.asarray(share.sum(axis=1)).ravel(), 1, atol=1e-12)
+    arrived = share.T @ fine.areas_mm2
+    inner = np.hypot(*coarse.centroids_mm.T) < 40  # away from pins and from the two polygons' edges
+    assert np.allclose(arrived[inner], coarse.areas_mm2[inner], rtol=1e-9)
+
+
+def test_pieces_lie_where_they_should(meshes):
+    """First moments of the pieces of every inner element add up to its own, on either mesh."""
+    fine, coarse = meshes
+    pieces = overlap_pieces(fine, coarse)
+    moments = pieces.areas_mm2[:, None] * pieces.centroids_mm
+    for mesh, owner in ((fine, pieces.fine), (coarse, pieces.coarse)):
+        inner = np.hypot(*mesh.centroids_mm.T) < 40
+        for axis in range(2):
+            found = np.bincount(owner, moments[:, axis], minlength=len(mesh.elements))
+            expected = mesh.areas_mm2 * mesh.centroids_mm[:, axis]
+            assert np.abs(found - expected)[inner].max() < 1e-8 * np.abs(expected).max()

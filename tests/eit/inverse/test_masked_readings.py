@@ -4,42 +4,33 @@ import numpy as np
 import pytest
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem, masked_electrodes
 from cbsr_qa.eit.inverse.uncertainty import masking_effect
-from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
-
-
-@pytest.fixture(scope="module")
-def sensor(pin_sensor) -> SensorType:
-    return pin_sensor()
-
-
-def without(sensor: SensorType, *dead: int) -> np.ndarray:
-    pattern = sensor.pattern
-    touches = [[bool({*d, *m} & set(dead)) for m in pattern.measure] for d in pattern.drive]
-    return pattern.usable() & ~np.array(touches)
 
 
 @pytest.mark.parametrize("dead", [(), (3,), (3, 4, 9)])
 def test_masked_electrodes_are_those_no_reading_is_left_of(sensor, dead):
-    assert masked_electrodes(sensor.pattern, without(sensor, *dead)) == dead
+    assert masked_electrodes(sensor.pattern, sensor.pattern.usable() & ~sensor.pattern.touching(dead)) == dead
 
 
 def test_an_electrode_with_one_reading_left_is_not_masked(sensor):
-    used = without(sensor, 5)
+    used = sensor.pattern.usable() & ~sensor.pattern.touching([5])
     used[5, 9] = True
     assert masked_electrodes(sensor.pattern, used) == ()
 
 
 def test_electrodes_may_be_missing_while_enough_independent_readings_are_left(sensor):
     for dead in ((0, 1, 8, 12), (0, 3, 8, 12, 13), (0, 1, 2, 3, 4, 5)):
-        effect = masking_effect(imaging_problem(sensor, used=without(sensor, *dead), image_size_mm=6.0))
+        effect = masking_effect(
+            imaging_problem(sensor, used=sensor.pattern.usable() & ~sensor.pattern.touching(dead), image_size_mm=6.0)
+        )
         assert effect.electrodes == dead
         assert effect.hardly_seen > 0
         assert "of the sheet is hardly seen" in effect.words()
     with pytest.raises(NumericsError, match="only 6 independent readings remain with 196 masked") as refused:
-        imaging_problem(sensor, used=without(sensor, 0, 2, 5, 8, 10, 13), image_size_mm=6.0)
+        imaging_problem(
+            sensor, used=sensor.pattern.usable() & ~sensor.pattern.touching([0, 2, 5, 8, 10, 13]), image_size_mm=6.0
+        )
     assert "repair" in refused.value.remedy
 
 
@@ -51,7 +42,9 @@ def test_nothing_left_out_has_no_effect(sensor):
 
 def test_the_effect_is_the_ratio_of_cramer_rao_bounds(sensor):
     """At the worst place, with derivatives by finite differences and the inverse of the whole information matrix."""
-    problem = imaging_problem(sensor, used=without(sensor, 2, 7), image_size_mm=4.0)
+    problem = imaging_problem(
+        sensor, used=sensor.pattern.usable() & ~sensor.pattern.touching([2, 7]), image_size_mm=4.0
+    )
     effect = masking_effect(problem)
     worst = np.array([effect.worst_x_mm, effect.worst_y_mm])
 
@@ -76,7 +69,12 @@ def test_the_effect_is_the_ratio_of_cramer_rao_bounds(sensor):
 
 def test_the_more_is_left_out_the_less_is_known(sensor):
     steps = [(3,), (3, 10), (3, 10, 6)]
-    effects = [masking_effect(imaging_problem(sensor, used=without(sensor, *d), image_size_mm=6.0)) for d in steps]
+    effects = [
+        masking_effect(
+            imaging_problem(sensor, used=sensor.pattern.usable() & ~sensor.pattern.touching(d), image_size_mm=6.0)
+        )
+        for d in steps
+    ]
     typical = [1.0, *(effect.typical for effect in effects)]
     assert (np.diff(typical) > 0).all()
     assert all(effect.worst > effect.typical for effect in effects)
@@ -87,7 +85,9 @@ def test_the_more_is_left_out_the_less_is_known(sensor):
 
 
 def test_the_effect_is_said_in_words(sensor):
-    effect = masking_effect(imaging_problem(sensor, used=without(sensor, 3, 4, 9), image_size_mm=6.0))
+    effect = masking_effect(
+        imaging_problem(sensor, used=sensor.pattern.usable() & ~sensor.pattern.touching([3, 4, 9]), image_size_mm=6.0)
+    )
     assert effect.words().startswith("images are made without electrodes 3, 4 and 9, from ")
     used = sensor.pattern.usable()
     used[0, 5] = False
@@ -96,19 +96,8 @@ def test_the_effect_is_said_in_words(sensor):
     assert 1 <= single.typical < 1.05
 
 
-def test_the_unit_of_variances_does_not_matter(sensor):
-    """λ is the type's: weighing by measured noise must not change how much is smoothed with it."""
-    variance = np.random.default_rng(2).uniform(0.5, 3.0, 208)
-    one, other = (imaging_problem(sensor, noise_variance=f * variance, image_size_mm=6.0) for f in (1.0, 1e-12))
-    assert np.allclose(one.noise_variance, other.noise_variance, rtol=1e-12)
-    alike = imaging_problem(sensor, noise_variance=np.full(208, 7.0), image_size_mm=6.0)
-    plain = imaging_problem(sensor, image_size_mm=6.0)
-    matrices = [GaussNewtonLaplace().prepare(problem).matrix for problem in (alike, plain)]
-    assert np.allclose(*matrices, rtol=1e-9, atol=1e-12 * np.abs(matrices[1]).max())
-
-
 def test_measured_frames_come_whole_or_as_used_readings(sensor):
-    used = without(sensor, 3)
+    used = sensor.pattern.usable() & ~sensor.pattern.touching([3])
     frames = np.random.default_rng(4).standard_normal((3, 16, 16))
     whole = imaging_problem(sensor, used=used, sample=frames, measured=frames[0], image_size_mm=6.0)
     chosen = imaging_problem(sensor, used=used, sample=frames[:, used], measured=frames[0][used], image_size_mm=6.0)

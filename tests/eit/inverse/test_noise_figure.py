@@ -2,16 +2,10 @@ import numpy as np
 import pytest
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import NoiseFigureForm, hyperparameter_for, noise_figure, noise_figure_of
 from cbsr_qa.eit.inverse.priors import noser
-from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
-
-
-@pytest.fixture(scope="module")
-def problem(pin_sensor) -> ImagingProblem:
-    return imaging_problem(pin_sensor(), image_size_mm=5.0)
+from cbsr_qa.eit.inverse.problem import target_signal
 
 
 @pytest.fixture(scope="module")

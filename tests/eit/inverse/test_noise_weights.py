@@ -6,7 +6,6 @@ from scipy.stats import chi2
 
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError, as_filed
-from cbsr_qa.domain.results import LinearReconstruction
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES, reading_noise
 from cbsr_qa.plugin import Kind, discover
@@ -131,30 +130,6 @@ def test_what_says_nothing_of_the_noise_is_refused_with_a_way_out(edit, said):
 @pytest.fixture(scope="module")
 def sensor():
     return load_sensor_type("disc-100mm").value
-
-
-def linear_methods():
-    plugins = discover()
-    return [name for name in plugins.names(Kind.RECONSTRUCTION) if not name.startswith("pyeit")]
-
-
-@pytest.mark.rest
-@pytest.mark.parametrize("method", linear_methods())
-def test_loud_readings_count_less_in_every_linear_method_that_weighs_noise(sensor, method):
-    """By the propagated covariance diag(R V Rᵀ), at the same parameter or noise figure."""
-    variance = np.ones(READINGS)
-    variance[30:43] = 100.0
-    reconstruction = discover().factory(Kind.RECONSTRUCTION, method)()
-    equal = reconstruction.prepare(imaging_problem(sensor, image_size_mm=8.0))
-    if not isinstance(equal, LinearReconstruction):
-        pytest.skip(f"{method} is not one matrix: no run takes it")
-    weighed = reconstruction.prepare(imaging_problem(sensor, image_size_mm=8.0, noise_variance=variance))
-    if not getattr(reconstruction, "weighs_noise", True):
-        np.testing.assert_array_equal(weighed.matrix, equal.matrix)
-        return
-    noise = [float((one.matrix**2 @ variance).sum()) for one in (weighed, equal)]
-    assert noise[0] < 0.3 * noise[1]
-    assert np.abs(weighed.matrix[:, 30:43]).max() < 0.1 * np.abs(equal.matrix[:, 30:43]).max()
 
 
 @pytest.mark.parametrize("method", ["gauss-newton-noser", "gauss-newton-laplace", "greit", "truncated-svd"])

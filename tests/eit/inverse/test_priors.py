@@ -2,22 +2,17 @@
 
 import numpy as np
 import pytest
+from disc_meshes import square_mesh
 from scipy.special import gamma, kv
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import noise_figure, noise_figure_of
 from cbsr_qa.eit.inverse.priors import Prior, high_pass, indenter_smoothness, laplace, laplace_matrix
-from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
+from cbsr_qa.eit.inverse.problem import target_signal
 
 _WIDTH_MM = 11.0
-
-
-@pytest.fixture(scope="module")
-def problem(pin_sensor) -> ImagingProblem:
-    return imaging_problem(pin_sensor(), image_size_mm=6.0)
 
 
 def filter_of(mesh: Mesh, width_mm: float) -> np.ndarray:
@@ -103,10 +98,5 @@ def test_lengths_must_be_lengths(problem):
 
 
 def test_a_filter_too_large_to_hold_is_refused():
-    side = np.arange(74.0)
-    nodes = np.array([(x, y) for x in side for y in side])
-    corner = np.array([[74 * x + y for x in range(73)] for y in range(73)]).ravel()
-    lower, upper = (corner[:, None] + np.array(shift) for shift in ((0, 74, 75), (0, 75, 1)))
-    mesh = Mesh(nodes, np.vstack([lower, upper]).astype(np.int64))
     with pytest.raises(NumericsError, match="10658 elements; at most 10000"):
-        high_pass(mesh, 5.0)
+        high_pass(square_mesh(73, size_mm=73.0), 5.0)

@@ -3,6 +3,7 @@ import pytest
 
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward import ConcentricSheet, arc_transfer_impedance
+from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.eit.loads.bodies import DeepTank
 from cbsr_qa.testing import assert_expected_order
 
@@ -79,8 +80,6 @@ def test_conductors_and_insulators_of_no_size_change_readings_the_other_way_roun
 @pytest.mark.parametrize("depth", [0.05, 0.1])
 def test_points_on_a_shallow_tank_are_seen_as_on_a_sheet(depth, arc_sensor):
     """An insulating point changes readings by 3/2 ∇u·∇v, on a sheet of unit conductance H² times as much."""
-    from cbsr_qa.eit.inverse import imaging_problem
-
     problem = imaging_problem(arc_sensor(radius_mm=50.0), image_size_mm=2.5)
     inner = np.flatnonzero(np.hypot(*problem.mesh.centroids_mm.T) < 35)[::40]
     sheet = problem.jacobian[:, inner] / problem.mesh.areas_mm2[inner] * 50**2

@@ -177,11 +177,6 @@ def test_a_load_that_comes_from_nothing_within_a_frame_is_exact_beside_weak_ones
     assert error(model, found, afresh(model, later)) < TOGETHER
 
 
-def test_nothing_changed_is_the_model_itself(model, loaded):
-    (found,) = loaded.transfer_impedances([{}])
-    np.testing.assert_array_equal(found, model.transfer_impedance)
-
-
 def test_a_load_that_leaves_nothing_is_refused(model, loaded, nine):
     with pytest.raises(NumericsError, match="leaves"):
         loaded.transfer_impedances([{nine[0]: -1.0}])

@@ -9,7 +9,6 @@ from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.forward import ForwardModel, cover, disc_coverage
 from cbsr_qa.eit.loads import local, rims
 from cbsr_qa.eit.loads.local import LocalUpdate
-from cbsr_qa.eit.loads.rims import InverseEntries
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -51,14 +50,47 @@ def test_a_load_that_cuts_elements_equals_full_refactorisation(model, update, x,
     assert worst(found, refactorised(model, load.elements, change)) < 1e-10
 
 
+def discs(model, places, radius_mm=6.5) -> list[np.ndarray]:
+    return [disc_coverage(model.mesh, x, y, radius_mm)[0] for x, y in places]
+
+
+def even(model, loads, factors) -> tuple[np.ndarray, np.ndarray]:
+    """Elements and their changes, of loads that each change what they touch by one factor."""
+    changes = [model.conductance[one] * factor for one, factor in zip(loads, factors, strict=True)]
+    return np.concatenate(loads), np.concatenate(changes)
+
+
+LOADS = {
+    "nine at once": lambda model: even(model, discs(model, NINE_LOCATIONS_MM), 0.1 + 0.05 * np.arange(9)),
+    "over an electrode": lambda model: even(model, discs(model, [(48.0, 0.0)], 4.0), [0.7]),
+    "overlapping": lambda model: even(
+        model, discs(model, ((0, 0), (9, 2), (-4, 11), (-30, -20)), 9.0), 0.3 - 0.1 * np.arange(4)
+    ),
+    "the whole sheet": lambda model: (
+        np.arange(len(model.mesh.elements)),
+        model.conductance * np.random.default_rng(3).uniform(-0.5, 2.0, len(model.mesh.elements)),
+    ),
+    "an element named twice": lambda _: (np.array([10, 200, 10]), np.array([1e-4, 5e-5, -5e-5])),
+    "nothing": lambda _: (np.array([], dtype=np.int64), np.array([])),
+    "no change": lambda _: (np.array([4, 5]), np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("which", LOADS)
+def test_any_loads_equal_full_refactorisation(model, update, which):
+    elements, change = LOADS[which](model)
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+    assert np.array_equal(update.voltages(elements[::-1], change[::-1]), update.voltages(elements, change))
+
+
 def test_loads_that_cut_the_same_elements_equal_full_refactorisation(model, update):
     loads = [cover(model.elements, RoundFootprint(x, y, 6.5)) for x, y in ((0, 0), (11, 3), (-25, 10))]
     elements = np.concatenate([load.elements for load in loads])
     change = np.concatenate([load.change(model.conductance, 0.3) for load in loads])
     found = update.voltages(elements, change)
     assert worst(found, refactorised(model, elements, change)) < 1e-10
-    even = np.concatenate([0.3 * model.conductance[load.elements] * load.share for load in loads])
-    assert not np.allclose(found, update.voltages(elements, even), rtol=1e-5)
+    whole = np.concatenate([0.3 * model.conductance[load.elements] * load.share for load in loads])
+    assert not np.allclose(found, update.voltages(elements, whole), rtol=1e-5)
 
 
 def test_changes_of_a_sheet_that_differs_by_direction_equal_full_refactorisation(model):
@@ -66,40 +98,8 @@ def test_changes_of_a_sheet_that_differs_by_direction_equal_full_refactorisation
     matrices = model.conductance[:, None, None, None] * np.tile(np.diag([1.0, 0.5]), (points, 1, 1))
     layered = model.changed(conductance=matrices)
     elements, fraction = disc_coverage(model.mesh, 10.0, -8.0, 6.5)
-    change = 1e-4 * fraction
-    found = LocalUpdate(layered).voltages(elements, change)
-    assert worst(found, layered.changed_on(elements, change).voltages()) < 1e-10
-
-
-def test_nine_presses_at_once_equal_full_refactorisation(model, update):
-    presses = [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in NINE_LOCATIONS_MM]
-    elements = np.concatenate(presses)
-    change = np.concatenate([model.conductance[p] * (0.1 + 0.05 * k) for k, p in enumerate(presses)])
-    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
-
-
-def test_a_press_over_an_electrode_equals_full_refactorisation(model, update):
-    elements = disc_coverage(model.mesh, 48.0, 0.0, 4.0)[0]
-    change = 0.7 * model.conductance[elements]
-    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
-
-
-def test_changes_of_an_element_named_twice_add_up(model, update):
-    elements, change = np.array([10, 200, 10]), np.array([1e-4, 5e-5, -5e-5])
-    once = update.voltages(np.array([10, 200]), np.array([5e-5, 5e-5]))
-    assert np.allclose(update.voltages(elements, change), once, rtol=1e-14)
-
-
-def test_no_change_gives_the_unchanged_voltages(model, update):
-    none = update.voltages(np.array([], dtype=np.int64), np.array([]))
-    assert np.array_equal(none, model.voltages())
-    assert np.array_equal(update.voltages(np.array([4, 5]), np.zeros(2)), model.voltages())
-
-
-def test_the_order_of_elements_does_not_matter(update):
-    elements, change = np.array([700, 30, 301]), np.array([1e-4, 2e-5, -1e-4])
-    order = np.array([2, 0, 1])
-    assert np.array_equal(update.voltages(elements, change), update.voltages(elements[order], change[order]))
+    found = LocalUpdate(layered).voltages(elements, 1e-4 * fraction)
+    assert worst(found, refactorised(layered, elements, 1e-4 * fraction)) < 1e-10
 
 
 def test_further_frames_solve_nothing_anew(model, monkeypatch):
@@ -107,8 +107,7 @@ def test_further_frames_solve_nothing_anew(model, monkeypatch):
     original = ForwardModel.solve
     monkeypatch.setattr(ForwardModel, "solve", lambda self, load: solves.append(load.shape) or original(self, load))
     update = LocalUpdate(model)
-    one = disc_coverage(model.mesh, 0.0, 0.0, 6.5)[0]
-    other = disc_coverage(model.mesh, 20.0, 0.0, 6.5)[0]
+    one, other = discs(model, ((0.0, 0.0), (20.0, 0.0)))
     for elements in (one, other):
         update.voltages(elements, 0.2 * model.conductance[elements])
     solves.clear()
@@ -118,22 +117,8 @@ def test_further_frames_solve_nothing_anew(model, monkeypatch):
     assert solves == []
 
 
-def test_overlapping_presses_equal_full_refactorisation(model, update):
-    presses = [disc_coverage(model.mesh, x, y, 9.0)[0] for x, y in ((0, 0), (9, 2), (-4, 11), (-30, -20))]
-    elements = np.concatenate(presses)
-    change = np.concatenate([model.conductance[p] * (0.3 - 0.1 * k) for k, p in enumerate(presses)])
-    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
-
-
-def test_a_change_of_the_whole_sheet_equals_full_refactorisation(model):
-    elements = np.arange(len(model.mesh.elements))
-    change = model.conductance * np.random.default_rng(3).uniform(-0.5, 2.0, len(elements))
-    assert worst(LocalUpdate(model).voltages(elements, change), refactorised(model, elements, change)) < 1e-10
-
-
 def heads(model, count: int) -> list[np.ndarray]:
-    places = np.random.default_rng(7).uniform(-28, 28, (count, 2))
-    return [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in places]
+    return discs(model, np.random.default_rng(7).uniform(-28, 28, (count, 2)))
 
 
 @pytest.mark.rest
@@ -159,30 +144,6 @@ def test_a_set_larger_than_the_bounds_is_served_all_the_same(model, monkeypatch)
     assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
 
 
-@pytest.mark.rest
-def test_entries_of_the_inverse_are_those_of_whole_columns(model):
-    inverse = InverseEntries(model)
-    for seed in range(4):
-        nodes = np.random.default_rng(seed).choice(model.elements.count, 150, replace=False)
-        columns = model.solve(np.eye(model.elements.count)[:, nodes])
-        np.testing.assert_allclose(inverse.between(nodes), columns[nodes], rtol=0, atol=1e-12 * abs(columns).max())
-
-
-def test_nodes_one_by_one_are_copied_a_few_times_in_all(model):
-    inverse = InverseEntries(model)
-    sizes = {(inverse.between(np.array([node])).size, inverse.nbytes)[1] for node in range(200)}
-    assert len(sizes) <= 9  # 1, 2, 4 … 256 squared
-
-
-def test_first_order_term_is_the_jacobian(model, update):
-    elements, fraction = disc_coverage(model.mesh, 12.0, -7.0, 6.5)
-    direction = model.conductance[elements] * fraction
-    linear = model.jacobian()[:, :, elements] @ direction
-    step = 1e-5
-    difference = update.voltages(elements, step * direction) - update.voltages(elements, -step * direction)
-    assert np.allclose(difference / (2 * step), linear, rtol=1e-5, atol=1e-8 * np.abs(linear).max())
-
-
 @pytest.mark.parametrize(
     ("elements", "change", "reason"),
     [
@@ -202,8 +163,7 @@ def test_impossible_changes_are_refused(update, elements, change, reason):
 
 
 def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, update):
-    points = model.elements.weights_mm2.shape[1]
-    change = np.zeros((1, points, 2, 2))
+    change = np.zeros((1, model.elements.weights_mm2.shape[1], 2, 2))
     change[0, -1, 1, 1] = -2.1e-4
     with pytest.raises(NumericsError, match="in every direction"):
         update.voltages(np.array([5]), change)

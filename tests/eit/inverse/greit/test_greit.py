@@ -24,23 +24,13 @@ HEAD_MM = 6.5
 
 
 @pytest.fixture(scope="module")
-def sensor(pin_sensor):
-    return pin_sensor()
-
-
-@pytest.fixture(scope="module")
-def coarse(sensor):
-    return imaging_problem(sensor, image_size_mm=6.0)
-
-
-@pytest.fixture(scope="module")
-def problem(sensor):
+def fine(sensor):
     return imaging_problem(sensor)
 
 
 @pytest.fixture(scope="module")
-def weighted(problem):
-    return replace(problem, noise_variance=problem.reference**2, nominal=problem)
+def weighted(fine):
+    return replace(fine, noise_variance=fine.reference**2, nominal=fine)
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +56,8 @@ def figures(images, mesh):
 
 @pytest.mark.rest
 @pytest.mark.parametrize("weights", ["equal", "known"])
-def test_masks_of_loads_on_another_mesh_lie_on_the_loads(problem, weighted, truth, weights):
-    one = problem if weights == "equal" else weighted
+def test_masks_of_loads_on_another_mesh_lie_on_the_loads(fine, weighted, truth, weights):
+    one = fine if weights == "equal" else weighted
     images = Greit().prepare(one).images((truth[1] - truth[0])[:, one.used])
     found = figures(images, one.mesh)
     assert np.mean([one.error_mm for one in found]) < 0.1
@@ -78,14 +68,14 @@ def test_masks_of_loads_on_another_mesh_lie_on_the_loads(problem, weighted, trut
 
 
 @pytest.mark.rest
-def test_weights_quieten_places_where_noise_follows_the_reading(problem, weighted, truth):
+def test_weights_quieten_places_where_noise_follows_the_reading(fine, weighted, truth):
     """1 % of each reading, noise figure 0.25, the same frames for both."""
     random = np.random.default_rng(5)
-    deviation = 0.01 * truth[0][problem.used]
+    deviation = 0.01 * truth[0][fine.used]
     noise = deviation * random.standard_normal((len(truth[1]), 20, len(deviation)))
-    change = (truth[1] - truth[0])[:, problem.used][:, None] + noise
+    change = (truth[1] - truth[0])[:, fine.used][:, None] + noise
     errors = []
-    for one in (problem, weighted):
+    for one in (fine, weighted):
         prepared = Greit(noise_figure=0.25).prepare(one)
         scattered = [figures(prepared.images(change[:, frame]), one.mesh) for frame in range(change.shape[1])]
         errors.append(np.mean([found.error_mm for frame in scattered for found in frame]))
@@ -93,9 +83,9 @@ def test_weights_quieten_places_where_noise_follows_the_reading(problem, weighte
 
 
 @pytest.mark.parametrize("target", [0.3, 0.5, 1.0])
-def test_the_noise_figure_asked_for_is_the_one_of_random_noise(coarse, target):
-    prepared = Greit(noise_figure=target).prepare(coarse)
-    signal, areas = central_signal(coarse), coarse.mesh.areas_mm2
+def test_the_noise_figure_asked_for_is_the_one_of_random_noise(problem, target):
+    prepared = Greit(noise_figure=target).prepare(problem)
+    signal, areas = central_signal(problem), problem.mesh.areas_mm2
     noise = np.random.default_rng(11).standard_normal((4000, len(signal)))
     seen = np.abs(areas * prepared.images(signal[None])[0]).mean()
     rms = np.sqrt(np.mean((areas * prepared.images(noise)) ** 2))
@@ -104,11 +94,11 @@ def test_the_noise_figure_asked_for_is_the_one_of_random_noise(coarse, target):
     assert prepared.choice.noise_figure == pytest.approx(target, rel=2e-3)
 
 
-def test_rows_are_the_weighted_fits_they_claim_to_be(coarse):
+def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
     """Against a least-squares solver on the stacked system, where far errors were not raised."""
-    design = TargetDesign.of(coarse, None, None)
-    rows = GreitRows(coarse, design)
-    targets, nodes = rows.targets, coarse.mesh.nodes_mm
+    design = TargetDesign.of(problem, None, None)
+    rows = GreitRows(problem, design)
+    targets, nodes = rows.targets, problem.mesh.nodes_mm
     at, level = 0.1, np.sqrt((targets.signals**2).mean())
     for node in np.argsort(np.hypot(*nodes.T))[:3]:
         away = np.hypot(*(targets.centres_mm - nodes[node]).T) / (2 * design.head_mm)
@@ -125,10 +115,10 @@ def test_rows_are_the_weighted_fits_they_claim_to_be(coarse):
             assert np.linalg.norm(found - expected) < 1e-6 * np.linalg.norm(expected)
 
 
-def test_desired_images_are_as_large_as_their_targets(coarse):
-    design = TargetDesign.of(coarse, None, None)
-    targets = make_targets(coarse, ReadingFold.of(coarse), design)
-    integral = node_areas_mm2(coarse.mesh) @ targets.desired(coarse.mesh.nodes_mm)
+def test_desired_images_are_as_large_as_their_targets(problem):
+    design = TargetDesign.of(problem, None, None)
+    targets = make_targets(problem, ReadingFold.of(problem), design)
+    integral = node_areas_mm2(problem.mesh) @ targets.desired(problem.mesh.nodes_mm)
     assert np.allclose(integral, 1, rtol=1e-12)
     at = np.flatnonzero(targets.of_head)[0]
     x, y = targets.centres_mm[at]
@@ -137,14 +127,14 @@ def test_desired_images_are_as_large_as_their_targets(coarse):
 
 
 @pytest.mark.rest
-def test_a_wider_head_makes_wider_regions(problem, truth):
-    change = (truth[1] - truth[0])[:, problem.used]
+def test_a_wider_head_makes_wider_regions(fine, truth):
+    change = (truth[1] - truth[0])[:, fine.used]
     areas = []
     for diameter in (13.0, 18.0):
-        prepared = Greit(indenter_diameter_mm=diameter).prepare(problem)
+        prepared = Greit(indenter_diameter_mm=diameter).prepare(fine)
         areas.append(
             [
-                nearest_blob(contour_regions(Image(problem.mesh, values), 0.85), x, y).area_mm2
+                nearest_blob(contour_regions(Image(fine.mesh, values), 0.85), x, y).area_mm2
                 for values, (x, y) in zip(prepared.images(change), NINE_LOCATIONS_MM, strict=True)
             ]
         )
@@ -153,19 +143,19 @@ def test_a_wider_head_makes_wider_regions(problem, truth):
     assert np.median(grown) == pytest.approx((18 / 13) ** 2, rel=0.2)
 
 
-def test_what_was_made_is_kept_and_does_not_pass_for_another_problem(coarse):
-    first, again = (Greit(hyperparameter=0.1).prepare(coarse).matrix for _ in range(2))
+def test_what_was_made_is_kept_and_does_not_pass_for_another_problem(problem):
+    first, again = (Greit(hyperparameter=0.1).prepare(problem).matrix for _ in range(2))
     assert np.shares_memory(first, again)
-    louder = replace(coarse, noise_variance=np.linspace(1, 9, len(coarse.reference)))
+    louder = replace(problem, noise_variance=np.linspace(1, 9, len(problem.reference)))
     assert not np.allclose(first, Greit(hyperparameter=0.1).prepare(louder).matrix, rtol=1e-3)
     with pytest.raises(ValueError, match="read-only"):
         first[0, 0] = 1
 
 
-def test_no_weights_are_those_of_equal_noise_in_any_unit(coarse):
-    plain = Greit(hyperparameter=0.1).prepare(coarse).matrix
+def test_no_weights_are_those_of_equal_noise_in_any_unit(problem):
+    plain = Greit(hyperparameter=0.1).prepare(problem).matrix
     for variance in (1e-12, 1.0, 7e5):
-        equal = replace(coarse, noise_variance=np.full(len(coarse.reference), variance))
+        equal = replace(problem, noise_variance=np.full(len(problem.reference), variance))
         found = Greit(hyperparameter=0.1).prepare(equal).matrix
         assert np.linalg.norm(found - plain) < 1e-6 * np.linalg.norm(plain)
 
@@ -176,24 +166,18 @@ def test_no_weights_are_those_of_equal_noise_in_any_unit(coarse):
         ({"noise_figure": 0.5, "hyperparameter": 0.1}, ConfigError, "not both"),
         ({"noise_figure": 4000.0}, NumericsError, "cannot be reached"),
         ({"noise_figure": -1.0}, ConfigError, "noise_figure is -1.0"),
-        ({"hyperparameter": -0.1}, ConfigError, "-0.1"),
         ({"hyperparameter": 0}, NumericsError, "too small: the targets do not determine"),
         ({"hyperparameter": 1e-30}, NumericsError, "too small: the targets do not determine"),
         ({"hyperparameter": 1e-6}, NumericsError, "give a hyperparameter above 1"),
-        ({"hyperparameter": 1e200}, ConfigError, r"from 0 to 1e\+50"),
         ({"indenter_diameter_mm": 1e-9}, NumericsError, "diameter of at least 8.8 mm"),
         ({"indenter_diameter_mm": 8.5}, NumericsError, "not resolved by image elements of 5.9 mm"),
         ({"target_diameters_mm": [13.0, 1e-9]}, NumericsError, "diameters of at least 1.3 mm"),
-        ({"target_diameters_mm": [8.0, None]}, ConfigError, "None"),
-        ({"target_diameters_mm": [8.0, 10**400]}, ConfigError, "beyond 1.8e308"),
         ({"indenter_diameter_mm": 0.0}, ConfigError, "above 0"),
         ({"indenter_diameter_mm": 80.0}, NumericsError, "up to 50 mm"),
         ({"target_diameters_mm": []}, ConfigError, "at least 1 item"),
-        ({"target_diameters_mm": "8 mm"}, ConfigError, "an array"),
         ({"target_diameters_mm": [8.0, -1.0]}, ConfigError, r"\[2\] is -1.0"),
-        ({"target_diameters_mm": [8.0, "x"]}, ConfigError, "'x'"),
     ],
 )
-def test_what_makes_no_image_is_refused(coarse, options, error, said):
+def test_what_makes_no_image_is_refused(problem, options, error, said):
     with pytest.raises(error, match=said):
-        Greit(**options).prepare(coarse)
+        Greit(**options).prepare(problem)

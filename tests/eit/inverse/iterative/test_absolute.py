@@ -47,7 +47,7 @@ class Sensor:
 
 
 @pytest.fixture(scope="module")
-def sensor(pin_sensor) -> Sensor:
+def simulated(pin_sensor) -> Sensor:
     mesh = sheet_mesh(pin_sensor(), size_mm=3.3, order=2)
     contacts = np.exp(np.random.default_rng(3).uniform(np.log(0.2), np.log(2.0), 16))
     model = ForwardModel(mesh, pin_sensor().pattern, np.exp(uneven(mesh.centroids_mm)), contacts, order=2)
@@ -60,20 +60,15 @@ def sensor(pin_sensor) -> Sensor:
     return Sensor(pin_sensor(), model, _UNIT * (clean + noise))
 
 
-@pytest.fixture(scope="module")
-def problem(pin_sensor) -> ImagingProblem:
-    return imaging_problem(pin_sensor(), image_size_mm=6.0)
-
-
 def nothing(problem: ImagingProblem) -> np.ndarray:
     return np.zeros((1, len(problem.reference)))
 
 
 @pytest.mark.parametrize(("used", "allowed"), [(None, 0.03), (_EVERY, 0.04)], ids=["208", "256"])
-def test_an_uneven_sheet_is_found(sensor, used, allowed):
-    problem = sensor.problem(used)
+def test_an_uneven_sheet_is_found(simulated, used, allowed):
+    problem = simulated.problem(used)
     prepared = AbsoluteGaussNewton().prepare(problem)
-    true = uneven(problem.mesh.centroids_mm) + np.log(sensor.scale(problem) / _UNIT)
+    true = uneven(problem.mesh.centroids_mm) + np.log(simulated.scale(problem) / _UNIT)
     found = np.log(prepared.absolute(nothing(problem))[0])
     areas = problem.mesh.areas_mm2 / problem.mesh.areas_mm2.sum()
     spread = np.sqrt(areas @ (true - areas @ true) ** 2)
@@ -85,10 +80,10 @@ def test_an_uneven_sheet_is_found(sensor, used, allowed):
     assert 0.1 < prepared.reference.residual < 1.5
 
 
-def test_contacts_are_found_from_every_reading_with_their_error(sensor):
-    problem = sensor.problem(_EVERY)
+def test_contacts_are_found_from_every_reading_with_their_error(simulated):
+    problem = simulated.problem(_EVERY)
     prepared = AbsoluteGaussNewton().prepare(problem)
-    true = sensor.model.contact_impedance * _UNIT / sensor.scale(problem)
+    true = simulated.model.contact_impedance * _UNIT / simulated.scale(problem)
     wrong = np.log(prepared.contact_impedance() / true)
     error = np.sqrt(np.mean(wrong**2))
     assert error < 0.06
@@ -98,8 +93,8 @@ def test_contacts_are_found_from_every_reading_with_their_error(sensor):
     assert np.corrcoef(np.log(prepared.contact_impedance()), np.log(true))[0, 1] > 0.99
 
 
-def test_contacts_no_reading_tells_are_refused(sensor, problem):
-    prepared = AbsoluteGaussNewton().prepare(sensor.problem())
+def test_contacts_no_reading_tells_are_refused(simulated, problem):
+    prepared = AbsoluteGaussNewton().prepare(simulated.problem())
     assert prepared.reference.log_contact_error.min() > 0.9
     with pytest.raises(NumericsError, match="contact impedance of electrodes 0, 1, 2"):
         prepared.contact_impedance()
@@ -108,8 +103,8 @@ def test_contacts_no_reading_tells_are_refused(sensor, problem):
 
 
 @pytest.mark.rest
-def test_images_do_not_depend_on_the_unit(sensor):
-    problem = sensor.problem()
+def test_images_do_not_depend_on_the_unit(simulated):
+    problem = simulated.problem()
     changes = target_signal(problem, x_mm=15, y_mm=10, radius_mm=6.5, contrast=0.3)[None]
     found = []
     for factor in (1.0, 1e-6, 250.0):
@@ -145,11 +140,11 @@ def test_small_changes_are_imaged_by_the_first_step(problem):
     assert_expected_order(errors, sizes, 1.0, 0.15)
 
 
-def test_strong_loads_keep_their_amplitude_where_a_step_saturates(sensor):
-    problem = sensor.problem()
-    covered = np.hypot(*(sensor.model.mesh.centroids_mm - [10.0, 5.0]).T) < 8
-    pressed = sensor.model.changed(conductance=sensor.model.conductance * np.where(covered, 4.0, 1.0))
-    change = _UNIT * (pressed.voltages() - sensor.model.voltages())[problem.used] / sensor.scale(problem)
+def test_strong_loads_keep_their_amplitude_where_a_step_saturates(simulated):
+    problem = simulated.problem()
+    covered = np.hypot(*(simulated.model.mesh.centroids_mm - [10.0, 5.0]).T) < 8
+    pressed = simulated.model.changed(conductance=simulated.model.conductance * np.where(covered, 4.0, 1.0))
+    change = _UNIT * (pressed.voltages() - simulated.model.voltages())[problem.used] / simulated.scale(problem)
     prepared = AbsoluteGaussNewton(load_spread=0.5, load_length=0.2).prepare(problem)
     image = prepared.images(change[None])[0]
     step = prepared.before_load.matrix()[: len(image)] @ prepared.model.fold.fold(change[None])[0]
@@ -182,8 +177,8 @@ def test_every_frame_stands_for_itself(problem):
     ],
     ids=["order", "polarity", "zero", "noise"],
 )
-def test_readings_of_no_such_sheet_are_refused(problem, sensor, spoil, reason):
-    measured = spoil(sensor.frame)[problem.used]
+def test_readings_of_no_such_sheet_are_refused(problem, simulated, spoil, reason):
+    measured = spoil(simulated.frame)[problem.used]
     with pytest.raises(NumericsError, match=reason) as refused:
         AbsoluteGaussNewton(mesh_size=0.15).prepare(replace(problem, measured=measured))
     assert refused.value.remedy
@@ -196,9 +191,9 @@ def test_a_frame_no_sheet_explains_is_refused(problem):
         prepared.images(np.stack([one, np.roll(problem.reference, 31) - problem.reference]))
 
 
-def test_too_few_iterations_are_an_error_not_an_image(sensor):
+def test_too_few_iterations_are_an_error_not_an_image(simulated):
     with pytest.raises(NumericsError, match="did not converge: after 1 steps steps ran out") as refused:
-        AbsoluteGaussNewton(iterations=1).prepare(sensor.problem())
+        AbsoluteGaussNewton(iterations=1).prepare(simulated.problem())
     assert "noise_dB" in refused.value.remedy
 
 
@@ -207,7 +202,6 @@ def test_too_few_iterations_are_an_error_not_an_image(sensor):
     [
         ({"noise_dB": -1.0}, "noise_dB is"),
         ({"spread": 0.0}, "spread is"),
-        ({"length": float("nan")}, "length is"),
         ({"length": 1e-310}, "length is"),
         ({"load_spread": float("inf")}, "load_spread is"),
         ({"load_spread": 1e-300}, "load_spread is"),
@@ -217,12 +211,7 @@ def test_too_few_iterations_are_an_error_not_an_image(sensor):
         ({"mesh_size": 0.0299}, "mesh_size is"),
         ({"iterations": 1001}, "iterations is"),
         ({"iterations": 0}, "iterations is"),
-        ({"iterations": 2.5}, r"iterations is 2\.5"),
         ({"noise_figure": 1.0, "load_spread": 0.1}, "not both"),
-        *(
-            ({name: None}, f"{name} is None")
-            for name in ("noise_dB", "spread", "load_length", "mesh_size", "iterations")
-        ),
     ],
 )
 def test_impossible_options_are_refused(options, reason):

@@ -7,7 +7,6 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, ParameterChoice
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation as Minimise, jump_matrix
@@ -17,11 +16,6 @@ from cbsr_qa_plugins.reconstruction.iterative import TotalVariation
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 _ALPHA = 2.6e-8
-
-
-@pytest.fixture(scope="module")
-def problem(pin_sensor) -> ImagingProblem:
-    return imaging_problem(pin_sensor(), image_size_mm=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -152,37 +146,16 @@ def test_measured_changes_choose_for_themselves(problem, noisy):
         choose_alpha(replace(problem, sample=noise), given=None, noise_dB=60.0)
 
 
-def test_noisy_channels_weigh_less(problem, noisy):
-    variance = np.ones((16, 16))
-    variance[5], variance[:, 5] = 1e8, 1e8
-    weighed = imaging_problem(problem.sensor_type, noise_variance=variance, image_size_mm=6.0)
-    of_five = (np.argwhere(problem.used) == 5).any(axis=1)
-    prepared = TotalVariationImages.of(
-        "weighed", weighed, ParameterChoice(_ALPHA, "given", 1.0), tolerance=1e-5, most_steps=60
-    )
-    disturbed = np.where(of_five, 1.5 * noisy, noisy)
-    quiet, loud = prepared.images(np.stack([noisy, disturbed]))
-    assert np.abs(loud - quiet).max() < 0.02 * np.abs(quiet).max()
-
-
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
         ({"hyperparameter": 0.0}, "hyperparameter is 0.0"),
         ({"hyperparameter": -1.0}, "hyperparameter is -1.0"),
-        ({"hyperparameter": float("nan")}, "hyperparameter is nan"),
         ({"tolerance": 1e-9}, "tolerance is 1e-09"),
         ({"iterations": 0}, "from 1 to 1000"),
         ({"noise_dB": float("inf")}, "noise_dB is inf"),
         ({"noise_dB": -60.0}, "noise_dB is -60"),
-        ({"hyperparameter": "small"}, "hyperparameter is"),
-        ({"iterations": 2.5}, "iterations is"),
-        ({"noise_dB": "quiet"}, "noise_dB is"),
         ({"iterations": 1001}, "iterations is 1001"),
-        ({"iterations": None}, "iterations is None"),
-        ({"tolerance": None}, "tolerance is None"),
-        ({"noise_dB": None}, "noise_dB is None"),
-        ({"hyperparameter": 10**400}, "beyond 1.8e308"),
     ],
 )
 def test_impossible_options_are_refused(options, reason):
@@ -273,10 +246,3 @@ def test_the_steps_that_are_allowed_are_taken(problem, noisy):
     assert Minimise(problem.mesh, white.rows, most_steps=steps).image(readings, _ALPHA).steps == steps
     with pytest.raises(NumericsError, match=f"after {steps - 1} of {steps - 1} steps"):
         Minimise(problem.mesh, white.rows, most_steps=steps - 1).image(readings, _ALPHA)
-
-
-@pytest.mark.rest
-def test_how_it_was_chosen_is_said_in_one_notation_and_three_digits(pin_sensor):
-    choice, _ = choose_alpha(imaging_problem(pin_sensor(radius_mm=35.17)), given=None, noise_dB=40.0)
-    assert "target of 9.14 mm and 20% contrast" in choice.how
-    assert "at 200% contrast, on elements of 4.22 mm" in choice.how
