@@ -66,24 +66,31 @@ def test_a_parameter_an_effect_does_not_have_is_refused_with_those_it_has():
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "key"),
+    ("name", "options", "key", "allowed"),
     [
-        ("electrode-open", {"electrode": 16}, "electrode"),
-        ("electrode-open", {"electrode": 3, "from_s": 5.0, "to_s": 5.0}, "to_s"),
-        ("electrode-short", {"electrodes": [3, 3]}, "electrodes"),
-        ("electrode-short", {"electrodes": [3, 16]}, "electrodes"),
-        ("electrode-noise", {"electrode": 99}, "electrode"),
-        ("frame-loss", {"most_rows": 17}, "most_rows"),
-        ("head-edge", {"width_mm": 13.0}, "width_mm"),
-        ("measurement-noise", {"relative_noise": 0.1, "relative_floor": 0.2}, "relative_floor"),
-        ("watchdog-dump", {"period_s": 1.0, "pause_ms": 1000.0}, "pause_ms"),
-        ("reading-memory", {"inner": "outer"}, "inner"),
-        ("quantisation", {"bits": 33}, "bits"),
-        ("quantisation", {"range_V": 1e308}, "range_V"),
+        ("electrode-open", {"electrode": 16}, "electrode", "from 0 to 15"),
+        ("electrode-open", {"electrode": 3, "from_s": 5.0, "to_s": 5.0}, "to_s", "above from_s, 5"),
+        ("electrode-short", {"electrodes": [3, 3]}, "electrodes", "two different electrodes"),
+        ("electrode-short", {"electrodes": [3, 16]}, "electrodes", "from 0 to 15"),
+        ("electrode-noise", {"electrode": 99}, "electrode", "from 0 to 15"),
+        ("frame-loss", {"most_rows": 17}, "most_rows", "at most 16"),
+        ("head-edge", {"width_mm": 13.0}, "width_mm", "at most 12.35"),
+        (
+            "measurement-noise",
+            {"relative_noise": 0.1, "relative_floor": 0.2},
+            "relative_floor",
+            "at most relative_noise",
+        ),
+        ("watchdog-dump", {"period_s": 1.0, "pause_ms": 1000.0}, "pause_ms", "a longer period_s"),
+        ("reading-memory", {"inner": "outer"}, "inner", "'measure' or 'drive'"),
+        ("quantisation", {"bits": 33}, "bits", "from 4 to 32"),
+        ("quantisation", {"range_V": 1e308}, "range_V", "at most 1e+15"),
     ],
 )
-def test_what_does_not_fit_the_scene_or_another_parameter_is_refused(name, options, key):
-    assert f"{key} is " in refused(name, **options).reason
+def test_what_does_not_fit_the_scene_or_another_parameter_is_refused_with_what_does(name, options, key, allowed):
+    error = refused(name, **options)
+    assert f"{key} is " in error.reason
+    assert allowed in error.remedy
 
 
 @pytest.mark.parametrize("name", EFFECTS)

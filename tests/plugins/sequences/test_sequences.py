@@ -211,6 +211,11 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(sequence, options
     assert refused.value.remedy.startswith("it must ")
 
 
+def test_a_place_given_twice_is_refused_with_the_option_that_repeats():
+    with pytest.raises(ConfigError, match="cycles repeats them"):
+        HysteresisLoopSequence(locations_mm=[[0, 0], [0.0, 0.0]])
+
+
 def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
     with pytest.raises(ConfigError, match=r"strains_percent\[1\] is 0\.2") as refused:
         LocationGridSequence(strains_percent=[0.2])
