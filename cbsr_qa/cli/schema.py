@@ -1,4 +1,4 @@
-"""``cbsr-qa schema``: the JSON Schema of what a command prints with ``--json``, and of a run's events."""
+"""``cbsr-qa schema``: the JSON Schema of what a command prints with ``--json``, of events and of channels."""
 
 from typing import Annotated, Any
 
@@ -9,6 +9,7 @@ from cbsr_qa.cli.output import emit_json, say
 from cbsr_qa.domain import RefusedError
 
 document("events", prints="cbsr_qa.domain.run:EventMessage")
+document("channel", prints="cbsr_qa.station.control:ChannelLine")
 
 
 @command("schema")
@@ -16,11 +17,11 @@ def schema(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="COMMAND", help="e.g. gauge, db status, events or stream messages; without it, list all."
+            metavar="COMMAND", help="e.g. gauge, db status, events, channel or stream messages; without it, list all."
         ),
     ] = None,
 ) -> None:
-    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, or of events and streams."""
+    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, of events, channels or streams."""
     if not words:
         for name in documents():
             say(name)

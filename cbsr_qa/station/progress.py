@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Final, Self, TextIO
+from typing import TYPE_CHECKING, Final, Self, TextIO
 
 from cbsr_qa.domain.plan import Release
 from cbsr_qa.domain.run import (
@@ -18,7 +18,7 @@ from cbsr_qa.domain.run import (
     StepRetried,
     StepStarted,
 )
-from cbsr_qa.station.control import RunStatus
+from cbsr_qa.station.control import Activity, RunStatus
 from cbsr_qa.station.noise import NoiseSoFar
 from cbsr_qa.station.plan import duration
 from cbsr_qa.system import Clock, VirtualClock
@@ -99,9 +99,9 @@ class RunProgress:
             self._announced = True
             self._say(f"{self._name()}: {duration(event.remaining_s)} of station time left")
         if isinstance(event.step, Release):  # the head is still down: its force is that of the hold
-            facts = self._status.facts()
-            if facts["load"] is not None:
-                self._say(f"{', '.join(self._figures(facts))}, {duration(event.remaining_s)} left")
+            now = self._status.now()
+            if now.load is not None:
+                self._say(f"{', '.join(self._figures(now))}, {duration(event.remaining_s)} left")
         elif time.monotonic() - self._said_s >= _QUIET_S:
             self._say(f"{self._live()}, {duration(event.remaining_s)} left")
 
@@ -114,16 +114,16 @@ class RunProgress:
 
     def _live(self) -> str:
         """Return press, place, force, noise and step as one line."""
-        facts = self._status.facts()
-        figures, step = self._figures(facts), str(facts["step"])
-        return f"{', '.join(figures)}: {step}" if figures else step
+        now = self._status.now()
+        figures = self._figures(now)
+        return f"{', '.join(figures)}: {now.step}" if figures else now.step
 
-    def _figures(self, facts: dict[str, Any]) -> list[str]:
-        load, force_N, percent = facts["load"], facts["force_N"], self._noise.percent
+    def _figures(self, now: Activity) -> list[str]:
+        load, force_N, percent = now.load, now.force_N, self._noise.percent
         figures = []
         if load is not None:
-            place = f"{load['label']} at ({load['x_mm']:g}, {load['y_mm']:g}) mm"
-            figures.append(f"press {load['number']} of {load['of']}, {place}")
+            place = f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm"
+            figures.append(f"press {load.number} of {load.of}, {place}")
         if force_N is not None:
             figures.append(f"{round(force_N, 2) + 0.0:.2f} N")  # no minus before zero
         if percent is not None:

@@ -17,7 +17,7 @@ def test_every_command_that_prints_json_and_no_other_has_a_schema(capsys):
     with_json = {command.words for command in commands() if "as_json" in signature(command.run).parameters}
     assert {"run", "db status", "limits propose"} < with_json
     names = printed(capsys).splitlines()
-    assert set(names) == with_json | {"dry run", "events", "stream messages"}
+    assert set(names) == with_json | {"dry run", "events", "channel", "stream messages"}
     assert len(names) == len(set(names))
     for name in names:
         whole = json.loads(printed(capsys, *name.split()))

@@ -12,10 +12,12 @@ import forked
 import pytest
 from command import cbsr_qa
 from killing import BEGIN, assert_same, came_of, latest_run, write_files
+from pydantic import TypeAdapter
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import EndReason
-from cbsr_qa.station.control import RunChannel, control_socket, station_held, station_holder
+from cbsr_qa.report import json_document
+from cbsr_qa.station.control import ChannelLine, RunChannel, control_socket, station_held, station_holder
 
 STATION = "simulated"
 
@@ -102,6 +104,8 @@ def pester(opened):
 def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_that_was_left_alone(folder, garbage):
     with running(folder, *BEGIN, "--serial", "S-1", "--operator", "Ada") as (process, channel):
         assert channel.hello["serial"] == "S-1"
+        for line in (channel.hello, channel.ask("state")):
+            assert json_document(TypeAdapter(ChannelLine).validate_python(line)) == line
         assert channel.hello["pid"] == station_holder(STATION).pid != os.getpid()
         until(lambda: pressing(channel))
         channel.ask("pause", by="Grace")

@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import suppress
+from dataclasses import astuple
 
 import pytest
 from stopping import CYCLE, assert_made_safe, run
@@ -74,7 +75,7 @@ def words(documents):
 
 def test_a_pause_asked_for_in_a_press_comes_after_its_rest_and_frames_are_taken_again_before_the_next():
     desk = ControlDesk()
-    beside = Beside(desk, lambda state: state["paused"], lambda: desk.resume("Grace"))
+    beside = Beside(desk, lambda state: state.paused, lambda: desk.resume("Grace"))
     ended, documents, script, bench, _ = run(STEPS, listeners=[at(Press, lambda: desk.pause("Ada"))], desk=desk)
     beside.join(20)
     assert ended.end is EndReason.FINISHED
@@ -100,7 +101,7 @@ def test_a_pause_asked_for_in_a_press_comes_after_its_rest_and_frames_are_taken_
 
 def test_a_pause_before_the_first_press_takes_the_unloaded_frames_again_after_a_new_mark_without_another_rest():
     desk = ControlDesk()
-    beside = Beside(desk, lambda state: state["paused"], lambda: desk.resume("Ada"))
+    beside = Beside(desk, lambda state: state.paused, lambda: desk.resume("Ada"))
     _, documents, *_ = run(STEPS, listeners=[at(AcquireFrames, lambda: desk.pause("Ada"))], desk=desk)
     beside.join(20)
     told = words(documents)
@@ -121,11 +122,11 @@ def test_limits_and_heartbeat_are_watched_in_a_pause(monkeypatch, what):
     desk, script = ControlDesk(), fast()
 
     def answering(self):
-        if desk.state()["paused"]:
+        if desk.state().paused:
             raise InstrumentError("force_applicator", "COM3", "no reply")
 
     if what == "force":
-        script.force_N = lambda now_s, down: 1e4 if desk.state()["paused"] else 0.0
+        script.force_N = lambda now_s, down: 1e4 if desk.state().paused else 0.0
     else:
         monkeypatch.setattr(ScriptedApplicator, "alive", answering, raising=False)
     ended, documents, *_ = run(STEPS, script=script, listeners=[at(Press, lambda: desk.pause("Ada"))], desk=desk)
@@ -140,7 +141,7 @@ def test_limits_and_heartbeat_are_watched_in_a_pause(monkeypatch, what):
 )
 def test_a_pause_is_stopped_at_once(stop, said):
     desk = ControlDesk()
-    beside = Beside(desk, lambda state: state["paused"], lambda: getattr(desk, stop)("Ada"))
+    beside = Beside(desk, lambda state: state.paused, lambda: getattr(desk, stop)("Ada"))
     ended, _, script, *_ = run(STEPS, listeners=[at(Press, lambda: desk.pause("Ada"))], desk=desk)
     beside.join(20)
     assert ended.end is EndReason.ABORTED
@@ -184,23 +185,23 @@ def test_a_prompt_takes_one_answer_and_is_stored_with_its_answer():
     desk, told = ControlDesk(answers=True), []
 
     def answers():
-        open_one = desk.state()["prompt"]
+        open_one = desk.state().prompt
         told.append(open_one)
         for by, text in (("Ada", "done"), ("Grace", "no")):
-            desk.answer(open_one["prompt"], text, by)
+            desk.answer(open_one.prompt, text, by)
 
-    beside = Beside(desk, lambda state: state["prompt"], answers)
+    beside = Beside(desk, lambda state: state.prompt, answers)
     asking = OperatorPrompt(None, desk, first=3)
     steps = (Prompt("Turn the sheet", "/somewhere/sheet.png"), *CYCLE)
     ended, documents, *_ = run(steps, ask=asking, desk=desk)
     beside.join(20)
     assert ended.end is EndReason.FINISHED
-    assert told == [{"prompt": 3, "text": "Turn the sheet", "picture": "/somewhere/sheet.png", "here": True}]
+    assert [astuple(one) for one in told] == [(3, "Turn the sheet", "/somewhere/sheet.png", True)]
     assert beside.said == ["prompt 3 has been answered by Ada"]
     shown, answered = [one for one in documents if isinstance(one, PromptShown | PromptAnswered)]
     assert (shown.prompt, shown.text, shown.picture) == (3, "Turn the sheet", "sheet.png")
     assert (answered.prompt, answered.answer, answered.by) == (3, "done", "Ada")
-    assert desk.state()["prompt"] is None
+    assert desk.state().prompt is None
 
 
 def test_a_prompt_in_a_terminal_is_shown_to_others_who_cannot_answer_it():
@@ -208,7 +209,7 @@ def test_a_prompt_in_a_terminal_is_shown_to_others_who_cannot_answer_it():
     shown = []
 
     def terminal(text):
-        shown.append(desk.state()["prompt"]["here"])
+        shown.append(desk.state().prompt.here)
         with pytest.raises(RefusedError, match="answer there"):
             desk.answer(0, "yes", "Grace")
         return "yes"
@@ -222,11 +223,11 @@ def test_a_prompt_in_a_terminal_is_shown_to_others_who_cannot_answer_it():
 
 def test_a_stop_ends_a_prompt_also_while_the_bench_is_opened():
     desk = ControlDesk(answers=True)
-    beside = Beside(desk, lambda state: state["prompt"], lambda: desk.stop("Ada"))
+    beside = Beside(desk, lambda state: state.prompt, lambda: desk.stop("Ada"))
     with pytest.raises(AbortedError, match="Ada"):
         OperatorPrompt(None, desk)("Put 100 g on the load cell")
     beside.join(20)
-    beside = Beside(desk := ControlDesk(answers=True), lambda state: state["prompt"], lambda: desk.stop("Ada"))
+    beside = Beside(desk := ControlDesk(answers=True), lambda state: state.prompt, lambda: desk.stop("Ada"))
     ended, *_ = run((Prompt("Ready?"), *CYCLE), ask=OperatorPrompt(None, desk), desk=desk)
     assert (ended.end, ended.detail[:15]) == (EndReason.ABORTED, "by Ada (remote)")
 
@@ -256,7 +257,7 @@ def test_what_cannot_be_done_is_refused_with_the_reason():
     ):
         with pytest.raises(RefusedError, match=said):
             ask("Ada")
-    assert desk.state()["stopping"] is None
+    assert desk.state().stopping is None
     with pytest.raises(RefusedError, match="prompt 0 is not open"):
         desk.answer(0, "yes", "Ada")
 

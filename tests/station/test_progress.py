@@ -1,6 +1,7 @@
 """Progress: a bar on a terminal, one line a phase elsewhere, nothing ever on stdout."""
 
 import io
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -143,14 +144,14 @@ def test_a_press_is_under_way_until_its_rest_has_ended_then_the_next_one_is_name
     seen = []
 
     def look(event):
-        state = status.document()
-        seen.append((type(event).__name__, state["load"] and state["load"]["number"], state["next"]))
+        now = status.now()
+        seen.append((type(event).__name__, now.load and now.load.number, now.next and astuple(now.next)))
 
     plan = example_plan(*(PlannedPhase(name, "fixed", CYCLE) for name in ("first", "second")))
     status, clock = planned(plan), VirtualClock()
     bench = scripted_bench(Script(clock), plan.sensor_type)
     execute(plan, example_identity(), bench, clock, [lambda event: None, status, look])
-    assert seen[0] == ("RunStarted", None, {"number": 1, "of": 2})
+    assert seen[0] == ("RunStarted", None, (1, 2))
     finished = [where[1:] for where in seen if where[0] == "LoadFinished"]
-    assert finished == [(None, {"number": 2, "of": 2}), (None, None)]
+    assert finished == [(None, (2, 2)), (None, None)]
     assert {where[1:] for where in seen if where[0] == "FramesTaken"} == {(1, None), (2, None)}

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.run import RunEvent
 from cbsr_qa.station import LoadKey, Plan, on_stderr, schedule
-from cbsr_qa.station.control import ControlDesk, RunServer, RunStatus, station_held
+from cbsr_qa.station.control import ControlDesk, RunServer, RunStatus, SensorUnderTest, station_held
 
 
 @dataclass(slots=True)
@@ -19,12 +18,12 @@ class Control:
 
     Parameters
     ----------
-    about : serial, batch, operator, station and recipe.
+    sensor : which sensor is tested, where and how.
     """
 
     desk: ControlDesk
     status: RunStatus
-    about: dict[str, Any]
+    sensor: SensorUnderTest
     _server: RunServer | None = field(default=None, init=False)
 
     @property
@@ -34,14 +33,11 @@ class Control:
 
     @property
     def operator(self) -> str:
-        return str(self.about["operator"])
-
-    def hello(self) -> dict[str, Any]:
-        return dict(self.about)
+        return self.sensor.operator
 
     def begun(self, run: str) -> None:
         """State the run's identifier."""
-        self.about["run"] = run
+        self.sensor = replace(self.sensor, run=run)
         self._changed()
 
     def begins(self, begun: Callable[[str], None]) -> Callable[[str], None]:
@@ -81,7 +77,7 @@ class Control:
 
         RefusedError if there can be none, and prompts are answered over it.
         """
-        with RunServer(station, self.desk, self.hello, self.status.document) as server:
+        with RunServer(station, self.desk, lambda: self.sensor, self.status.whole) as server:
             self._server = server
             if server.why and self.desk.answers:
                 raise RefusedError(server.why, remedy="prompts of this run are answered over the channel")
@@ -113,10 +109,9 @@ def controlled(
         If another process uses the station, or prompts could not be answered; nothing was moved or written.
     """
     station, recipe = configuration.station, configuration.recipe.name
-    about = {"run": None, "station": station.name, "recipe": recipe, "serial": serial, "batch": batch}
-    speed = 1.0 if station.clock == "real" else station.clock_speed
-    status = RunStatus(speed)
-    control = Control(ControlDesk(answers=answers), status, {**about, "operator": operator})
+    status = RunStatus(1.0 if station.clock == "real" else station.clock_speed)
+    sensor = SensorUnderTest(None, station.name, recipe, serial, batch, operator)
+    control = Control(ControlDesk(answers=answers), status, sensor)
     with (
         station_held(station.name, who=operator, doing=f"testing {serial} with {recipe!r}"),
         control.served(station.name, on_stderr),

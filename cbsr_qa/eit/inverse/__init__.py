@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         high_pass as high_pass,
         indenter_smoothness as indenter_smoothness,
         laplace as laplace,
-        laplace_matrix as laplace_matrix,
         noser as noser,
     )
     from .problem import (

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         station_held as station_held,
         station_holder as station_holder,
     )
+    from .messages import Activity as Activity, ChannelLine as ChannelLine, SensorUnderTest as SensorUnderTest
     from .server import (
         LONGEST_LINE as LONGEST_LINE,
         RunServer as RunServer,

@@ -3,9 +3,10 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
-from cbsr_qa.domain import AbortedError, RefusedError
+from cbsr_qa.domain import AbortedError, RefusedError, filled
+from cbsr_qa.station.control.messages import OpenPrompt, Paused, Requests
 
 #: Longest wait between looks for a change [s, real time].
 _LOOK_S: Final = 0.5
@@ -122,19 +123,16 @@ class ControlDesk:
             self._answered[prompt] = by
         self._wake()
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Requests:
         """Return what a page shows of requests and the open prompt."""
         with self._lock:
-            paused, question = self._paused, self._question
-            asked = (
-                {"prompt": question.prompt, "text": question.text, "picture": question.picture} if question else None
+            asked = self._question
+            return Requests(
+                paused=None if self._paused is None else Paused(*self._paused),
+                pause_wanted=self._wanted_by,
+                stopping=self._stopped_by,
+                prompt=None if asked is None else filled(OpenPrompt, asked, here=self.answers),
             )
-            return {
-                "paused": None if paused is None else {"by": paused[0], "since_s": paused[1]},
-                "pause_wanted": self._wanted_by,
-                "stopping": self._stopped_by,
-                "prompt": None if asked is None else {**asked, "here": self.answers},
-            }
 
     # Called by the run, in its own thread.
 

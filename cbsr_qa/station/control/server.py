@@ -11,14 +11,23 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.run import PhaseStarted, RunEvent, StepStarted, event_document
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.control.lock import control_socket, private_folder
+from cbsr_qa.station.control.messages import (
+    Activity,
+    ChannelLine,
+    Hello,
+    Refused,
+    Reply,
+    SensorUnderTest,
+    State,
+)
 
 #: Version of the lines, raised when a key is removed or changes its meaning.
 PROTOCOL: Final = 1
@@ -48,19 +57,19 @@ class RunServer:
     Parameters
     ----------
     station : its lock is held by this process, so that a socket that is found there belongs to nobody.
-    hello : who tests what, for the first line of each connection.
-    state : returns the state of the run.
+    sensor : returns which sensor is tested, for the first line of each connection.
+    activity : returns what the run does.
     """
 
     def __init__(
         self,
         station: str,
         desk: ControlDesk,
-        hello: Callable[[], dict[str, Any]],
-        state: Callable[[], dict[str, Any]],
+        sensor: Callable[[], SensorUnderTest],
+        activity: Callable[[], Activity],
     ) -> None:
         self.why = ""
-        self._station, self._desk, self._hello, self._state = station, desk, hello, state
+        self._station, self._desk, self._sensor, self._activity = station, desk, sensor, activity
         self._clients: set[asyncio.StreamWriter] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._path: Path | None = None
@@ -92,7 +101,7 @@ class RunServer:
     def __call__(self, event: RunEvent) -> None:
         """Send an event; returns at once."""
         if self._clients:
-            self._later(self._send_all, event_document(event))
+            self._later(self._send_all, _line(event_document(event)))
             if isinstance(event, StepStarted | PhaseStarted):
                 self.state_changed()
 
@@ -103,10 +112,10 @@ class RunServer:
 
     def _send_state(self) -> None:
         """Send the state as it is now: in the loop's thread, so that states arrive in order."""
-        self._send_all({"type": "state", **self._stands(), "loads": None})
+        self._send_all(_line(replace(self._state(), loads=None)))
 
-    def _stands(self) -> dict[str, Any]:
-        return {**self._state(), **self._desk.state()}
+    def _state(self) -> State:
+        return State.of(self._activity(), self._desk.state())
 
     def _bound(self) -> socket.socket:
         path = control_socket(self._station)
@@ -153,17 +162,15 @@ class RunServer:
 
     async def _client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._clients) >= _MOST_CLIENTS:
-            self._send(writer, {"type": "refused", "why": f"{_MOST_CLIENTS} are connected already"})
+            self._send(writer, _line(Refused("refused", f"{_MOST_CLIENTS} are connected already")))
             writer.close()
             return
         self._clients.add(writer)  # first: what happens from here on is sent after the state
-        self._send(
-            writer,
-            {"type": "hello", "protocol": PROTOCOL, "pid": os.getpid(), **self._hello(), "state": self._stands()},
-        )
+        hello = filled(Hello, self._sensor(), type="hello", protocol=PROTOCOL, pid=os.getpid(), state=self._state())
+        self._send(writer, _line(hello))
         try:
             while line := await reader.readline():
-                self._send(writer, self._reply(line))
+                self._send(writer, _line(self._reply(line)))
                 await asyncio.sleep(_BETWEEN_S)
         except (OSError, ValueError, asyncio.CancelledError):  # a line longer than allowed; the run has ended
             pass
@@ -171,31 +178,29 @@ class RunServer:
             self._clients.discard(writer)
             writer.close()
 
-    def _send_all(self, document: dict[str, Any]) -> None:
-        line = _line(document)
+    def _send_all(self, line: bytes) -> None:
         for writer in tuple(self._clients):
             self._send(writer, line)
 
-    def _send(self, writer: asyncio.StreamWriter, what: dict[str, Any] | bytes) -> None:
+    def _send(self, writer: asyncio.StreamWriter, line: bytes) -> None:
         if writer.transport.get_write_buffer_size() > _MOST_UNREAD:
             self._clients.discard(writer)
             writer.transport.abort()
         elif not writer.is_closing():
-            writer.write(what if isinstance(what, bytes) else _line(what))
+            writer.write(line)
 
-    def _reply(self, line: bytes) -> dict[str, Any]:
-        request: _Request | None = None
+    def _reply(self, line: bytes) -> Reply:
         number = None
         try:
             content = _content(line)
             number = content.get("id") if isinstance(content.get("id"), int | str) else None
             request = _Request.of(content)
             if request.do == "state":
-                return {"type": "reply", "id": number, "ok": True, "why": "", "state": self._stands()}
+                return Reply("reply", number, ok=True, state=self._state())
             request.put_to(self._desk)
         except RefusedError as error:
-            return {"type": "reply", "id": number, "ok": False, "why": error.reason}
-        return {"type": "reply", "id": number, "ok": True, "why": ""}
+            return Reply("reply", number, ok=False, why=error.reason)
+        return Reply("reply", number, ok=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,5 +249,6 @@ def _content(line: bytes) -> dict[str, Any]:
     return content
 
 
-def _line(document: dict[str, Any]) -> bytes:
+def _line(what: ChannelLine | dict[str, Any]) -> bytes:
+    document = what if isinstance(what, dict) else asdict(what)
     return json.dumps(document, ensure_ascii=True, allow_nan=False).encode() + b"\n"

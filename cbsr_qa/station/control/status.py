@@ -3,11 +3,12 @@
 import math
 import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.run import (
+    Load,
     LoadFinished,
     PhaseStarted,
     RunEnded,
@@ -18,6 +19,7 @@ from cbsr_qa.domain.run import (
     StepStarted,
 )
 from cbsr_qa.station.bench import FORCE_CHANNEL
+from cbsr_qa.station.control.messages import Activity, Ended, LoadUnderWay, Numbered, PlannedLoad
 from cbsr_qa.station.plan import LoadKey, describe
 
 #: No more planned loads are listed: their number is stated in any case.
@@ -33,27 +35,12 @@ class RunStatus:
     Parameters
     ----------
     clock_speed : station seconds per second; None if the clock does not wait.
-
-    Of ``load``, the press under way, and ``next``, which one is next, one is None.
     """
 
     clock_speed: float | None
-    _facts: dict[str, Any] = field(
-        default_factory=lambda: {
-            "run": None,
-            "phase": None,
-            "phases": 0,
-            "step": "opening the bench",
-            "load": None,
-            "next": None,
-            "remaining_s": None,
-            "time_s": 0.0,
-            "force_N": None,
-            "ended": None,
-        }
-    )
+    _now: Activity = field(default_factory=Activity)
     _keys: list[LoadKey] = field(default_factory=list)
-    _loads: list[dict[str, Any]] = field(default_factory=list)
+    _loads: list[PlannedLoad] = field(default_factory=list)
     _names: dict[int, str] = field(default_factory=dict)
     _warnings: list[str] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -64,98 +51,91 @@ class RunStatus:
         """State what will be pressed, and what an earlier session has done."""
         with self._lock:
             self._names, self._keys, self._loads = dict(phases), [], []
-            self._facts["phases"] = len(phases)
             for key, press in presses:
-                load = press.load
-                place = {"label": load.label, "x_mm": load.x_mm, "y_mm": load.y_mm}
-                entry = {"phase": self._names[key[0]], **place, "strain": load.strain, "trial": load.trial}
                 self._keys.append(key)
-                self._loads.append({**entry, "done": key in done})
-            self._facts["next"] = self._next()
+                self._loads.append(_planned(self._names[key[0]], press.load, done=key in done))
+            self._set(phases=len(phases), next=self._next())
 
     def doing(self, what: str) -> None:
         """State what is done outside of the plan, e.g. that the result is computed."""
         with self._lock:
-            self._facts |= {"step": what, "load": None, "next": None}
+            self._set(step=what, load=None, next=None)
 
     def warn(self, text: str) -> None:
         with self._lock:
-            if len(self._warnings) < _MOST_WARNINGS:
-                self._warnings.append(text)
+            self._warn(text)
 
     def __call__(self, event: RunEvent) -> None:
         with self._lock:
             self._follow(event)
 
-    def document(self) -> dict[str, Any]:
-        """Return the state as JSON."""
-        with self._lock:
-            return {
-                **self._facts,
-                "clock_speed": self.clock_speed,
-                "loads": [dict(load) for load in self._loads[:MOST_LOADS]],
-                "warnings": list(self._warnings),
-            }
-
-    def facts(self) -> dict[str, Any]:
+    def now(self) -> Activity:
         """Return the state without the list of loads and the warnings."""
         with self._lock:
-            return dict(self._facts)
+            return self._now
+
+    def whole(self) -> Activity:
+        """Return the state."""
+        with self._lock:
+            return replace(
+                self._now,
+                clock_speed=self.clock_speed,
+                loads=tuple(self._loads[:MOST_LOADS]),
+                warnings=tuple(self._warnings),
+            )
+
+    def _set(self, **values: Any) -> None:
+        self._now = replace(self._now, **values)
+
+    def _warn(self, text: str) -> None:
+        if len(self._warnings) < _MOST_WARNINGS:
+            self._warnings.append(text)
 
     def _follow(self, event: RunEvent) -> None:
         match event:
             case RunStarted(identity=identity):
-                self._facts["run"] = identity.run
+                self._set(run=identity.run)
             case PhaseStarted(name=name):
-                self._facts["phase"] = name
+                self._set(phase=name)
             case StepStarted():
                 self._step(event)
             case SamplesTaken(samples=samples) if samples.channel == FORCE_CHANNEL and len(samples):
                 force_N = float(samples.values[-1])
-                self._facts |= {
-                    "force_N": force_N if math.isfinite(force_N) else None,
-                    "time_s": float(samples.time_s[-1]),
-                }
+                self._set(force_N=force_N if math.isfinite(force_N) else None, time_s=float(samples.time_s[-1]))
             case LoadFinished(phase=phase, record=record):
                 self._finished((phase, record.index))
-            case StepRetried(attempt=attempt, why=why) if len(self._warnings) < _MOST_WARNINGS:
-                self._warnings.append(f"attempt {attempt} failed, retrying: {why}")
+            case StepRetried(attempt=attempt, why=why):
+                self._warn(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded(end=end, detail=detail):
-                self._facts |= {
-                    "ended": {"end": str(end), "detail": detail},
-                    "load": None,
-                    "next": None,
-                    "remaining_s": 0.0,
-                }
+                self._set(ended=Ended(end, detail), load=None, next=None, remaining_s=0.0)
 
     def _step(self, event: StepStarted) -> None:
-        self._facts |= {
-            "phase": self._names.get(event.phase, self._facts["phase"]),
-            "step": describe(event.step),
-            "time_s": event.time_s,
-            "remaining_s": event.remaining_s,
-        }
+        self._set(
+            phase=self._names.get(event.phase, self._now.phase),
+            step=describe(event.step),
+            time_s=event.time_s,
+            remaining_s=event.remaining_s,
+        )
         if isinstance(event.step, Press):
-            self._facts |= {"load": self._pressed(event), "next": None}
+            self._set(load=self._pressed(event.phase, event.step.load), next=None)
 
-    def _pressed(self, event: StepStarted) -> dict[str, Any] | None:
+    def _pressed(self, phase: int, load: Load) -> LoadUnderWay:
         """Name the load that begins: the first of its phase with this place, strain and trial that is not done."""
-        assert isinstance(event.step, Press)
-        load, of = event.step.load, len(self._keys)
-        place = {"label": load.label, "x_mm": load.x_mm, "y_mm": load.y_mm}
-        wanted = {**place, "strain": load.strain, "trial": load.trial, "done": False}
-        for number, (key, entry) in enumerate(zip(self._keys, self._loads, strict=True)):
-            if key[0] == event.phase and all(entry[name] == value for name, value in wanted.items()):
-                return {**entry, "number": number + 1, "of": of}
-        return {**wanted, "number": of, "of": of}
+        of, wanted = len(self._loads), _planned(self._names.get(phase, ""), load, done=False)
+        numbers = (n for n, key in enumerate(self._keys) if key[0] == phase and self._loads[n] == wanted)
+        return LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
 
     def _finished(self, key: LoadKey) -> None:
         if key in self._keys:
-            self._loads[self._keys.index(key)]["done"] = True
-        self._facts |= {"load": None, "next": self._next()}
+            number = self._keys.index(key)
+            self._loads[number] = replace(self._loads[number], done=True)
+        self._set(load=None, next=self._next())
 
-    def _next(self) -> dict[str, int] | None:
+    def _next(self) -> Numbered | None:
         """Return which press is the first that is not done; None if all are."""
-        of = len(self._loads)
-        left = (number + 1 for number, load in enumerate(self._loads) if not load["done"])
-        return next(({"number": number, "of": of} for number in left), None)
+        left = (number for number, load in enumerate(self._loads, start=1) if not load.done)
+        return next((Numbered(number, len(self._loads)) for number in left), None)
+
+
+def _planned(phase: str, load: Load, *, done: bool) -> PlannedLoad:
+    return PlannedLoad(phase, load.label, load.x_mm, load.y_mm, load.strain, load.trial, done)
