@@ -122,12 +122,6 @@ def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, m
     assert_all_there(centre.engine, full.engine)
 
 
-def test_large_frames_are_sent_in_several_parcels(full, centre, monkeypatch):
-    monkeypatch.setattr(parcels, "MOST_BYTES", 5000)
-    assert sent(full, centre).size > 50_000
-    assert_all_there(centre.engine, full.engine)
-
-
 def test_a_run_under_way_is_sent_and_sent_again(station, centre):
     run = station.store.new_id()
     events = short_run(run)
