@@ -166,26 +166,6 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
         write_recording(tmp_path / "file" / "a.h5", sample())
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda file: file["frames/time_s"].__setitem__(2, np.nan), "frame times"),
-        (lambda file: file["frames/time_s"].__setitem__(2, 0.0), "frame times"),
-        (lambda file: file["frames/voltages"].__setitem__((0, 0, 0), np.inf), "not a finite number"),
-        (lambda file: file["frames"].attrs.__setitem__("current_A", np.nan), "drive current"),
-        (lambda file: file["frames/reading_time_s"].__setitem__((0, 0, 0), np.nan), "time of a reading"),
-    ],
-)
-def test_numbers_that_are_none_are_refused_whatever_the_digest_says(tmp_path, spoil, said):
-    path = tmp_path / "a.h5"
-    write_recording(path, sample())
-    changed(path, spoil)
-    changed(path, lambda file: file.attrs.__setitem__("sha256", recording_files._digest(file)))
-    with pytest.raises(RecordingError, match=rf"a\.h5.*{said}") as refused:
-        read_recording(path)
-    assert refused.value.remedy
-
-
 def test_a_lost_sample_is_no_sample(tmp_path):
     path, before = tmp_path / "a.h5", sample()
     (force,) = before.samples
