@@ -70,9 +70,13 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, reading_times, refere
     assert list(tmp_path.iterdir()) == [path]  # no temporary file is left
 
 
-def test_a_file_that_a_notebook_has_open_is_read(tmp_path):
-    path = tmp_path / "a.h5"
-    write_recording(path, sample())
+@pytest.fixture
+def path(tmp_path):
+    write_recording(tmp_path / "a.h5", sample())
+    return tmp_path / "a.h5"
+
+
+def test_a_file_that_a_notebook_has_open_is_read(path):
     with h5py.File(path):
         read = read_recording_file(path, discover(), format_=None, dataset=None)
     np.testing.assert_array_equal(read.frames.voltages, read_recording(path).frames.voltages)
@@ -117,9 +121,7 @@ def test_every_dataset_states_its_unit(tmp_path):
     assert all(units.values())
 
 
-def test_the_format_counts_from_the_first_frame(tmp_path):
-    path = tmp_path / "a.h5"
-    write_recording(path, sample())
+def test_the_format_counts_from_the_first_frame(path):
     assert CbsrRecording().recognises(path, path.read_bytes()[:4096])
     recording = CbsrRecording().read(path, ReadOptions())
     assert recording.frames.time_s[0] == 0
@@ -142,18 +144,14 @@ def changed(path, change):
         (lambda file: file.attrs.__delitem__("sha256"), "digest"),
     ],
 )
-def test_an_edited_foreign_or_later_file_is_refused_by_name(tmp_path, change, said):
-    path = tmp_path / "a.h5"
-    write_recording(path, sample())
+def test_an_edited_foreign_or_later_file_is_refused_by_name(path, change, said):
     changed(path, change)
     with pytest.raises(RecordingError, match=said):
         read_recording(path)
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.9, 0.999])
-def test_a_cut_file_is_refused(tmp_path, share):
-    path = tmp_path / "a.h5"
-    write_recording(path, sample())
+def test_a_cut_file_is_refused(path, share):
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(RecordingError, match=r"a\.h5"):
