@@ -182,6 +182,13 @@ def test_bad_files_are_refused_clearly_and_nothing_is_written(tmp_path, capsys, 
     assert (found["channels"], found["events"]) == ({}, [])
 
 
+def test_a_refused_document_has_all_keys_of_an_analysed_one(tmp_path, capsys):
+    analysed = json.loads(run(capsys, exported(tmp_path, pressed_frames(0, 0, contrast=0.0)), "--json")[1])
+    for content, *_ in BAD_FILES.values():
+        (tmp_path / "odd.dat").write_bytes(content)
+        assert set(refused(capsys, tmp_path / "odd.dat")["recording"]) == set(analysed["recording"])
+
+
 def test_a_missing_file_a_folder_and_an_unknown_format_are_refused(tmp_path, capsys):
     for arguments, said in (
         ((tmp_path / "none.csv",), "there is no file"),
