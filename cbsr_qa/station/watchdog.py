@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Self
 
-from cbsr_qa.domain import SafetyError
+from cbsr_qa.domain import CbsrError, SafetyError
 from cbsr_qa.plugin import Interruption, contained
 from cbsr_qa.system import RealClock
 
@@ -109,6 +109,9 @@ class Watchdog:
                 yield
         except BrokenInto as broken:
             raise broken.error from None
+        except CbsrError:  # what a driver made of it
+            self._raise_late()
+            raise
         finally:
             self._call = self._between()
         self._raise_late()

@@ -72,11 +72,9 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
 def _writing(tables: Sequence[str], station: str) -> Iterator[str]:
     """Yield the rights to add rows, and to change the few cells that may change."""
     yield _grant("INSERT", [name for name in tables if name not in _OF_UPGRADES], station)
-    queues = [name for name in _QUEUES if name in tables]
-    for table, columns in (FILLED_LATER | (_MERGED if queues else {})).items():
+    for table, columns in (FILLED_LATER | _MERGED).items():
         yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
-    if queues:
-        yield _grant("UPDATE, DELETE", queues, station)
+    yield _grant("UPDATE, DELETE", _QUEUES, station)
 
 
 def _grant(right: str, names: Sequence[str], role: str) -> str:

@@ -47,6 +47,11 @@ def current(value):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        (put("frames/time_s", 2, np.nan), "frame times"),
+        (put("frames/time_s", 2, 0.0), "frame times"),
+        (put("frames/voltages", (0, 0, 0), np.inf), "not a finite number"),
+        (current(np.nan), "drive current"),
+        (put("frames/reading_time_s", (0, 0, 0), np.nan), "time of a reading"),
         (put("frames/voltages", (2, 3, 5), 1e308), "frame 2, drive pair 3, measure pair 5 (all from 0) reads 1e+308"),
         (put("frames/voltages", (2, 3, 5), -1e16), "reads -1e+16 V; readings are at most 1e+15 V"),
         (put("reference/voltages", (1, 0, 0), 1e200), "frame 1, drive pair 0, measure pair 0"),
@@ -67,9 +72,10 @@ def current(value):
 def test_a_recording_is_refused_by_file_and_place(tmp_path, capsys, change, said):
     path = written(tmp_path, change)
     assert guarded(["analyse", str(path), "--json", "--no-report"]) == 2
-    reason = json.loads(capsys.readouterr().out)["refused"]["reason"]
-    assert reason.startswith("run.h5: ")
-    assert said in reason
+    refused = json.loads(capsys.readouterr().out)["refused"]
+    assert refused["reason"].startswith("run.h5: ")
+    assert said in refused["reason"]
+    assert refused["remedy"]
 
 
 @pytest.mark.parametrize(

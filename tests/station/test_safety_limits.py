@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from safety_runs import LOAD, assert_safe, run
+from safety_runs import LOAD, SHORT, assert_safe, run
 
 from cbsr_qa.domain import InstrumentError, SafetyError
 from cbsr_qa.domain.plan import FindSurface, Hold, Press, Release, StrainStep
@@ -42,96 +42,68 @@ def test_pull_and_nonsense_stop_as_push_does(force_N, said):
     assert said in ended.detail
 
 
-def test_a_load_cell_that_falls_silent_under_load_stops_the_run():
-    script = Script(VirtualClock(), force_N=lambda t, down: None if down else 0.0)
-    ended, _, script, bench = run(script=script)
-    assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert "head down" in ended.detail
-
-
 def test_a_load_cell_may_be_silent_while_nothing_is_pressed():
     steps = (Hold(600, acquire=True),)
     ended, *_ = run(steps, script=Script(VirtualClock(), force_N=lambda t, down: None))
     assert ended.end is EndReason.FINISHED
 
 
-def test_silence_is_noticed_within_a_hold_without_frames():
-    script = Script(VirtualClock(), force_N=lambda t, down: 1.0 if t < 20 else None)
-    ended, _, script, bench = run((Press(LOAD), Hold(3600, acquire=False), Release()), script=script)
-    assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert ended.time_s < 20 + 2.0 + 1.0 + 0.1  # when it fell silent, the allowed age, one look
-
-
-def test_a_run_that_overstays_is_stopped():
-    script = Script(VirtualClock(), {"force_applicator.find_surface": 13 * 3600})
-    ended, _, script, bench = run(script=script)
-    assert_safe(script, bench)
-    assert "rule 'duration'" in ended.detail
-
-
 SEARCH = (Hold(60, acquire=False), FindSurface(0, 0), Hold(60, acquire=False))
-
-
-def test_the_surface_is_not_searched_for_without_a_live_load_cell():
-    ended, _, script, bench = run(SEARCH, script=Script(VirtualClock(), force_N=lambda t, down: None))
-    assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert "head searching the surface" in ended.detail
-    assert script.count("force_applicator.find_surface") == 0
-
-
-def test_a_load_cell_that_falls_silent_during_the_search_stops_the_run():
-    script = Script(
-        VirtualClock(), {"force_applicator.find_surface": 9.0}, force_N=lambda t, down: 0.0 if t < 61 else None
-    )
-    ended, _, script, bench = run(SEARCH, script=script)
-    assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert script.count("force_applicator.find_surface") == 1
-    assert ended.time_s == pytest.approx(69.0)  # right after the search, not at the next look
-
-
-def test_too_much_force_during_the_search_stops_the_run():
-    script = Script(
-        VirtualClock(), {"force_applicator.find_surface": 9.0}, force_N=lambda t, down: 21.0 if 64 < t < 65 else 0.0
-    )
-    ended, _, script, bench = run(SEARCH, script=script)
-    assert_safe(script, bench)
-    assert "rule 'force': 21 N measured" in ended.detail
-    assert "head searching the surface" in ended.detail
-
-
-def test_the_head_does_not_go_down_on_a_load_cell_that_has_fallen_silent():
-    script = Script(VirtualClock(), force_N=lambda t, down: 0.0 if t < 30 else None)
-    ended, _, script, bench = run((Hold(60, acquire=False), Press(LOAD), Release()), script=script)
-    assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert script.count("force_applicator.press") == 0
-
-
 EASED = (Press(LOAD), Hold(30, acquire=False), StrainStep(0.3), Hold(30, acquire=False), Release())
+SEARCHING, PRESSING = {"force_applicator.find_surface": 9.0}, {"force_applicator.press": 3.0}
 
 
-def test_a_head_is_not_eased_on_a_load_cell_that_has_fallen_silent():
-    script = Script(VirtualClock(), {"force_applicator.press": 3.0}, force_N=lambda t, down: 1.0 if t < 31 else None)
-    ended, _, script, bench = run(EASED, script=script)
+def silent_from(at_s, force_N=0.0):
+    return lambda t, down: force_N if t < at_s else None
+
+
+def too_high_at(at_s, otherwise_N):
+    return lambda t, down: 21.0 if at_s < t < at_s + 1 else otherwise_N
+
+
+#: Steps, how long calls take, the force; the rule that is broken, what is said of the head, how often it was moved,
+#: and when the run ended.
+STOPPED = {
+    "silent under load": (
+        SHORT, {}, lambda t, down: None if down else 0.0, "stale force", "head down", {"press": 1}, None
+    ),
+    "silent in a hold without frames": (
+        (Press(LOAD), Hold(3600, acquire=False), Release()), {}, silent_from(20, 1.0), "stale force", "", {}, 22.0
+    ),
+    "overstaying": (SHORT, {"force_applicator.find_surface": 13 * 3600}, None, "duration", "", {}, None),
+    "silent before the search": (
+        SEARCH, {}, lambda t, down: None, "stale force", "head searching the surface", {"find_surface": 0}, None
+    ),
+    "silent during the search": (SEARCH, SEARCHING, silent_from(61), "stale force", "", {"find_surface": 1}, 69.0),
+    "too high during the search": (
+        SEARCH, SEARCHING, too_high_at(64, 0.0), "force': 21 N measured", "head searching the surface", {}, None
+    ),
+    "silent before a press": (
+        (Hold(60, acquire=False), Press(LOAD), Release()), {}, silent_from(30), "stale force", "", {"press": 0}, None
+    ),
+    "silent before an ease": (EASED, PRESSING, silent_from(31, 1.0), "stale force", "head down", {"press": 1}, None),
+    "too high during an ease": (
+        EASED, PRESSING, too_high_at(34, 1.0), "force': 21 N measured", "", {"press": 2}, 36.0
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("steps", "took_s", "force_N", "rule", "head", "moved", "end_s"), STOPPED.values(), ids=STOPPED
+)
+def test_a_force_that_is_too_high_or_not_known_and_a_run_too_long_are_stopped(
+    steps, took_s, force_N, rule, head, moved, end_s
+):
+    """What fails during a movement ends the run right after it, not at the next look."""
+    script = Script(VirtualClock(), took_s, **({} if force_N is None else {"force_N": force_N}))
+    ended, _, script, bench = run(steps, script=script)
     assert_safe(script, bench)
-    assert "rule 'stale force'" in ended.detail
-    assert "head down" in ended.detail
-    assert script.count("force_applicator.press") == 1
-
-
-def test_too_much_force_while_the_head_is_eased_deeper_stops_the_run():
-    script = Script(
-        VirtualClock(), {"force_applicator.press": 3.0}, force_N=lambda t, down: 21.0 if 34 < t < 35 else 1.0
-    )
-    ended, _, script, bench = run(EASED, script=script)
-    assert_safe(script, bench)
-    assert "rule 'force': 21 N measured" in ended.detail
-    assert script.count("force_applicator.press") == 2
-    assert ended.time_s == pytest.approx(36.0)  # right after it, not at the next look
+    assert ended.end is EndReason.BROKEN
+    assert f"rule '{rule}" in ended.detail
+    assert head in ended.detail
+    assert {name: script.count(f"force_applicator.{name}") for name in moved} == moved
+    if end_s is not None:
+        assert ended.time_s == pytest.approx(end_s)
 
 
 def test_an_ease_that_fails_is_not_tried_again():

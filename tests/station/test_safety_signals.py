@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from safety_runs import ROLES, SHORT, assert_safe, run
+from safety_runs import SHORT, assert_safe, run
 
 from cbsr_qa.domain import AbortedError
 from cbsr_qa.domain.results import EndReason
@@ -41,19 +41,6 @@ def test_a_signal_inherited_as_ignored_stays_ignored(number):
 
 
 @pytest.mark.usefixtures("as_at_a_terminal")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_without_a_handler_aborts_by_its_name(number):
-    script = Script(VirtualClock())
-    script.on("force_applicator.press", send(number))
-    before = signal.getsignal(number)
-    ended, _, script, bench = run(script=script)
-    assert_safe(script, bench)
-    assert ended.end is EndReason.ABORTED
-    assert f"by signal {number.name}" in ended.detail
-    assert signal.getsignal(number) is before
-
-
-@pytest.mark.usefixtures("as_at_a_terminal")
 def test_the_application_may_say_who_aborted(monkeypatch):
     def handler(number, frame):
         raise AbortedError("the page's stop button")
@@ -66,18 +53,6 @@ def test_the_application_may_say_who_aborted(monkeypatch):
         assert "by the page's stop button" in ended.detail
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-@pytest.mark.usefixtures("as_at_a_terminal")
-def test_an_impatient_second_ctrl_c_does_not_keep_the_head_down():
-    script = Script(VirtualClock())
-    script.on("force_applicator.press", send(signal.SIGINT))
-    for role in ROLES:
-        script.on(f"{role}.safe_state", send(signal.SIGINT), call=2)
-    ended, documents, script, bench = run(script=script)
-    assert_safe(script, bench)
-    assert ended.end is EndReason.ABORTED
-    assert documents[-1] is ended
 
 
 @pytest.mark.usefixtures("as_at_a_terminal")

@@ -20,15 +20,6 @@ def test_no_way_leads_from_a_touching_state_to_travel_but_through_release():
     assert State.MOVING not in TRANSITIONS[State.RELEASING]
 
 
-def test_a_head_is_eased_from_where_it_is_pressed_and_nowhere_else():
-    assert [state for state, following in TRANSITIONS.items() if State.EASING in following] == [State.PRESSED]
-    assert TRANSITIONS[State.EASING] == {State.PRESSED, State.STOPPING}
-    interlock = Interlock()
-    interlock.state = State.EASING
-    assert interlock.touching
-    assert interlock.dwelling
-
-
 @pytest.mark.parametrize("state", list(State))
 def test_transitions_that_are_not_listed_are_refused(state):
     interlock = Interlock()

@@ -153,28 +153,32 @@ def test_edited_arrays_are_refused_with_and_without_a_matrix(repository, tmp_pat
             repository.calibration_of_before(issued.calibration, matrix, unused)
 
 
-def test_a_matrix_of_another_making_is_refused(repository):
-    issued = of_before(repository)
-    other = replace(reconstruction(), choice=ParameterChoice(0.5, "by hand", 2.0))
-    with pytest.raises(StoreError, match=r"share kept = 0\.02, not with .* λ = 0\.5"):
-        repository.calibration_of_before(issued.calibration, other, unused)
-
-
-def test_a_matrix_for_other_readings_is_refused(repository):
-    issued, whole = of_before(repository), reconstruction()
+def of_other_readings(whole):
     problem, fewer = whole.problem, whole.problem.used.copy()
     fewer[0, 2] = False
     less = replace(problem, used=fewer, jacobian=problem.jacobian[1:], reference=problem.reference[1:])
-    with pytest.raises(StoreError, match="208 readings of a disc-100mm"):
-        repository.calibration_of_before(
-            issued.calibration, replace(whole, problem=less, matrix=whole.matrix[:, 1:]), unused
-        )
+    return replace(whole, problem=less, matrix=whole.matrix[:, 1:])
 
 
-@pytest.mark.parametrize(("stored", "variance"), [("equal", np.ones(208)), ("measured", None)])
-def test_a_matrix_with_other_weights_is_refused(repository, stored, variance):
-    seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting=stored), weight_ratio=1.0)
+def weighed(variance):
+    return lambda whole: replace(whole, problem=replace(whole.problem, noise_variance=variance))
+
+
+OTHERS = {
+    "of another making": (
+        "equal",
+        lambda whole: replace(whole, choice=ParameterChoice(0.5, "by hand", 2.0)),
+        r"share kept = 0\.02, not with .* λ = 0\.5",
+    ),
+    "for other readings": ("equal", of_other_readings, "208 readings of a disc-100mm"),
+    "with measured weights": ("equal", weighed(np.ones(208)), "made with equal noise weighting"),
+    "with equal weights": ("measured", weighed(None), "made with measured noise weighting"),
+}
+
+
+@pytest.mark.parametrize(("weighting", "other", "said"), OTHERS.values(), ids=OTHERS)
+def test_another_matrix_is_refused(repository, weighting, other, said):
+    seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting=weighting), weight_ratio=1.0)
     issued = of_before(repository, observation=seen)
-    other = replace(reconstruction(), problem=replace(reconstruction().problem, noise_variance=variance))
-    with pytest.raises(StoreError, match=f"made with {stored} noise weighting"):
-        repository.calibration_of_before(issued.calibration, other, unused)
+    with pytest.raises(StoreError, match=said):
+        repository.calibration_of_before(issued.calibration, other(reconstruction()), unused)

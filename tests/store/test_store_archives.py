@@ -203,31 +203,18 @@ def test_an_archived_run_keeps_its_database_from_an_earlier_schema(kept):
 STEPS = ("check_run", "write_archive", "_verified", "place_of", "insert", "_empty", "update")
 
 
-@pytest.mark.parametrize(("name", "call"), [*((step, 0) for step in STEPS), ("_empty", AFTER)])
-def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, name, call):
+@pytest.mark.parametrize(
+    ("module", "name", "call"),
+    [*((archiving, step, 0) for step in STEPS), (archiving, "_empty", AFTER), (os, "fsync", 0), (os, "fsync", 1)],
+)
+def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, module, name, call):
     path, run, before = kept
 
     def work():
         with open_store(f"sqlite:///{path}") as store:
             archived(store, run, path.parent / "a")
 
-    assert killed_at(archiving, name, call, work)
-    assert_whole_and_archivable(path, run, before)
-
-
-@pytest.mark.parametrize("call", range(2))
-def test_a_kill_while_the_file_is_written_loses_nothing(kept, call):
-    path, run, before = kept
-
-    def work():
-        with open_store(f"sqlite:///{path}") as store:
-            archived(store, run, path.parent / "a")
-
-    assert killed_at(os, "fsync", call, work)
-    assert_whole_and_archivable(path, run, before)
-
-
-def assert_whole_and_archivable(path, run, before):
+    assert killed_at(module, name, call, work)
     with open_store(f"sqlite:///{path}") as store:
         assert bits(store, run) == before
         if store.archivable(LATER):

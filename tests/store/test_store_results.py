@@ -117,9 +117,6 @@ def test_a_calibration_comes_back_as_it_was_issued_to_the_byte(repository, run, 
         ("update calibrations set file = null", "its file is not what was stored"),
         ("update calibrations set file_sha256 = null", "was changed"),
         ("update calibrations set file = null, file_sha256 = null", "was changed"),
-        ("update calibrations set content_sha256 = record_sha256", "was changed"),
-        ("update calibration_baselines set value = 2.0 where number = 0", "was changed"),
-        ("delete from calibration_baselines where number = 1", "was changed"),
     ],
 )
 def test_a_calibration_that_was_edited_is_not_handed_out(repository, run, tmp_path, edit, said):

@@ -20,7 +20,7 @@ from cbsr_qa.store import (
     upgrade,
     writing,
 )
-from cbsr_qa.store.roles import FILLED_LATER, _writing
+from cbsr_qa.store.roles import FILLED_LATER
 from cbsr_qa.store.tables import RunRow
 from cbsr_qa.store.views import VIEWS
 
@@ -37,16 +37,7 @@ def test_the_script_names_every_table_and_view():
         assert script.count(f" {name}") >= 2, name
     assert "TRUNCATE" not in script
     deleted = re.findall(r"DELETE[^;]*ON\s+([^;]*?)\s+TO", script)
-    assert set(deleted) <= {"outbox"}
-
-
-def test_a_queue_may_be_emptied_where_there_is_one():
-    with_queue = list(_writing(["calibrations", "outbox", "phases", "sensors", "sync_accepts"], "bench"))
-    assert with_queue[0] == "GRANT INSERT ON\n    calibrations, outbox, phases, sensors\nTO bench;"
-    assert with_queue[-1] == "GRANT UPDATE, DELETE ON\n    outbox\nTO bench;"
-    assert any("(first_seen)" in grant for grant in with_queue)
-    without = list(_writing(["calibrations", "phases", "sensors"], "bench"))
-    assert not any("first_seen" in grant or "DELETE" in grant for grant in without)
+    assert deleted == ["outbox"]
 
 
 @pytest.fixture

@@ -5,12 +5,11 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-import sqlalchemy as sa
 from stored_runs import frames, identity, journalled, short_run
 
 from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings, StationCheck, worst_check
-from cbsr_qa.store import open_store
+from cbsr_qa.store import open_store, writing
 
 AT = datetime(2026, 11, 22, 6, 30, tzinfo=UTC)
 LINES = (
@@ -29,13 +28,8 @@ def check(name, at=AT, station="bench-α", **changes):
 
 
 @pytest.fixture
-def url(tmp_path):
-    return f"sqlite:///{tmp_path / 'runs.db'}"
-
-
-@pytest.fixture
-def repository(url):
-    with open_store(url) as opened:
+def repository(database_url):
+    with open_store(database_url) as opened:
         yield opened
 
 
@@ -65,10 +59,10 @@ def test_the_latest_check_of_this_station_is_found_as_of_any_moment(repository):
     assert repository.station_check_ring(new.check) is None
 
 
-def test_frames_of_a_ring_that_were_changed_are_refused(repository, url):
+def test_frames_of_a_ring_that_were_changed_are_refused(repository):
     told = check(repository.new_id())
     repository.save_station_check(told, RingReadings(frames(0.0, 2), (1000.0,) * 16))
-    with sa.create_engine(url).begin() as connection:
+    with writing(repository._engine) as connection:
         connection.exec_driver_sql("UPDATE station_check_frames SET current_a = 5e-4")
     with pytest.raises(StoreError, match=f"station check {told.check} are not what was measured"):
         repository.station_check_ring(told.check)

@@ -94,10 +94,3 @@ def test_a_row_is_found_through_indices(view, column):
     scanned = [step for *_, step in plan if step.startswith("SCAN")]
     assert scanned in ([], ["SCAN c"])
     assert sum("SEARCH" in step and "INDEX" in step for *_, step in plan) >= 3
-
-
-@pytest.mark.parametrize("view", VIEWS)
-def test_views_cannot_be_written(view):
-    url, _ = five_runs()
-    with sqlite3.connect(url.removeprefix("sqlite:///")) as database, pytest.raises(sqlite3.OperationalError):
-        database.execute(f"DELETE FROM {view}")

@@ -166,18 +166,6 @@ def test_two_places_pressed_at_once_are_one_press_with_two_loads():
     assert np.hypot(places[1].x - 0.5, places[1].y) < 0.15
 
 
-def test_a_second_place_pressed_while_the_first_is_held():
-    true = [Press(0.5, 0.0, 40, 150, -30, residue=0.1), Press(-0.4, 0.4, 90, 130, -30, residue=0.1)]
-    found = search(recording(6, 200, true))
-    assert len(found) == 2
-    assert abs(found[1].start - 90) < 3
-
-
-def test_a_press_that_lasts_to_the_end_ends_with_the_recording():
-    (press,) = search(recording(8, 150, [Press(0.4, -0.3, 60, 400, -30)]))
-    assert press.end == 149
-
-
 def test_a_change_of_one_reading_alone_is_no_press():
     """A loose contact moves some readings a lot; no place on the sheet does that."""
     y = recording(9, 150)

@@ -45,26 +45,26 @@ def _fates(*events: LoadEvent) -> list[str]:
     return [event.fate for event in with_fates(events, RADIUS_MM, together)]
 
 
-def test_events_one_after_another_have_no_fate():
-    assert _fates(_event_at(20, 0, 0, 5), _event_at(-20, 0, 6, 9)) == ["", ""]
+BOTH = _change(20, 10) + _change(-20, 10)
+FATES = {
+    "one after another": ((_event_at(20, 0, 0, 5), _event_at(-20, 0, 6, 9)), ["", ""]),
+    "put on beside another": ((_event_at(20, 0, 0, 20), _event_at(-20, 0, 5, 12)), ["", "apart"]),
+    "both negative": (
+        (_event_at(20, 0, 0, 20, size=-0.6), _event_at(-20, 0, 0.5, 12, size=-1.0)),
+        ["apart", "apart"],
+    ),
+    "too close for the image": ((_event_at(4, 0, 0, 20), _event_at(-4, 0, 0.5, 12)), ["merged", "merged"]),
+    "at once, in one change": ([_event_at(x, 10, 0, 9, values=BOTH) for x in (20, -20)], ["apart", "apart"]),
+    "under a quarter of the other": (
+        (_event_at(25, 0, 0, 20), _event_at(-25, 0, 0.5, 12, size=0.2)),
+        ["apart", "missed"],
+    ),
+}
 
 
-def test_a_load_put_on_beside_another_is_apart_from_it():
-    assert _fates(_event_at(20, 0, 0, 20), _event_at(-20, 0, 5, 12)) == ["", "apart"]
-    assert _fates(_event_at(20, 0, 0, 20, size=-0.6), _event_at(-20, 0, 0.5, 12, size=-1.0)) == ["apart", "apart"]
-
-
-def test_two_loads_too_close_for_the_image_are_merged():
-    assert _fates(_event_at(4, 0, 0, 20), _event_at(-4, 0, 0.5, 12)) == ["merged", "merged"]
-
-
-def test_loads_pressed_at_once_share_one_change_and_are_told_apart_in_it():
-    both = _change(20, 10) + _change(-20, 10)
-    assert _fates(*(_event_at(x, 10, 0, 9, values=both) for x in (20, -20))) == ["apart", "apart"]
-
-
-def test_a_load_under_a_quarter_of_the_others_is_missed():
-    assert _fates(_event_at(25, 0, 0, 20), _event_at(-25, 0, 0.5, 12, size=0.2)) == ["apart", "missed"]
+@pytest.mark.parametrize(("events", "fates"), FATES.values(), ids=FATES)
+def test_what_becomes_of_events_that_overlap_is_told(events, fates):
+    assert _fates(*events) == fates
 
 
 @pytest.mark.parametrize(("fate", "said"), [("", None), ("merged", "merged")])

@@ -20,20 +20,11 @@ pytestmark = pytest.mark.shared
     [
         ("expABCX_150mm_8.5wt_6", 199, 4.23, [], False),
         ("expABX_100mm_9.5wt_6", 152, 4.25, [3], False),
-        ("expABX_100mm_9.5wt_6-SurfaceBook3RE", 152, 4.25, [3], False),
         ("expABX_100mm_9.5wt_5", 91, 4.25, [], False),
         ("test_expABCD2_100mm_7.5wt_10s_3", 745, 7.96, [3, 845, 11588], True),
         ("test", 16, 8.2, [], True),
         ("testv2_12", 12, 4.22, [], True),
         ("steady_state_UoA1", 29, 1.57, [], True),
-        ("res1k3_cal1", 1415, None, [], False),
-        ("res1k3_cal3", 1547, None, [1382], False),
-        ("res1k3_cal4", 1386, None, [1340], False),
-        ("res1k3_cal6", 1716, None, [4, 1602], False),
-        ("res1k3_cal8", 1140, None, [], False),
-        ("res1k3_cal12", 1128, None, [], False),
-        ("res1k3_cal14", 1523, None, [4, 1602], False),
-        ("res1k3_cal16", 1414, None, [], False),
         ("redugraph1_cal1", 1281, 285, [4, 1476], False),
         ("no_batt", 287, 54, [], False),
     ],
@@ -46,10 +37,7 @@ def test_frames_rate_rejected_lines_and_force(board, name, frames, rate_hz, reje
     assert recording["rows_rejected"] == len(rejected)
     assert [p["line"] for p in recording["problems"] if p["rejected"]] == rejected
     assert recording["force_recorded"] is force
-    if rate_hz is None:
-        assert 170 < recording["frame_rate_hz"] < 290
-    else:
-        assert recording["frame_rate_hz"] == pytest.approx(rate_hz, rel=0.02)
+    assert recording["frame_rate_hz"] == pytest.approx(rate_hz, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -76,18 +64,6 @@ def test_nothing_connected_still_says_what_was_read(board):
     found = board("steady_state_calibrate")
     assert found["recording"]["frames"] == 215
     assert found["channels"]["not_connected"]
-
-
-def test_both_copies_of_one_recording_give_identical_frames(shared):
-    plugins = discover()
-    format_ = plugins.factory("recording", "ert-board-csv")()
-    folder = shared / "data" / "black_sensor"
-    one, other = (
-        format_.read(folder / f"expABX_100mm_9.5wt_6{end}.csv", ReadOptions()).frames
-        for end in ("", "-SurfaceBook3RE")
-    )
-    np.testing.assert_array_equal(one.voltages, other.voltages)
-    np.testing.assert_array_equal(one.time_s, other.time_s)
 
 
 @pytest.mark.parametrize(

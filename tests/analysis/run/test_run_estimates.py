@@ -8,18 +8,15 @@ from simulated_runs import HEAD, observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import measure_run
 from cbsr_qa.analysis.run.estimates import estimated_loads, model_scale, reading_variance
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, LoadFinding, Outcome, Paragraph, RunResult, Table, Verdict
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.plugin import options_of
 from cbsr_qa.report.draw import PlacedLoad, checked_svg, error_scale
 from cbsr_qa_plugins.metrics.location import CentreOfMassError, LoadEstimates
 from cbsr_qa_plugins.sections.loads import LoadEstimates as Section
 
-_RECIPE = load_recipe("nine-locations").value
 _PLACES = ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (0.0, -30.0))
 
 
@@ -119,11 +116,6 @@ def test_a_reference_of_another_sensor_is_refused(observation):
     assert model_scale(model, 3.0 * model.unloaded(), observation.usable) == pytest.approx(3.0)
     with pytest.raises(NumericsError, match="uncorrelated"):
         model_scale(model, np.zeros((16, 16)), observation.usable)
-
-
-def test_the_metric_has_no_options():
-    with pytest.raises(ConfigError, match="known is not a known key"):
-        options_of(LoadEstimates).read({"known": True})
 
 
 def test_the_section_shows_what_was_measured(result):

@@ -113,20 +113,19 @@ def test_a_passphrase_that_is_wrong_is_named_and_not_shown(run, folder, monkeypa
     assert "wrong" not in words.replace("b.key", "")
 
 
-def _foreign(folder, name):
-    make = {
-        "rsa": lambda: rsa.generate_private_key(65537, 2048),
-        "ec": lambda: ec.generate_private_key(ec.SECP256R1()),
-    }
-    key = make[name]()
+@pytest.mark.parametrize(
+    ("make", "found"),
+    [
+        (lambda: rsa.generate_private_key(65537, 2048), "RSA"),
+        (lambda: ec.generate_private_key(ec.SECP256R1()), "EC"),
+    ],
+    ids=["rsa", "ec"],
+)
+def test_a_key_of_another_type_is_named(run, folder, make, found):
+    key = make()
     (folder / "foreign").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     public = key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
     (folder / "foreign.pub").write_bytes(public)
-
-
-@pytest.mark.parametrize(("name", "found"), [("rsa", "RSA"), ("ec", "EC")])
-def test_a_key_of_another_type_is_named(run, folder, name, found):
-    _foreign(folder, name)
     for arguments in (
         ("sign", "sensor.h5", "--key", "foreign"),
         ("verify", "sensor.h5", "--public-key", "foreign.pub"),

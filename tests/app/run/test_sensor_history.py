@@ -122,11 +122,8 @@ EDITED = {
     "verdict": ("update analyses set outcome = 'pass'", "analyses"),
     "word": ("update analyses set outcome = 'good'", "analyses"),
     "date": ("update runs set started_at = 'today'", "runs"),
-    "end": ("update run_states set end = 'aborted' where number = 0", "run_states"),
-    "override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides"),
     "link": ("delete from run_links where kind = 'analyses'", "analyses"),
     "bytes for the chain": ("update runs set chain = x'ff006a'", "runs.chain ("),
-    "bytes for the configuration": ("update runs set configuration = x'ff006a'", "runs.configuration ("),
 }
 
 

@@ -145,33 +145,45 @@ def test_calibration_dates_are_held_against_the_stations_policy(simulated, polic
     assert ("load_cell", "calibration due") not in bench.lines
 
 
-def test_a_channel_without_samples_fails(bench):
+def silent(bench):
     bench.script.force_N = lambda time_s, down: None
-    bench.look()
-    line = bench.lines["load_cell", "samples of force"]
-    assert (line.outcome, line.value, line.said) == (FAILED, 0.0, "no sample in 2 s")
 
 
-def test_instruments_that_make_no_bench_are_said_so(bench):
+def two_heads(bench):
     bench.factories["load_cell"] = lambda context: ScriptedApplicator(bench.script)
-    bench.look()
-    assert "is configured to provide 'force', which is neither a role" in bench.lines["whole bench", "together"].said
 
 
-def test_a_real_instrument_on_a_virtual_clock_makes_no_bench(bench):
+def real(bench):
     bench.instruments["load_cell"].simulated = False
-    bench.look(RING, lambda words: True)
-    assert "load_cell is a real instrument" in bench.lines["whole bench", "together"].said
-    assert "frame_source.acquire" not in bench.script.names()
 
 
-def test_one_that_does_not_reach_its_safe_state_fails_the_check(bench):
+def stuck(bench):
     bench.script.on("force_applicator.safe_state", raising(InstrumentError("force_applicator", "COM2", "is stuck")))
-    bench.look()
-    line = bench.lines["whole bench", "safe state"]
-    assert line.outcome is FAILED
-    assert "is stuck" in line.said
-    assert bench.script.count("load_cell.safe_state") == 1
+
+
+FAULTS = {
+    "a channel without samples": (silent, ("load_cell", "samples of force"), "no sample in 2 s", True),
+    "no load cell": (two_heads, ("whole bench", "together"), "provide 'force', which is neither a role", False),
+    "a real instrument on a virtual clock": (
+        real,
+        ("whole bench", "together"),
+        "load_cell is a real instrument",
+        False,
+    ),
+    "no safe state": (stuck, ("whole bench", "safe state"), "is stuck", True),
+}
+
+
+@pytest.mark.parametrize(("spoil", "line", "said", "measured"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_of_the_bench_is_a_line_that_fails(bench, spoil, line, said, measured):
+    """Where instruments do not work together, the ring is not measured."""
+    spoil(bench)
+    bench.look(RING, lambda words: True)
+    assert bench.lines[line].outcome is FAILED
+    assert said in bench.lines[line].said
+    assert bench.lines[line].value in (None, 0.0)
+    assert ("frame_source.acquire" in bench.script.names()) is measured
+    assert bench.script.count("frame_source.safe_state") == 1
 
 
 def test_on_a_real_bench_the_operator_connects_the_ring_first(bench):

@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 
+import numpy as np
 import pytest
 from calibration_samples import sample_force
 from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_engine
@@ -30,10 +31,10 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import fleet
-from cbsr_qa.store.chain.links import VARIABLE, SigningKey
-from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
+from cbsr_qa.store.chain.links import VARIABLE, SigningKey, link_digest
+from cbsr_qa.store.chain.run_documents import KEYS, covered, documents, row_text
 from cbsr_qa.store.results import Reanalysis
-from cbsr_qa.store.tables import Base, records as check_tables
+from cbsr_qa.store.tables import Base
 from cbsr_qa.store.types import FiniteDouble, Whole
 
 KEY, OTHER = "a key of twenty-two let", "another key of some length"
@@ -302,13 +303,20 @@ def test_every_reader_refuses_what_it_uses(copied, statement, read):
 
 
 def test_every_table_of_a_run_is_covered_or_said_not_to_be():
-    elsewhere = {"sensors", "run_links", "chart_references", "releases"}
     # An archive's row says only where arrays are that a frame block's digest covers.
-    elsewhere |= {"archives", "outbox", "sync_accepts", "sync_refusals"} | {
-        table.__tablename__
-        for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow,
-                      check_tables.StationCheckFramesRow)
-    }  # fmt: skip
+    elsewhere = {
+        *(
+            "sensors",
+            "run_links",
+            "chart_references",
+            "releases",
+            "archives",
+            "outbox",
+            "sync_accepts",
+            "sync_refusals",
+        ),
+        *("station_checks", "station_check_lines", "station_check_frames"),
+    }
     assert set(KEYS) | elsewhere == set(Base.metadata.tables)
     for name in KEYS:  # what holds bytes holds a digest of them too, which is covered
         table = Base.metadata.tables[name]
@@ -402,9 +410,6 @@ def test_the_state_of_a_chain_is_said(tmp_path, monkeypatch, begun_with, read_wi
 
 def forged(path, run):
     """Change a load and compute every digest again, as one can who has the database and no key."""
-    from cbsr_qa.store.chain.links import link_digest
-    from cbsr_qa.store.chain.run_documents import documents
-
     with sqlite3.connect(path) as database:
         database.execute("update loads set x_mm = 15.5 where run = ?", (run,))
         database.row_factory = sqlite3.Row
@@ -468,8 +473,6 @@ def test_a_key_from_a_file_is_the_same_key_and_never_shown(tmp_path):
 
 def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch):
     """A database may return rows in any order: that is no reason to refuse them, nor to check each run by itself."""
-    import numpy as np
-
     random, url = np.random.default_rng(1), f"sqlite:///{tmp_path / 'runs.db'}"
     with open_store(url, durable=False) as store:
         for n in range(3):

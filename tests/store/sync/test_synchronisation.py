@@ -2,7 +2,7 @@
 
 import random
 import shutil
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -119,12 +119,6 @@ def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, m
     sent(full, centre)
     assert len(seen) > 20 // at_once
     assert all(seen)
-    assert_all_there(centre.engine, full.engine)
-
-
-def test_large_frames_are_sent_in_several_parcels(full, centre, monkeypatch):
-    monkeypatch.setattr(parcels, "MOST_BYTES", 5000)
-    assert sent(full, centre).size > 50_000
     assert_all_there(centre.engine, full.engine)
 
 
@@ -473,18 +467,12 @@ def test_a_read_only_centre_stops_the_queue(full, centre, postgres_server):
 
 
 @pytest.mark.postgres
-def test_killed_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server):
-    points = random.Random("killed").sample(range(10, 120), 3)
+@pytest.mark.parametrize("how", ["killed", "cut off"])
+def test_killed_or_cut_off_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server, how):
+    points = random.Random(how).sample(range(10, 120), 3)
     with postgres_server.new_database() as url:
-        synced.struck_again(template, tmp_path / "struck.db", url, points, synced.killed)
-
-
-@pytest.mark.postgres
-def test_cut_off_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server):
-    points = random.Random("cut off").sample(range(10, 120), 3)
-    with postgres_server.new_database() as url:
-        cut = synced.cutting(postgres_server, url)
-        synced.struck_again(template, tmp_path / "struck.db", url, points, cut)
+        strike = synced.killed if how == "killed" else synced.cutting(postgres_server, url)
+        synced.struck_again(template, tmp_path / "struck.db", url, points, strike)
 
 
 @pytest.mark.postgres
@@ -495,11 +483,8 @@ def test_stations_that_send_at_once_do_not_disturb_each_other(place, centre):
         for _ in range(2):
             run = run_of(station.store)  # all of the same sensor
             judged(station.store, run, issued=calibration(station.store.new_id(), run))
-    threads = [threading.Thread(target=send, args=(one.url, centre.url)) for one in stations]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(len(stations)) as pool:
+        list(pool.map(lambda one: send(one.url, centre.url), stations))
     assert [waiting(one.engine) for one in stations] == [()] * 4
     assert centre.said("SELECT count(*) FROM runs") == [(8,)]
     assert centre.said("SELECT count(*) FROM calibrations WHERE superseded_by IS NULL") == [(1,)]
