@@ -303,25 +303,6 @@ def test_a_dry_run_writes_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_truncated_database_is_named_and_left_as_it_is(tmp_path):
-    (tmp_path / "var").mkdir()
-    damaged = tmp_path / "var" / "cbsr-qa.db"
-    damaged.write_bytes(b"SQLite format 3\0" + b"\x10\x00" * 40)
-    before = damaged.read_bytes()
-    done = _run(tmp_path, check=False)
-    assert done.returncode == 2
-    assert "cbsr-qa.db" in document(done)["refused"]["reason"]
-    assert damaged.read_bytes() == before
-
-
-def test_an_output_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "var").write_text("a file where the folder should be")
-    done = _run(tmp_path, check=False)
-    assert done.returncode == 2
-    assert "var" in done.stderr
-    assert (tmp_path / "var").read_text() == "a file where the folder should be"
-
-
 def test_version_imports_nothing_heavy(tmp_path):
     import subprocess
     import sys
