@@ -25,3 +25,16 @@ def run_in_words(run_command):
         return code, *(" ".join(text.split()) for text in texts)
 
     return run
+
+
+@pytest.fixture
+def refusal(run_in_words):
+    """Run a command that must be refused; returns its message on one line."""
+
+    def run(*arguments):
+        code, _, message = run_in_words(*arguments)
+        assert code == 2, message
+        assert "Traceback" not in message
+        return message
+
+    return run

@@ -42,11 +42,6 @@ def sweeps(monkeypatch, tmp_path):
     return worked
 
 
-def refused(capsys, *arguments):
-    assert guarded(["frontier", *arguments]) == 2
-    return capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -60,8 +55,8 @@ def refused(capsys, *arguments):
         (("--force-error", "1 kg"), ["--force-error is '1 kg'"]),
     ],
 )
-def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, capsys, arguments, said):
-    message = refused(capsys, *arguments)
+def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, refusal, arguments, said):
+    message = refusal("frontier", *arguments)
     assert all(words in message for words in said), message
     assert sweeps == []
 
@@ -102,13 +97,13 @@ def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
     assert "12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
 
 
-def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
+def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, capsys, refusal, tmp_path):
     assert guarded(["frontier", "--clock", "station", "--force-error", "1mN", "--json"]) == 0
     recommended = json.loads(capsys.readouterr().out)["recommended"]
     assert recommended["setting"] is None
     assert "no setting of 3" in recommended["why"]  # the one that is no recipe is none of them
     recipe = tmp_path / "nothing.toml"
-    assert "there is no recipe to write" in refused(capsys, "--force-error", "1mN", "--recipe", str(recipe))
+    assert "there is no recipe to write" in refusal("frontier", "--force-error", "1mN", "--recipe", recipe)
     assert not recipe.exists()
 
 
@@ -140,9 +135,9 @@ def test_the_recipe_is_one_that_run_accepts(sweeps, capsys, tmp_path):
         (("--png", "{}/no.png", "--clock", "computer"), "--png: there is no force error to draw"),
     ],
 )
-def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, named):
+def test_files_are_refused_before_anything_is_simulated(sweeps, refusal, tmp_path, arguments, named):
     (tmp_path / "notes.toml").write_text("# mine\n")
-    assert named.format(tmp_path) in refused(capsys, *(text.format(tmp_path) for text in arguments))
+    assert named.format(tmp_path) in refusal("frontier", *(text.format(tmp_path) for text in arguments))
     assert sweeps == []
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("notes.toml", "# mine\n")]
 

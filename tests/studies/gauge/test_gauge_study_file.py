@@ -136,14 +136,6 @@ def test_without_metrics_stations_and_days_it_is_what_the_options_give(studied, 
     assert by_file["by_location"] is True
 
 
-def test_operators_are_chosen_as_stations_are(studied):
-    text = changed(("until =", 'operators = ["Zoë Otani"]\nuntil ='))
-    code, _, err = studied(text)
-    assert code == 2
-    assert "line 7: study.operators: no stored run is of operator 'Zoë Otani'" in err
-    assert "did you mean 'Zoë Ōtani'?" in err
-
-
 @pytest.mark.parametrize("option", [("--recipe", "short"), ("--by-location",), ("--until", "2026-11-30")])
 def test_options_beside_a_study_are_refused(studied, option):
     code, _, err = studied(STUDY, *option)
@@ -189,6 +181,11 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(studied, old, new, word
         ('"S-04"]', '"S-44", "T-1"]', ["study.serials: ", "'S-44'", "of sensor 'T-1'"]),
         ('recipe = "short"', 'recipe = "shirt"', ["line 3: study.recipe: ", "'shirt'", "'short'?"]),
         ("until = 2026-11-30", "until = 2026-11-02", ["line 1: study: ", "began from 2026-11-21 to 2027-11-21"]),
+        (
+            "until =",
+            'operators = ["Zoë Otani"]\nuntil =',
+            ["line 7: study.operators: ", "did you mean 'Zoë Ōtani'?"],
+        ),
         ("unit", 'phase = "gird"\nunit', ["metrics[1].name: ", "phase 'gird'", "phase 'grid'"]),
         ('unit = "N/V"', 'unit = "mm"', ["line 11: metrics[1].unit: ", "'mm'", "measured in N/V"]),
         ('unit = "N/V"\nvalue', 'unit = "kN/V"\nvalue', ["reference[1].unit: ", "'kN/V'"]),
