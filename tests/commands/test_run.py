@@ -5,7 +5,7 @@ import sqlite3
 
 import h5py
 import pytest
-from command import QUICK, cbsr_qa, document, short_recipe
+from command import QUICK, cbsr_qa, document, refused, short_recipe
 from made_once import copy_of, made_once
 
 
@@ -113,9 +113,7 @@ def test_a_calibrations_file_that_was_changed_in_the_database_is_refused_by_repo
     with sqlite3.connect(finished[0] / "var" / "cbsr-qa.db") as source, sqlite3.connect(path) as database:
         source.backup(database)
         database.execute("update calibrations set file = zeroblob(length(file))")
-    said = cbsr_qa(tmp_path, "report", "S-1", "--database", str(path), check=False)
-    assert said.returncode == 2
-    assert "is not what was stored" in said.stderr
+    assert "is not what was stored" in refused(tmp_path, "report", "S-1", "--database", path)
 
 
 @pytest.mark.rest
@@ -168,21 +166,17 @@ def test_an_exported_run_is_read_back_with_its_presses(finished):
     ],
 )
 def test_refused_input_is_one_clear_message_and_nothing_is_written(tmp_path, arguments, said):
-    done = cbsr_qa(tmp_path, "run", *arguments, "--json", check=False)
-    assert done.returncode == 2
-    refused = document(done)["refused"]
-    assert said in refused["reason"] + refused["remedy"]
-    assert "Traceback" not in done.stderr
-    assert len(done.stderr) < 1000
+    message = refused(tmp_path, "run", *arguments)
+    assert said in message
+    assert len(message) < 1000
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_malformed_recipe_names_file_and_line(tmp_path):
     (tmp_path / "bad.toml").write_text('[recipe]\nname = "x"\nphases = = 3\n')
-    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", "bad.toml", "--serial", "A", check=False)
-    assert done.returncode == 2
-    assert "bad.toml" in done.stderr
-    assert "line 3" in done.stderr
+    said = refused(tmp_path, "run", "--station", "simulated", "--recipe", "bad.toml", "--serial", "A")
+    assert "bad.toml" in said
+    assert "line 3" in said
 
 
 @pytest.mark.rest
@@ -229,8 +223,8 @@ def test_a_recipe_that_cannot_be_run_or_analysed_is_refused_before_anything_move
         files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", *more]
         done = cbsr_qa(tmp_path, "run", *files, check=False)
         assert done.returncode == 2
-        refused = document(done)["refused"]
-        assert said in refused["reason"] + refused["remedy"]
+        told = document(done)["refused"]
+        assert said in told["reason"] + told["remedy"]
     assert not (tmp_path / "var").exists()
 
 
