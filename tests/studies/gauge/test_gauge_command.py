@@ -167,6 +167,7 @@ def test_the_largest_balanced_part_is_the_largest():
     part = largest_balanced(sensors, stations)
     assert (part.sensors, part.stations, part.trials, part.kept) == (("A", "B"), ("x", "y"), 2, tuple(range(8)))
     assert missing_runs(sensors, stations) == ("C on y has 1 of 2 runs",)
+    assert missing_runs([*"AABB"], [*"xxyy"]) == ("A on y has 0 of 2 runs", "B on x has 0 of 2 runs")
     assert largest_balanced(["A", "B"], ["x", "y"]).kept == ()
 
 

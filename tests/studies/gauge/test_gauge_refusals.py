@@ -10,9 +10,8 @@ from matplotlib.figure import Figure as Canvas
 from stored_lots import store_run
 from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
-from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import gauge_anova, missing_runs, study
+from cbsr_qa.stats.gauge import gauge_anova
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.gauge import figures
 
@@ -49,15 +48,6 @@ def test_sensors_that_were_run_once_have_no_repeatability(tmp_path, refusal, opt
     assert "every sensor was run once on a station: repeatability needs at least two runs of each" in said
     assert "uneven" not in said
     assert "--largest-balanced" not in said
-
-
-def test_runs_that_lack_are_counted_against_those_there_are():
-    assert missing_runs(["A", "A", "B", "B"], ["x", "x", "y", "y"]) == (
-        "A on y has 0 of 2 runs",
-        "B on x has 0 of 2 runs",
-    )
-    with pytest.raises(NumericsError, match="sensor A has 3 runs on station-a, others have 2"):
-        study([*"AABBAABBA"], ["station-a"] * 4 + ["station-b"] * 4 + ["station-a"], range(9))
 
 
 def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, refusal):
