@@ -165,23 +165,6 @@ def test_toml_snippets_are_toml(page):
         tomllib.loads(block)
 
 
-#: Commands that are groups of commands.
-_GROUPS = ("calibration", "db", "limits", "plugins", "scene", "station", "verdict")
-
-
-@pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
-def test_commands_that_are_shown_exist(page):
-    from cbsr_qa.cli import guarded
-
-    for command in commands(page):
-        words = shlex.split(command)
-        if words[0] != "cbsr-qa":
-            continue
-        group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
-        known = group[:2] if group[0] in _GROUPS else group[:1]
-        assert guarded([*known, "--help"]) == 0, command
-
-
 def test_the_metric_of_the_plugin_page_measures():
     namespace = {}
     for block in blocks(HOW_TO / "write-a-plugin.md", "python"):

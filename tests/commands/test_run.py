@@ -161,8 +161,6 @@ def test_an_exported_run_is_read_back_with_its_presses(finished):
         (["--station", "simulated", "--recipe", "no/such.toml", "--serial", "A"], "no/such.toml"),
         (["--station", "simulated", "--recipe", "nine-locations", "--serial", ""], "serial number"),
         (["--station", "simulated", "--recipe", "nine-locations", "--serial", "../../x"], "'/' is not allowed"),
-        (["--station", "simulated", "--recipe", "nine-locations", "--serial", "<script>"], "'<' is not allowed"),
-        (["--station", "simulated", "--recipe", "nine-locations", "--serial", "x" * 5000], "longer than 64"),
     ],
 )
 def test_refused_input_is_one_clear_message_and_nothing_is_written(tmp_path, arguments, said):
@@ -202,8 +200,6 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
             pytest.param(*other, marks=pytest.mark.rest)
             for other in (
                 ({'unit = "mm"': 'unit = "µm"'}, "unit is 'µm'; it must be 'mm'"),
-                ({"exponent = 0.25": "exponent = 1e9"}, "it must be a number from 0 to 1"),
-                ({"exponent = 0.25": "exponant = 0.25"}, "did you mean 'exponent'"),
                 ({"noise_figure = 1.0": "noise_figure = 1e6"}, "allows"),
                 (
                     {
