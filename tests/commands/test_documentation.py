@@ -19,6 +19,7 @@ from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward import ring_readings
 from cbsr_qa.studies import SAID
+from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
 
 _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
@@ -256,8 +257,6 @@ def test_the_reconstruction_page_states_no_number_that_nothing_computes():
 
 
 def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
-    from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
-
     page = HOW_TO / "reproduce-the-paper.md"
     (block,) = blocks(page, "toml")
     options = tomllib.loads(block)

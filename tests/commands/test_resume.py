@@ -7,6 +7,8 @@ import shlex
 import shutil
 import signal
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from pages import HOW_TO, commands, typed
 
 from cbsr_qa.app.run import RunRequest, conclusion, run_sensor
 from cbsr_qa.domain import UnconcludedError
+from cbsr_qa.store import open_store
 
 
 @pytest.fixture(scope="module")
@@ -267,9 +270,6 @@ Journal.__call__ = counted
 from cbsr_qa.cli.main import guarded
 sys.exit(guarded(sys.argv[1:]))
 """
-    import subprocess
-    import sys
-
     done = subprocess.run(
         [sys.executable, "-c", script, *BEGIN, "--serial", "S-1"],
         cwd=tmp_path, capture_output=True, text=True, check=False,
@@ -324,8 +324,6 @@ def test_the_page_on_what_to_do_runs_as_printed(cut_off):
 
 @pytest.mark.rest
 def test_a_second_program_is_told_who_writes_the_run(cut_off):
-    from cbsr_qa.store import open_store
-
     folder, run = cut_off
     with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store, store.writing_alone(run, "Alex"):
         assert "is being written by Alex on" in refused(folder, "run", "--resume", run)

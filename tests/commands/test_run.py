@@ -2,11 +2,16 @@
 
 import json
 import sqlite3
+import subprocess
+import sys
 
 import h5py
 import pytest
 from command import QUICK, cbsr_qa, document, refused, short_recipe
 from made_once import copy_of, made_once
+
+from cbsr_qa.config import DocumentKind, load_recipe, open_document
+from cbsr_qa.plugin import Kind, discover
 
 
 def _run(folder, *more, check=True, serial="S-1", fresh=False, metrics=None, **environment):
@@ -225,9 +230,6 @@ def test_a_recipe_that_cannot_be_run_or_analysed_is_refused_before_anything_move
 
 
 def test_every_metric_of_the_shipped_recipe_measures_what_it_declares(finished):
-    from cbsr_qa.config import load_recipe
-    from cbsr_qa.plugin import Kind, discover
-
     plugins = discover()
     declared = {}
     for choice in load_recipe("nine-locations").value.metrics:
@@ -238,8 +240,6 @@ def test_every_metric_of_the_shipped_recipe_measures_what_it_declares(finished):
 
 @pytest.mark.rest
 def test_an_overdue_calibration_is_a_warning(tmp_path):
-    from cbsr_qa.config import DocumentKind, open_document
-
     station = open_document(DocumentKind.STATION, "simulated").text + "calibration_due = 2020-01-01\n"
     (tmp_path / "old.toml").write_text(station)
     recipe = short_recipe(tmp_path, metrics=QUICK)
@@ -266,9 +266,6 @@ conclusion.evaluate_run = evaluate_run
 from cbsr_qa.cli.main import guarded
 sys.exit(guarded(sys.argv[1:]))
 """
-    import subprocess
-    import sys
-
     recipe = short_recipe(tmp_path, metrics=QUICK)
     files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--seed", "11", "--json"]
     done = subprocess.run(
@@ -294,9 +291,6 @@ def test_a_dry_run_writes_nothing(tmp_path):
 
 
 def test_version_imports_nothing_heavy(tmp_path):
-    import subprocess
-    import sys
-
     script = (
         "import sys; from cbsr_qa.cli.main import guarded; guarded(['--version']);"
         "print(sorted({'numpy', 'scipy', 'sqlalchemy', 'matplotlib', 'cbsr_qa_plugins', 'rich'} & set(sys.modules)))"

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from command import PROGRAM, cbsr_qa, document, refused
 from made_once import copy_of, made_once
+from scene_samples import HEAD, load_table
 
 from cbsr_qa.analysis import read_recording
 from cbsr_qa.config import DocumentKind, load_scene_plan, open_document, shipped_names
@@ -25,36 +26,7 @@ from cbsr_qa_plugins.registry import BUILT_IN
 SCENES = [
     pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in shipped_names(DocumentKind.SCENE)
 ]
-SHORT = """[scene]
-name = "short one"
-current_mA = 0.4
-frame_period_s = 2.5
-sheet_mesh_size_mm = 8.0
-
-[sensor]
-sensor_type = "disc-100mm"
-material = "cbsr-8wt"
-
-[recording]
-seed = 7
-duration_s = 50.0
-
-[[loads]]
-x_mm = 20.0
-y_mm = 5.0
-strain_percent = 20.0
-start_s = 20.0
-hold_s = 15.0
-
-[[loads]]
-x_mm = -44.0
-y_mm = 0.0
-strain_percent = 20.0
-start_s = 22.0
-hold_s = 10.0
-head = 2
-
-[[effects]]
+_EFFECTS = """[[effects]]
 name = "sheet-seat"
 error_mm = 0.05
 
@@ -78,6 +50,12 @@ share = 0.2
 name = "watchdog-dump"
 period_s = 5.0
 """
+SHORT = (
+    HEAD.replace('"mine"', '"short one"').replace("duration_s = 100.0", "duration_s = 50.0")
+    + load_table(x_mm=20.0, y_mm=5.0, hold_s=15.0)
+    + load_table(x_mm=-44.0, start_s=22.0, hold_s=10.0, head=2)
+    + _EFFECTS
+)
 
 
 @pytest.fixture

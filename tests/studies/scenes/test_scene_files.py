@@ -191,6 +191,7 @@ def test_a_scene_that_cannot_be_recorded_says_which_lines_to_add(tmp_path):
     [
         ('name = "piezoresistive"', "no effect plugin named 'piezoresistive'", "did you mean 'piezoresistivity'"),
         ('name = "load-cell-noise"\nrms_mN = 1.0', "rms_mN is not a known key", "did you mean 'rms_N'"),
+        ('name = "residue"\nshare = 0.1\ndecay_s = -9.0', "decay_s is -9", "above 0"),
         ('name = "conductance-relaxation"', "without 'piezoresistivity'", "add [[effects]]"),
     ],
 )
