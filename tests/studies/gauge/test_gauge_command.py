@@ -1,6 +1,5 @@
 """``gauge`` on stored runs: the study is the one of the stored numbers, and what is missing of it is said."""
 
-import json
 import re
 from functools import partial
 
@@ -62,13 +61,8 @@ def refused(refusal):
 
 
 @pytest.fixture
-def document(command):
-    def run(database, *arguments):
-        code, out, err = command(database, "--json", *arguments)
-        assert code == 0, err
-        return json.loads(out)
-
-    return run
+def document(printed):
+    return partial(printed, "gauge", "--database")
 
 
 def expected(rows=None):

@@ -65,6 +65,18 @@ def studied(crossed, tmp_path, run_command):
     return run
 
 
+@pytest.fixture
+def document(studied):
+    """Study a file; returns the document."""
+
+    def run(text):
+        code, out, err = studied(text, "--json")
+        assert code == 0, err
+        return json.loads(out)
+
+    return run
+
+
 def changed(*replacements):
     text = STUDY
     for old, new in replacements:
@@ -74,10 +86,8 @@ def changed(*replacements):
 
 
 @pytest.mark.rest
-def test_the_study_is_of_what_the_file_names(studied, tmp_path):
-    code, out, err = studied(STUDY, "--json")
-    assert code == 0, err
-    found = json.loads(out)
+def test_the_study_is_of_what_the_file_names(document, tmp_path):
+    found = document(STUDY)
     assert found["study"] == {
         "name": "gain, autumn",
         "file": str(tmp_path / "gain.toml"),
@@ -114,22 +124,15 @@ def test_page_and_terminal_say_what_was_studied(studied, tmp_path):
     ("stated", "tolerance"),
     [("", (LIMIT.upper - LIMIT.lower, "recipe", LIMIT.lower)), ("tolerance = 2.0\n", (2.0, "study", None))],
 )
-def test_a_tolerance_is_a_width_alone_or_the_recipes(studied, stated, tolerance):
-    code, out, err = studied(changed(("lower = 9.0\nupper = 11.0\n", stated)), "--json")
-    assert code == 0, err
-    (metric,) = json.loads(out)["metrics"]
+def test_a_tolerance_is_a_width_alone_or_the_recipes(document, stated, tolerance):
+    (metric,) = document(changed(("lower = 9.0\nupper = 11.0\n", stated)))["metrics"]
     assert (metric["tolerance"], metric["tolerance_of"], metric["lower"]) == tolerance
 
 
-def test_without_metrics_stations_and_days_it_is_what_the_options_give(studied, crossed, capsys):
-    code, out, err = studied(
-        '[study]\nname = "all"\nrecipe = "short"\nby_location = true\nconfidence_percent = 90\n', "--json"
-    )
-    assert code == 0, err
-    by_file = json.loads(out)
-    options = ["--recipe", "short", "--by-location", "--confidence", "90", "--json", "--database", str(crossed)]
-    assert guarded(["gauge", *options]) == 0
-    by_options = json.loads(capsys.readouterr().out)
+def test_without_metrics_stations_and_days_it_is_what_the_options_give(document, printed, crossed):
+    by_file = document('[study]\nname = "all"\nrecipe = "short"\nby_location = true\nconfidence_percent = 90\n')
+    options = ["--recipe", "short", "--by-location", "--confidence", "90", "--database", crossed]
+    by_options = printed("gauge", *options)
     assert by_options.pop("study") is None
     assert by_file.pop("study")["name"] == "all"
     assert by_file == by_options
