@@ -91,6 +91,14 @@ def _forked(folder, arguments, environment, limit_s):
         return subprocess.CompletedProcess(arguments, process.exitcode, out.read_text(), err.read_text())
 
 
+def refused(folder, *arguments, **options):
+    """Run a command that must be refused; returns its message on one line."""
+    done = cbsr_qa(folder, *arguments, check=False, **options)
+    assert done.returncode == 2, (arguments, done.stdout, done.stderr)
+    assert "Traceback" not in done.stderr
+    return " ".join(done.stderr.split())
+
+
 def document(done):
     """Return the one JSON document a command printed, refusing NaN."""
 

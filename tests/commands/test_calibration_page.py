@@ -6,37 +6,19 @@ import sys
 
 import numpy as np
 import pytest
-from pages import HOW_TO, TOP, blocks, commands, typed
+from pages import HOW_TO, blocks, commands, typed
+from streamed import loaded, write_sensor
 
 pytestmark = pytest.mark.rest
 
 _PAGE = HOW_TO / "use-a-calibration.md"
-_MAKE = """
-import sys
-sys.path.insert(0, sys.argv[1])
-from pathlib import Path
-import numpy as np
-from force_calibration import force_calibration, frames
-from stored_runs import SENSOR_TYPE
-from cbsr_qa.analysis.recording_files import write_recording
-from cbsr_qa.calibration.file.hdf5 import write_calibration
-from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
-from cbsr_qa.domain.readings.frames import Recording, ScanKind
-write_calibration(Path("sensor.h5"), force_calibration())
-forces = np.repeat([0.0, 3.0], 6)
-seen = frames(np.tile((5.0, 7.0), (12, 1)), forces)
-np.save("frames.npy", seen)
-block = FrameBlock(2.5 * np.arange(12), seen, np.zeros(seen.shape, np.uint8), VoltageUnit.VOLT, 4e-4)
-write_recording(Path("press.h5"), Recording(
-    Path("press.h5"), "cbsr-recording", "", ScanKind.FULL, block, None, False, False, "station",
-    sensor_type=SENSOR_TYPE.name))
-"""
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
-    subprocess.run([sys.executable, "-c", _MAKE, str(TOP / "tests" / "samples")], cwd=folder, check=True)
+    write_sensor(folder, 12)
+    np.save(folder / "frames.npy", loaded(12))
     return folder
 
 

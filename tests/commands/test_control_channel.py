@@ -10,7 +10,7 @@ from dataclasses import replace
 import command
 import forked
 import pytest
-from command import cbsr_qa
+from command import cbsr_qa, refused
 from killing import BEGIN, assert_same, came_of, latest_run, write_files
 from pydantic import TypeAdapter
 
@@ -137,9 +137,7 @@ def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_lo
         channel.ask("pause", by="Ada")
         garbage()
         done = sum(load["done"] for load in until(lambda: paused(channel))["loads"])
-        refused = cbsr_qa(folder, *BEGIN, "--serial", "S-2", check=False)
-        assert refused.returncode == 2
-        assert "station 'simulated' is in use: Ada, process" in refused.stderr
+        assert "station 'simulated' is in use: Ada, process" in refused(folder, *BEGIN, "--serial", "S-2")
         os.kill(channel.hello["pid"], signal.SIGKILL)
     assert process.exitcode == 3
     assert control_socket(STATION).exists()
@@ -173,9 +171,8 @@ name = "noise figure\""""
 def test_a_recipe_asks_with_a_picture_and_the_first_of_two_answers_counts(folder):
     recipe = folder / "recipe.toml"
     recipe.write_text(recipe.read_text().replace('\n[[phases]]\nname = "noise figure"', PROMPT, 1))
-    refused = cbsr_qa(folder, *BEGIN, "--serial", "S-1", "--prompts", "channel", check=False)
-    assert refused.returncode == 2
-    assert "'sheet.png' is not an image file next to the recipe" in refused.stderr
+    said = refused(folder, *BEGIN, "--serial", "S-1", "--prompts", "channel")
+    assert "'sheet.png' is not an image file next to the recipe" in said
     (folder / "sheet.png").touch()
     with running(folder, *BEGIN, "--serial", "S-1", "--prompts", "channel") as (_, channel):
         prompt = until(lambda: channel.ask("state")["state"]["prompt"])

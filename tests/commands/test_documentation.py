@@ -19,6 +19,7 @@ from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward import ring_readings
 from cbsr_qa.studies import SAID
+from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
 
 _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
@@ -165,23 +166,6 @@ def test_toml_snippets_are_toml(page):
         tomllib.loads(block)
 
 
-#: Commands that are groups of commands.
-_GROUPS = ("calibration", "db", "limits", "plugins", "scene", "station", "verdict")
-
-
-@pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
-def test_commands_that_are_shown_exist(page):
-    from cbsr_qa.cli import guarded
-
-    for command in commands(page):
-        words = shlex.split(command)
-        if words[0] != "cbsr-qa":
-            continue
-        group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
-        known = group[:2] if group[0] in _GROUPS else group[:1]
-        assert guarded([*known, "--help"]) == 0, command
-
-
 def test_the_metric_of_the_plugin_page_measures():
     namespace = {}
     for block in blocks(HOW_TO / "write-a-plugin.md", "python"):
@@ -273,8 +257,6 @@ def test_the_reconstruction_page_states_no_number_that_nothing_computes():
 
 
 def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
-    from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
-
     page = HOW_TO / "reproduce-the-paper.md"
     (block,) = blocks(page, "toml")
     options = tomllib.loads(block)

@@ -4,7 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from force_samples import setting
 from pages import TOP, marked_tables
+from strip_samples import models
 
 from cbsr_qa.eit.inverse import reading_noise
 from cbsr_qa.stats import count_needed, one_sided_factor, worst_of
@@ -61,10 +63,7 @@ def test_the_minutes_of_the_station(table, key, setting):
     assert row["time"] == f"{station_seconds(setting) / 60:.1f} min"
 
 
-def test_what_the_shipped_strip_shows_of_its_material(monkeypatch):
-    monkeypatch.syspath_prepend(TOP / "tests" / "samples")
-    from strip_samples import models
-
+def test_what_the_shipped_strip_shows_of_its_material():
     page, (strip, more_contact) = "characterisation.md", models()
     (share,) = said(page, r"a small change under the head shows as ([\d.]+) % of itself between the pins")
     assert share == round(100 * strip.share)
@@ -88,22 +87,19 @@ def test_what_variances_of_few_frames_cost_unless_they_are_shrunk():
     assert shrunk == pytest.approx(100 * np.mean(both), abs=0.06)
 
 
-def test_what_the_contrast_of_a_head_does_to_its_readings(monkeypatch):
+def test_what_the_contrast_of_a_head_does_to_its_readings():
     """Readings over strength, 2κ/(2 + κ), against those of a vanishing contrast, all round the sheet."""
-    change = [100 * _nonlinear(monkeypatch, radius_mm, 0.3) for radius_mm in (36.0, 40.0)]
+    change = [100 * _nonlinear(radius_mm, 0.3) for radius_mm in (36.0, 40.0)]
     stated = said(
         "force.md", r"change by ([\d.]+) % from a vanishing κ to κ = 0.3 at 36 mm .*? and by ([\d.]+) % at 40 mm"
     )
     assert stated == [round(one, 1) for one in change]
     stated = said("greit.md", r"they differ by (\d) % up to 30 mm from the centre and by (\d) % at 40 mm")
-    assert stated == [round(100 * _nonlinear(monkeypatch, radius_mm, 0.5)) for radius_mm in (30.0, 40.0)]
+    assert stated == [round(100 * _nonlinear(radius_mm, 0.5)) for radius_mm in (30.0, 40.0)]
 
 
-def _nonlinear(monkeypatch, radius_mm, contrast):
+def _nonlinear(radius_mm, contrast):
     """Largest relative difference of readings over strength at so many places of one radius."""
-    monkeypatch.syspath_prepend(TOP / "tests" / "samples")
-    from force_samples import setting
-
     angle = np.linspace(0.1, 2 * np.pi + 0.1, 16, endpoint=False)
     places = radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
     pressed, least = (setting().rows(places, np.full(16, one)) * (2 + one) / (2 * one) for one in (contrast, 1e-4))

@@ -27,6 +27,10 @@ def too_long(folder):
     station(folder, "[safety]", "[safety]\ndwell_s = 30.0")
 
 
+def unsampled(folder):
+    station(folder, "[safety]", "[safety]\ntemperature_C = [18.0, 26.0]")
+
+
 def worked_by_hand(folder):
     station(
         folder, 'provides = ["frame_source", "force_applicator", "force"]', 'provides = ["frame_source", "force"]'
@@ -60,16 +64,27 @@ def foreign_database(folder):
     connection.close()
 
 
+def damaged_database(folder):
+    (folder / "var").mkdir()
+    (folder / "var" / "cbsr-qa.db").write_bytes(b"SQLite format 3\0" + b"\x10\x00" * 40)
+
+
+def files(folder):
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
 @pytest.mark.parametrize(
     ("prepare", "said"),
     [
         (overdue, "was due on 2020-01-31"),
         (no_folder, "folder var/reports cannot be written to"),
         (older_database, f"older than this program's {schema.HEAD}"),
+        (too_long, "the head is down for 60 s; the station allows 30 s"),
+        (damaged_database, "cbsr-qa.db"),
         *(
             pytest.param(*other, marks=pytest.mark.rest)
             for other in (
-                (too_long, "the head is down for 60 s; the station allows 30 s"),
+                (unsampled, "[safety] temperature_C limits the temperature, but no instrument samples it"),
                 (worked_by_hand, "there is no operator to ask"),
                 (no_folder_for_reports, "folder var/reports cannot be written to"),
                 (foreign_database, "belongs to another program"),
@@ -80,7 +95,7 @@ def foreign_database(folder):
 def test_a_dry_run_is_refused_as_the_run_is_and_neither_writes_anything(tmp_path, prepare, said):
     prepare(tmp_path)
     recipe = short_recipe(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
+    before = files(tmp_path)
     mine = "mine.toml" if (tmp_path / "mine.toml").exists() else "simulated"
     asked = ["run", "--station", mine, "--recipe", recipe, "--serial", "S-1", "--seed", "1", "--json"]
     run, dry = (cbsr_qa(tmp_path, *asked, *more, check=False) for more in ([], ["--dry-run"]))
@@ -88,7 +103,7 @@ def test_a_dry_run_is_refused_as_the_run_is_and_neither_writes_anything(tmp_path
     refused = document(dry)["refused"]
     assert said in refused["reason"]
     assert refused == document(run)["refused"]
-    assert sorted(tmp_path.rglob("*")) == before
+    assert files(tmp_path) == before
 
 
 @pytest.mark.rest

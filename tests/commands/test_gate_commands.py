@@ -1,7 +1,7 @@
 """The gate from the command line: refused before anything is stored, overridden by name, stored and shown again."""
 
 import pytest
-from command import cbsr_qa, document, short_recipe
+from command import cbsr_qa, document, refused, short_recipe
 from killing import BEGIN, killed, latest_run, write_files
 from stored_lots import judged, store_run
 
@@ -30,19 +30,24 @@ pin = "{pin}"
 [indenter]"""
 
 
+def write_station(folder, gate, name="mine.toml"):
+    """Write the simulated station with a gate; returns its path."""
+    text = open_document(DocumentKind.STATION, "simulated").text
+    (folder / name).write_text(text.replace("[indenter]", gate, 1))
+    return str(folder / name)
+
+
 @pytest.fixture(scope="module")
 def tested(tmp_path_factory):
     """A folder with a run whose full disk was overridden, the options it was made with, and its document."""
     folder = tmp_path_factory.mktemp("gate")
-    text = open_document(DocumentKind.STATION, "simulated").text
-    (folder / "mine.toml").write_text(text.replace("[indenter]", GATE.format(pin=hashed_pin("4711")), 1))
+    write_station(folder, GATE.format(pin=hashed_pin("4711")))
     recipe = short_recipe(folder, metrics=["centre-of-mass-error"])
     options = ["--station", "mine.toml", "--recipe", recipe, "--serial", "S-1"]
     before = sorted(folder.rglob("*"))
-    refused = cbsr_qa(folder, "run", *options, "--operator", "Ada", check=False)
-    assert refused.returncode == 2
-    assert "disk: " in refused.stderr
-    assert "--override disk --override-by NAME" in refused.stderr
+    said = refused(folder, "run", *options, "--operator", "Ada")
+    assert "disk: " in said
+    assert "--override disk --override-by NAME" in said
     assert sorted(folder.rglob("*")) == before
     override = ["--override", "disk", "--override-by", "Grace", "--override-why", "a second disk is mounted"]
     done = cbsr_qa(folder, "run", *options, "--operator", "Ada", *override, "--json", check=False)
@@ -90,19 +95,15 @@ def test_a_release_is_stored_by_name(tested):
 
 def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(tmp_path):
     write_files(tmp_path)
-    text = open_document(DocumentKind.STATION, "simulated").text
     gate = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "{}"\n\n[indenter]'
     for name in ("Ada", "Grace"):
-        (tmp_path / f"{name}.toml").write_text(text.replace("[indenter]", gate.format(name), 1))
+        write_station(tmp_path, gate.format(name), f"{name}.toml")
     options = [*BEGIN, "--station", "Ada.toml", "--serial", "S-1", "--operator", "Ada"]
     assert killed(tmp_path, options, documents=40, after_s=0.0)
     again = ["run", "--resume", latest_run(tmp_path, "S-1"), "--json", "--operator"]
-    unlisted = cbsr_qa(tmp_path, *again, "Ada", check=False)
-    assert unlisted.returncode == 2
-    assert "--station" in document(unlisted)["refused"]["remedy"]
-    another = cbsr_qa(tmp_path, *again, "Ada", "--station", "bench-emulated", check=False)
-    assert "is of 'bench-emulated'" in document(another)["refused"]["reason"]
-    assert "Ada is not on the list" in cbsr_qa(tmp_path, *again, "Ada", "--station", "Grace.toml", check=False).stderr
+    assert "--station" in refused(tmp_path, *again, "Ada")
+    assert "is of 'bench-emulated'" in refused(tmp_path, *again, "Ada", "--station", "bench-emulated")
+    assert "Ada is not on the list" in refused(tmp_path, *again, "Ada", "--station", "Grace.toml")
     done = document(cbsr_qa(tmp_path, *again, "Grace", "--station", "Grace.toml", check=False))
     assert {one["check"] for one in done["gate"] if one["session"] == 1} == {"calibration_due", "disk", "operator"}
     assert len([one for one in done["gate"] if one["session"] == 0]) == len(GateCheck)
@@ -111,16 +112,15 @@ def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(t
 
 def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
-    text = open_document(DocumentKind.STATION, "simulated").text
     gate = GATE.format(pin=hashed_pin("4711")).replace('disk = "refuse"\ndisk_GB = 1e6\n', "")
-    (tmp_path / "mine.toml").write_text(text.replace("[indenter]", gate, 1))
+    station = write_station(tmp_path, gate)
     recipe = tmp_path / short_recipe(tmp_path, metrics=["centre-of-mass-error"])
 
     def pin(_):
         recipe.write_text(recipe.read_text().replace("upper = 6.5", "upper = 65"))
         return "4711"
 
-    request = RunRequest(station=str(tmp_path / "mine.toml"), recipe=str(recipe), serial="S-1", operator="Grace")
+    request = RunRequest(station=station, recipe=str(recipe), serial="S-1", operator="Grace")
     with pytest.raises(RefusedError, match="files of this run were changed while the gate was asked"):
         run_sensor(request, pin=pin)
     assert not list(tmp_path.rglob("*.db"))
@@ -128,10 +128,9 @@ def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monk
 
 def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
-    text = open_document(DocumentKind.STATION, "simulated").text
-    (tmp_path / "mine.toml").write_text(text.replace("[indenter]", '[gate]\nretest = "refuse"\n\n[indenter]', 1))
+    station = write_station(tmp_path, '[gate]\nretest = "refuse"\n\n[indenter]')
     recipe = short_recipe(tmp_path, metrics=["centre-of-mass-error"])
-    request = RunRequest(station=str(tmp_path / "mine.toml"), recipe=str(tmp_path / recipe), serial="S-1")
+    request = RunRequest(station=station, recipe=str(tmp_path / recipe), serial="S-1")
     name = request.configuration(0).recipe.name
     asked = []
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:

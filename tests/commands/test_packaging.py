@@ -1,6 +1,8 @@
 """The hand-written package list against the disk."""
 
+import ast
 import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -48,8 +50,6 @@ def test_every_data_file_is_matched_by_a_pattern():
 
 def test_runtime_dependencies_are_the_imported_ones():
     """A dependency nobody imports, or an import nobody declares, is found here."""
-    import ast
-
     names = {"google-re2": "re2", "pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-image": "skimage"}
     backends = {"pyvisa-py"}  # loaded by pyvisa
     declared = set(map(_name, _PROJECT["project"]["dependencies"]))
@@ -70,8 +70,6 @@ def test_runtime_dependencies_are_the_imported_ones():
                 imported -= of_web - before
             if module.is_relative_to(_TOP / "cbsr_qa" / "interface"):  # for types; else by name, with a remedy
                 imported -= set(map(_name, extra["notebook"])) - before
-    import sys
-
     foreign = imported - set(sys.stdlib_module_names) - {"cbsr_qa", "cbsr_qa_plugins"}
     extras = {name for lines in extra.values() for name in map(_name, lines)}
     optional = {"pyeit", "pyarrow"}  # imported by name, and refused with a remedy where it is absent

@@ -51,28 +51,6 @@ def test_one_signal_ends_a_run_in_order_with_its_record_and_exit_code_3(tmp_path
     assert run["calibration"] is None
 
 
-@pytest.mark.parametrize(
-    ("limit", "said"),
-    [
-        ("dwell_s = 30.0", "the head is down for 60 s; the station allows 30 s"),
-        pytest.param(
-            "temperature_C = [18.0, 26.0]",
-            "[safety] temperature_C limits the temperature, but no instrument samples it",
-            marks=pytest.mark.rest,
-        ),
-    ],
-)
-@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
-def test_what_a_stations_limits_do_not_allow_is_refused_with_nothing_written(tmp_path, limit, said, dry):
-    station = open_document(DocumentKind.STATION, "simulated").text.replace("[safety]", f"[safety]\n{limit}")
-    (tmp_path / "mine.toml").write_text(station)
-    files = ["--station", "mine.toml", "--recipe", "nine-locations", "--serial", "S-1"]
-    done = cbsr_qa(tmp_path, "run", *files, *dry, check=False)
-    assert done.returncode == 2
-    assert said in " ".join((done.stdout + done.stderr).split())  # a terminal wraps it
-    assert not (tmp_path / "var").exists()
-
-
 @pytest.mark.rest
 def test_another_instrument_than_the_station_file_names_is_refused_with_nothing_written(tmp_path):
     text = open_document(DocumentKind.STATION, "simulated").text

@@ -5,17 +5,15 @@ import sqlite3
 from contextlib import closing
 
 import killing
-import numpy as np
 import pytest
-from command import cbsr_qa
-from force_calibration import force_calibration, frames
+from command import cbsr_qa, refused
 from pages import HOW_TO, blocks, commands, typed
-from stored_runs import SENSOR_TYPE
+from streamed import write_sensor
 
 import cbsr_qa as qa
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
+from cbsr_qa.calibration.file import new_key
+from cbsr_qa.domain import BrokenRunError
 
 pytestmark = pytest.mark.rest
 
@@ -33,27 +31,9 @@ def _signing(folder):
 def folder(tmp_path, monkeypatch):
     """A bench whose station file has the table of the page, and what a robot has."""
     monkeypatch.chdir(tmp_path)
+    write_sensor(tmp_path, 8)
     killing.write_files(tmp_path)
     (tmp_path / "bench.toml").write_text(f"{(tmp_path / 'station.toml').read_text()}\n{_signing(tmp_path)}")
-    write_calibration(tmp_path / "sensor.h5", force_calibration())
-    seen = frames(np.tile((5.0, 7.0), (3, 1)), np.full(3, 3.0))
-    block = FrameBlock(2.5 * np.arange(3), seen, np.zeros(seen.shape, np.uint8), VoltageUnit.VOLT, 4e-4)
-    path = tmp_path / "press.h5"
-    write_recording(
-        path,
-        Recording(
-            path,
-            "cbsr-recording",
-            "",
-            ScanKind.FULL,
-            block,
-            None,
-            False,
-            False,
-            "station",
-            sensor_type=SENSOR_TYPE.name,
-        ),
-    )
     return tmp_path
 
 
@@ -79,25 +59,18 @@ def test_the_page_runs_with_a_short_recipe_and_the_database_holds_the_signed_byt
 
 def test_a_key_that_cannot_be_used_refuses_before_anything_moves(folder):
     for extra in ((), ("--dry-run",)):
-        done = cbsr_qa(folder, *_RUN, *extra, check=False)
-        assert done.returncode == 2
-        assert "calibrations.signing_key: key" in done.stderr
-        assert "station.key cannot be read" in done.stderr
+        said = refused(folder, *_RUN, *extra)
+        assert "calibrations.signing_key: key" in said
+        assert "station.key cannot be read" in said
     assert not (folder / "var" / "cbsr-qa.db").exists()
     text = (folder / "bench.toml").read_text()
     (folder / "bench.toml").write_text(text.replace(f'"{folder}/station.key"', '"station.key"'))
-    done = cbsr_qa(folder, *_RUN, check=False)
-    assert done.returncode == 2
     line = 1 + next(n for n, row in enumerate(text.splitlines()) if "signing_key" in row)
-    assert f"bench.toml line {line}: calibrations.signing_key is not a full path" in done.stderr
+    assert f"bench.toml line {line}: calibrations.signing_key is not a full path" in refused(folder, *_RUN)
 
 
 def test_a_key_that_is_gone_when_the_run_ends_issues_nothing_until_it_is_back(folder, monkeypatch):
     """What is measured is kept, and the named command computes the result, without moving anything."""
-    from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
-    from cbsr_qa.calibration.file import new_key
-    from cbsr_qa.domain import BrokenRunError
-
     monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
     key, away = folder / "station.key", folder / "away.key"
     new_key(key)

@@ -3,6 +3,7 @@
 import pickle
 import shutil
 import sqlite3
+import threading
 from contextlib import closing
 
 import numpy as np
@@ -232,8 +233,6 @@ def test_a_database_that_another_program_does_not_let_go(here, benches, whole, m
 
 
 def test_a_database_that_is_let_go_in_time_stops_nothing(here, whole, monkeypatch, capfd):
-    import threading
-
     monkeypatch.setattr(engines, "_PATIENCE_MS", 100)
     path = here / "var" / "cbsr-qa.db"
 

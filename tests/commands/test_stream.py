@@ -20,6 +20,7 @@ from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, json_li
 from cbsr_qa.calibration.file import new_key
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.system import VirtualClock
+from cbsr_qa_plugins.hardware import replayed_recording
 
 _PAGE = HOW_TO / "stream-forces.md"
 _REFERENCE = TOP / "docs" / "reference" / "stream.md"
@@ -181,14 +182,9 @@ def test_python_streams_without_a_socket(folder, applied_N, monkeypatch):
 
 
 def test_a_driver_that_raises_anything_ends_the_stream_with_its_words(folder, monkeypatch):
-    from cbsr_qa_plugins.hardware import replayed_recording
-
     closed = []
     monkeypatch.setattr(replayed_recording.ReplayedRecording, "close", lambda self: closed.append(1))
-    request = StreamRequest(
-        folder / "sensor.h5", FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
-    )
-    stream = stream_messages(request)
+    stream = stream_messages(replayed(folder))
     header, first = next(stream), next(stream)
     monkeypatch.setattr(replayed_recording.ReplayedRecording, "acquire", lambda self, count: 1 / 0)
     end, *none = stream
@@ -216,25 +212,28 @@ def test_what_cannot_be_streamed_is_refused_before_a_message(folder, source, sai
         next(stream_messages(StreamRequest(folder / "sensor.h5", FramesFrom(**source))))
 
 
+def replayed(folder, **options):
+    """What is asked of the recording of a folder."""
+    source = FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
+    return StreamRequest(folder / "sensor.h5", source, **options)
+
+
 def test_a_recording_of_another_sensor_type_is_refused(tmp_path):
     write_sensor(tmp_path, 4, sensor_type="disc-150mm")
-    source = FramesFrom("replayed-recording", {"file": str(tmp_path / "press.h5")})
     with pytest.raises(CbsrError, match="is of sensor type 'disc-150mm', not 'disc-100mm'"):
-        next(stream_messages(StreamRequest(tmp_path / "sensor.h5", source)))
+        next(stream_messages(replayed(tmp_path)))
 
 
 def test_a_calibration_that_the_pinned_key_did_not_sign_is_not_streamed(folder):
     new_key(folder / "station.key")
-    source = FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
     with pytest.raises(CbsrError, match="not signed, and a signature by the pinned key"):
-        next(stream_messages(StreamRequest(folder / "sensor.h5", source, public_key=folder / "station.key.pub")))
+        next(stream_messages(replayed(folder, public_key=folder / "station.key.pub")))
 
 
 def test_a_recording_shorter_than_the_reference_is_refused(folder, monkeypatch):
     monkeypatch.setattr("cbsr_qa.app.stream.source.RealClock", VirtualClock)
-    source = FramesFrom("replayed-recording", {"file": str(folder / "press.h5")})
     with pytest.raises(CbsrError, match=f"has {_FRAMES} frames; 100 are needed"):
-        next(stream_messages(StreamRequest(folder / "sensor.h5", source, reference=100)))
+        next(stream_messages(replayed(folder, reference=100)))
 
 
 def test_the_page_runs_as_printed(folder):

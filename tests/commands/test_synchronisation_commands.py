@@ -44,7 +44,7 @@ def test_a_backlog_that_is_too_old_is_a_failure(station):
     assert (late.returncode, "older than 24 h" in " ".join(late.stdout.split())) == (1, True)
 
 
-def test_a_quarantined_run_is_named_retried_and_let_go(station):
+def test_a_quarantined_run_is_named_and_let_go_and_open_again_until_it_is_right(station):
     with sqlite3.connect(station / "station.db") as database:
         (run,) = database.execute("SELECT run FROM runs").fetchone()
         database.execute("UPDATE loads SET x_mm = 1.5")
@@ -57,30 +57,18 @@ def test_a_quarantined_run_is_named_retried_and_let_go(station):
     assert refused(station) == [run]  # nobody has told the centre yet
     sync(station, "--to", "centre.db")
     assert refused(station) == []
+    sync(station, "--retry", run, "--to", "centre.db")
+    assert refused(station) == [run]
     with sqlite3.connect(station / "station.db") as database:
         database.execute("UPDATE loads SET x_mm = 15.0")
-    assert "1 run" in sync(station, "--retry", run, "--to", "centre.db").stdout
+    assert "1 run" in sync(station, "--retry", run, "--to", "centre.db", check=True).stdout
+    assert refused(station) == []
     assert "nothing named" in sync(station, "--retry", run).stderr
 
 
 def refused(folder):
     status = json.loads(sync(folder, "--status", "--to", "centre.db", "--json").stdout)
     return [one["item"] for one in status["refused"]]
-
-
-def test_a_refusal_is_settled_by_sending_and_open_again_if_it_comes_back(station):
-    with sqlite3.connect(station / "station.db") as database:
-        (run,) = database.execute("SELECT run FROM runs").fetchone()
-        database.execute("UPDATE loads SET x_mm = 1.5")
-    sync(station, "--to", "centre.db")
-    sync(station, "--let-go", run)
-    sync(station, "--to", "centre.db")
-    sync(station, "--retry", run, "--to", "centre.db")
-    assert refused(station) == [run]
-    with sqlite3.connect(station / "station.db") as database:
-        database.execute("UPDATE loads SET x_mm = 15.0")
-    sync(station, "--retry", run, "--to", "centre.db", check=True)
-    assert refused(station) == []
 
 
 def test_a_watch_waits_for_a_database_and_for_the_centre_and_says_so(station):

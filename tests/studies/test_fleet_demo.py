@@ -1,6 +1,5 @@
 """The fleet of the demonstration: its designs, its truth, and that it says what it is."""
 
-import json
 import os
 import shutil
 import sqlite3
@@ -14,7 +13,6 @@ import pytest
 from demo_fleet import demo_fleet
 
 from cbsr_qa.app.run import render_stored
-from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Outcome, RunSelection
 from cbsr_qa.store import open_store
@@ -66,11 +64,10 @@ def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
         assert found == pytest.approx(1.5 * metric.sensor, abs=3 * spread * np.sqrt(2 / 20))
 
 
-def test_a_gauge_can_be_studied(built, capsys):
+def test_a_gauge_can_be_studied(built, printed):
     """The station adds 1.5 deviations between sensors at one of three stations; runs repeat within 0.12 mm."""
-    asked = ["gauge", "--recipe", REPEATED, "--database", str(built[0]), "--metric", "centre_of_mass_error", "--json"]
-    assert guarded(asked) == 0
-    (metric,) = json.loads(capsys.readouterr().out)["metrics"]
+    asked = ["gauge", "--recipe", REPEATED, "--database", built[0], "--metric", "centre_of_mass_error"]
+    (metric,) = printed(*asked)["metrics"]
     assert (len(metric["sensors"]), len(metric["appraisers"]), metric["trials"]) == (6, 3, 2)
     parts, drawn = metric["anova"]["components"], DRAWN[0]
     low, high = parts["repeatability"]["variance_interval"]

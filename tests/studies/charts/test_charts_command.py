@@ -1,9 +1,9 @@
 """``charts`` on stored runs, and what the report of a run says of its station's charts."""
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -103,12 +103,10 @@ def test_the_other_charts_have_the_points_of_their_definition(shifted, document,
 
 
 @pytest.mark.rest
-def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_path, command, document):
+def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_path, refusal, document):
     path = tmp_path / "runs.db"
     fill(path, values(shift=0.8, count=70))
-    code, _, err = command(path, "--station", STATION)
-    assert code == 2
-    assert "no reference period is stored" in err
+    assert "no reference period is stored" in refusal("charts", "--database", path, "--station", STATION)
     assert document(path, *NEW, "--why", "after the move")["stored"]
     assert not document(path)["in_control"]
     second = ("--reference-from", "2026-12-21", "--reference-runs", 30, "--operator", "Ada")
@@ -152,7 +150,7 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
     document(path, *NEW)
     with open_store(f"sqlite:///{path}", durable=False) as store:
         run = store.new_id()
-        here = SimpleNamespace(**{**_fields(identity(run, "S-900")), "station": STATION})
+        here = replace(identity(run, "S-900"), station=STATION)
         found = charts_after(store, STATION, here, judged(10.9))
         (signal,) = found.signals
         assert (signal.since_run, signal.runs) == (run, 1)
@@ -165,12 +163,6 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
         assert "1: one point beyond 3σ" in blocks[1].text
         assert charts_after(store, STATION, here, judged(10.0)).signals == ()
         assert charts_after(store, "bench-b", here, judged(10.9)) is None
-
-
-def _fields(one):
-    if isinstance(one, SimpleNamespace):
-        return vars(one)
-    return {name: getattr(one, name) for name in one.__slots__}
 
 
 @pytest.mark.rest
@@ -238,7 +230,7 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--station", "bench-q", *NEW), "no stored run is of station 'bench-q'\ndid you mean 'bench-a'?"),
+        (("--station", "bench-q", *NEW), "no stored run is of station 'bench-q' did you mean 'bench-a'?"),
         (("--station", STATION, "--recipe", "shirt", *NEW), "did you mean 'short'?"),
         (("--station", STATION, "--metric", "force_gian", *NEW), "did you mean 'force_gain'?"),
         (("--station", STATION, "--metric", "force_gian"), "did you mean 'force_gain'?"),
@@ -254,21 +246,19 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
         (("--station", STATION, *NEW, "--chart", "ewma", "--rules", "1,2"), "--rules with --chart ewma"),
         (("--station", STATION, "--chart", "ewma", "--rules", "1,2,5"), "--chart, --rules can only be given"),
         (("--station", STATION, "--operator", "Zoë", "--dry-run"), "--operator, --dry-run can only be given"),
-        (("--station", STATION, "--reference-runs", 12, "--operator", "Zoë", "--chart", "xbar-r"), "give 15\n"),
+        (("--station", STATION, "--reference-runs", 12, "--operator", "Zoë", "--chart", "xbar-r"), "of 5 give 15"),
         (("--station", STATION, "--reference-runs", 22, "--operator", "Zoë", "--chart", "xbar-r"), "give 20 or 25"),
         (("--station", STATION, *NEW, "--golden", "G-7"), "no analysed run of sensor 'G-7'"),
         (("--station", STATION, "--reference-from", "2036-11-22", *NEW), "has no run since 2036"),
     ],
 )
-def test_what_cannot_be_charted_is_refused_by_name(shifted, command, arguments, words):
-    code, _, err = command(shifted[0], *arguments)
-    assert code == 2
-    assert words in err
+def test_what_cannot_be_charted_is_refused_by_name(shifted, refusal, arguments, words):
+    assert words in refusal("charts", "--database", shifted[0], *arguments)
     with open_store(f"sqlite:///{shifted[0]}") as store:
         assert store.all_chart_references(STATION) == ()
 
 
-def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, command, document):
+def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, refusal, document):
     path, runs = shifted
     until = (identity("x").started_at + timedelta(days=21)).date()
     asked = ("--reference-until", until, "--operator", "Zoë", "--dry-run", "--chart", "xbar-r")
@@ -277,9 +267,8 @@ def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, comma
     assert "the last 2 runs of the reference period do not fill a group of 5: taken as after it" in chart["notes"]
     (chart,) = document(path, *asked, "--subgroup", 6)["charts"]
     assert "the latest 4 runs do not fill a group of 6 yet, and make no point" in chart["notes"]
-    code, _, err = command(path, "--station", STATION, *asked, "--subgroup", 8)
-    assert code == 2
-    assert "22 runs in the reference period make 2 whole groups of 8 instead of 3" in err
+    said = refusal("charts", "--database", path, "--station", STATION, *asked, "--subgroup", 8)
+    assert "22 runs in the reference period make 2 whole groups of 8 instead of 3" in said
 
 
 def test_a_reference_period_is_named_by_its_days(shifted, command):

@@ -23,6 +23,11 @@ def command(run_in_words):
     return partial(run_in_words, "charts", "--station", STATION, "--database")
 
 
+@pytest.fixture
+def refused(refusal):
+    return partial(refusal, "charts", "--station", STATION, "--database")
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_sum_says_when_the_change_began(tmp_path, command, sign):
     """Ten runs the other way, then 1.5 deviations: the sum left zero at the first of them, and signals later."""
@@ -109,24 +114,22 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
         ),
     ],
 )
-def test_what_cannot_be_retired_is_refused(tmp_path, command, arguments, words):
+def test_what_cannot_be_retired_is_refused(tmp_path, command, refused, arguments, words):
     path = tmp_path / "runs.db"
     fill(path, values(count=30))
     command(path, *NEW)
-    code, _, err = command(path, *arguments)
-    assert code == 2
-    assert words in err
+    assert words in refused(path, *arguments)
     with open_store(f"sqlite:///{path}") as store:
         assert len(store.all_chart_references(STATION)) == 1
 
 
-def test_runs_without_measurements_are_said(tmp_path, command):
+def test_runs_without_measurements_are_said(tmp_path, refused):
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
         for day in range(9):
             store_run(store, "S-01", (), station=STATION, day=day)
     for option in ((), ("--metric", "force_gain")):
-        code, _, err = command(tmp_path / "runs.db", "--reference-runs", 8, "--dry-run", *option)
-        assert (code, err) == (2, "cbsr-qa: none of these runs has measurements choose runs that were finished")
+        said = refused(tmp_path / "runs.db", "--reference-runs", 8, "--dry-run", *option)
+        assert said == "cbsr-qa: none of these runs has measurements choose runs that were finished"
 
 
 def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
@@ -146,23 +149,19 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     assert "could not be measured" not in out
 
 
-def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, command):
+def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, refused):
     fill(tmp_path / "runs.db", values(count=20))
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
         store_run(store, "S-600", judged(10.0, "kN/V"), station=STATION, day=30)
-    code, _, err = command(
-        tmp_path / "runs.db", "--reference-runs", 21, "--operator", "Zoë", "--metric", "force_gain"
-    )
-    assert code == 2
-    assert "20 runs in the reference period instead of 21; left out: in kN/V instead of N/V: S-600" in err
+    asked = ("--reference-runs", 21, "--operator", "Zoë", "--metric", "force_gain")
+    said = refused(tmp_path / "runs.db", *asked)
+    assert "20 runs in the reference period instead of 21; left out: in kN/V instead of N/V: S-600" in said
 
 
-def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path, command):
+def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path, command, refused):
     database = tmp_path / "runs.db"
     fill(database, values(count=40))
-    code, _, said = command(database, *NEW, "--output", database)
-    assert code == 2
-    assert "runs.db: not an HTML page" in said
+    assert "runs.db: not an HTML page" in refused(database, *NEW, "--output", database)
     with open_store(f"sqlite:///{database}") as store:
         assert store.chart_references(STATION) == ()
     command(database, *NEW)

@@ -1,7 +1,5 @@
 """``frontier`` on trials made by hand: targets, messages, the document, the recipe file, the page and the picture."""
 
-import json
-
 import pytest
 
 from cbsr_qa.cli import guarded
@@ -42,11 +40,6 @@ def sweeps(monkeypatch, tmp_path):
     return worked
 
 
-def refused(capsys, *arguments):
-    assert guarded(["frontier", *arguments]) == 2
-    return capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -60,8 +53,8 @@ def refused(capsys, *arguments):
         (("--force-error", "1 kg"), ["--force-error is '1 kg'"]),
     ],
 )
-def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, capsys, arguments, said):
-    message = refused(capsys, *arguments)
+def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, refusal, arguments, said):
+    message = refusal("frontier", *arguments)
     assert all(words in message for words in said), message
     assert sweeps == []
 
@@ -77,14 +70,12 @@ def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, capsys
         (("--force-error", "90mN"), 30),
     ],
 )
-def test_targets_are_understood(sweeps, capsys, arguments, places):
-    assert guarded(["frontier", "--clock", "station", *arguments, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["recommended"]["setting"]["places"] == places
+def test_targets_are_understood(sweeps, printed, arguments, places):
+    assert printed("frontier", "--clock", "station", *arguments)["recommended"]["setting"]["places"] == places
 
 
-def test_the_document_has_every_point_and_what_is_recommended(sweeps, capsys):
-    assert guarded(["frontier", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_the_document_has_every_point_and_what_is_recommended(sweeps, printed):
+    document = printed("frontier")
     assert [point["clock"] for point in document["points"]] == ["station"] * len(FORCES) + ["computer"]
     assert all(isinstance(point["pareto"], bool) for point in document["points"])
     recommended = document["recommended"]
@@ -102,20 +93,18 @@ def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
     assert "12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
 
 
-def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
-    assert guarded(["frontier", "--clock", "station", "--force-error", "1mN", "--json"]) == 0
-    recommended = json.loads(capsys.readouterr().out)["recommended"]
+def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, printed, refusal, tmp_path):
+    recommended = printed("frontier", "--clock", "station", "--force-error", "1mN")["recommended"]
     assert recommended["setting"] is None
     assert "no setting of 3" in recommended["why"]  # the one that is no recipe is none of them
     recipe = tmp_path / "nothing.toml"
-    assert "there is no recipe to write" in refused(capsys, "--force-error", "1mN", "--recipe", str(recipe))
+    assert "there is no recipe to write" in refusal("frontier", "--force-error", "1mN", "--recipe", recipe)
     assert not recipe.exists()
 
 
-def test_the_recipe_is_one_that_run_accepts(sweeps, capsys, tmp_path):
+def test_the_recipe_is_one_that_run_accepts(sweeps, printed, capsys, tmp_path):
     path = tmp_path / "new folder" / "short.toml"
-    assert guarded(["frontier", "--clock", "station", "--recipe", str(path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["recommended"]["recipe"] == str(path)
+    assert printed("frontier", "--clock", "station", "--recipe", path)["recommended"]["recipe"] == str(path)
     recipe = load_recipe(str(path)).value
     assert (recipe.name, recipe.analysis.transients) == ("short", "predicted")
     assert "Simulated: force error 0.115 ± 0.005 N over 2 sensors" in path.read_text()
@@ -140,9 +129,9 @@ def test_the_recipe_is_one_that_run_accepts(sweeps, capsys, tmp_path):
         (("--png", "{}/no.png", "--clock", "computer"), "--png: there is no force error to draw"),
     ],
 )
-def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, named):
+def test_files_are_refused_before_anything_is_simulated(sweeps, refusal, tmp_path, arguments, named):
     (tmp_path / "notes.toml").write_text("# mine\n")
-    assert named.format(tmp_path) in refused(capsys, *(text.format(tmp_path) for text in arguments))
+    assert named.format(tmp_path) in refusal("frontier", *(text.format(tmp_path) for text in arguments))
     assert sweeps == []
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("notes.toml", "# mine\n")]
 

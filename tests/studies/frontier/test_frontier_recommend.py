@@ -33,26 +33,6 @@ def surely(one):
     return figure.value + (figure.stderr or 0.0)
 
 
-@pytest.mark.parametrize(
-    ("target", "expected"),
-    [
-        (Target(0.15), MIDDLE),
-        (Target(0.21), MIDDLE),  # 0.2 ± 0.02 N may well be 0.22
-        (Target(0.23), QUICK),
-        (Target(0.06), SLOW),
-        (Target(None, 60 * 60.0), MIDDLE),
-        (Target(None, 15 * 60.0), QUICK),
-        (Target(None, 9 * 3600.0), SLOW),
-        (Target(None, None), MIDDLE),
-        (Target(0.15, 30 * 60.0), MIDDLE),
-        (Target(1.0, 24 * 3600.0), QUICK),
-    ],
-)
-def test_what_is_recommended(target, expected):
-    found = recommend(ALL, target, paper=None)
-    assert (found.way, found.station_s, found.accuracy) == chosen_of(expected)
-
-
 @given(somewhat, targets)
 def test_no_other_setting_meets_the_target_better(tried, target):
     usable = [one for one in tried if one[1].accuracy]

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure as Canvas
 from stored_lots import store_run
 from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
-from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import gauge_anova, missing_runs, study
+from cbsr_qa.stats.gauge import gauge_anova
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.gauge import figures
 
@@ -31,56 +30,41 @@ def crossed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("wrong", ["0.95", "0", "50", "100", "nan"])
-def test_a_confidence_is_in_per_cent(crossed, command, tmp_path, wrong):
-    code, _, err = command("--recipe", "short", "--confidence", wrong, "--database", crossed)
-    assert code == 2
-    assert "allowed: above 50 and below 100 %; give per cent, 95 for 95 %" in err
+def test_a_confidence_is_in_per_cent(crossed, refusal, tmp_path, wrong):
+    said = refusal("gauge", "--recipe", "short", "--confidence", wrong, "--database", crossed)
+    assert "allowed: above 50 and below 100 %; give per cent, 95 for 95 %" in said
     study = tmp_path / "study.toml"
     study.write_text(f'[study]\nname = "g"\nrecipe = "short"\nconfidence_percent = {wrong}\n')
-    code, _, err = command(study, "--database", crossed)
-    assert code == 2
-    assert "line 4: study.confidence_percent is" in err
+    assert "line 4: study.confidence_percent is" in refusal("gauge", study, "--database", crossed)
 
 
 @pytest.mark.parametrize("option", [(), ("--largest-balanced",)])
 @pytest.mark.parametrize("whole", [True, False])
-def test_sensors_that_were_run_once_have_no_repeatability(tmp_path, command, option, whole):
+def test_sensors_that_were_run_once_have_no_repeatability(tmp_path, refusal, option, whole):
     """Crossed once, or each sensor on one station: no choice of these runs is a study."""
     rows = [row for row in runs(trials=1) if whole or STATIONS[int(row[0][2:]) % 3] == row[1]]
     fill(tmp_path / "runs.db", rows)
-    code, _, err = command("--recipe", "short", "--database", tmp_path / "runs.db", *option)
-    assert code == 2
-    assert "every sensor was run once on a station: repeatability needs at least two runs of each" in err
-    assert "uneven" not in err
-    assert "--largest-balanced" not in err
+    said = refusal("gauge", "--recipe", "short", "--database", tmp_path / "runs.db", *option)
+    assert "every sensor was run once on a station: repeatability needs at least two runs of each" in said
+    assert "uneven" not in said
+    assert "--largest-balanced" not in said
 
 
-def test_runs_that_lack_are_counted_against_those_there_are():
-    assert missing_runs(["A", "A", "B", "B"], ["x", "x", "y", "y"]) == (
-        "A on y has 0 of 2 runs",
-        "B on x has 0 of 2 runs",
-    )
-    with pytest.raises(NumericsError, match="sensor A has 3 runs on station-a, others have 2"):
-        study([*"AABBAABBA"], ["station-a"] * 4 + ["station-b"] * 4 + ["station-a"], range(9))
-
-
-def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, command):
+def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, refusal):
     rows = [row for row in runs() if STATIONS[int(row[0][2:]) % 3] == row[1]]
     fill(tmp_path / "runs.db", rows)
-    code, _, err = command("--recipe", "short", "--largest-balanced", "--database", tmp_path / "runs.db")
-    assert code == 2
-    assert "no two sensors were run twice each on the same two stations: nothing is crossed" in err
+    said = refusal("gauge", "--recipe", "short", "--largest-balanced", "--database", tmp_path / "runs.db")
+    assert "no two sensors were run twice each on the same two stations: nothing is crossed" in said
 
 
-def test_a_metric_in_several_units_in_every_run_has_no_study(tmp_path, command):
+def test_a_metric_in_several_units_in_every_run_has_no_study(tmp_path, refusal):
     odd = (*measured((9.0,) * 2)[:1], Measurement("force_gain", 9e-3, "kN/V", None, "grid", "L1"))
     fill(other := tmp_path / "other.db", [])
     with open_store(f"sqlite:///{other}", durable=False) as store:
         names = [store_run(store, serial, odd, station=station) for serial, station, *_ in runs()]
-    code, _, err = command("--recipe", "short", "--metric", "force_gain", "--database", other)
-    assert code == 2
-    assert "none of these runs has a value of it; left out: its values are in several units" in err
-    assert names[0] in err
+    said = refusal("gauge", "--recipe", "short", "--metric", "force_gain", "--database", other)
+    assert "none of these runs has a value of it; left out: its values are in several units" in said
+    assert names[0] in said
 
 
 def test_stability_of_few_runs_has_no_verdict_of_a_chart(tmp_path, crossed, command):

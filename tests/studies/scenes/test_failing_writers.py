@@ -2,35 +2,15 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
+from written_scenes import made_up
 
 from cbsr_qa.domain import PluginError, RefusedError
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa.plugin import discover
 from cbsr_qa.simulate import RecordedScene
 from cbsr_qa.studies.scenes.files import Target, checked_targets, write_all
 
-
-def recorded():
-    frames = FrameBlock(
-        np.arange(3.0), np.ones((3, 16, 16)), np.zeros((3, 16, 16), dtype=np.uint8), VoltageUnit.VOLT, 4e-4, None
-    )
-    recording = Recording(
-        path=Path(),
-        format="cbsr-recording",
-        dataset="",
-        scan=ScanKind.FULL,
-        frames=frames,
-        reference=None,
-        still=False,
-        magnitudes_only=False,
-        clock="station",
-        samples=(),
-        loads=(),
-    )
-    return RecordedScene(recording, Transcript(None, frames.time_s, np.zeros((3, 16), dtype=bool)), ())
+RECORDED = RecordedScene(*made_up(3), ())
 
 
 def target(folder, name, write):
@@ -63,7 +43,7 @@ def test_a_file_that_came_while_the_scene_was_simulated_is_kept(tmp_path):
     (tmp_path / "second.txt").write_text("somebody's")
     targets = (target(tmp_path, "first", good), target(tmp_path, "second", good))
     with pytest.raises(RefusedError, match=r"second\.txt was created in the meantime"):
-        write_all(recorded(), targets)
+        write_all(RECORDED, targets)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("second.txt", "somebody's")]
 
 
@@ -78,7 +58,7 @@ def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name)
 
 
 def test_what_writers_say_is_handed_on(tmp_path):
-    (file,) = write_all(recorded(), (target(tmp_path, "theirs", good),))
+    (file,) = write_all(RECORDED, (target(tmp_path, "theirs", good),))
     assert (file.format, Path(file.path).read_text(), file.notes) == ("theirs", "whole", ("a note",))
 
 
@@ -98,7 +78,7 @@ def test_what_writers_say_is_handed_on(tmp_path):
 )
 def test_of_a_writer_that_fails_no_file_is_left(tmp_path, write, error, why):
     with pytest.raises(error, match=why):
-        write_all(recorded(), (target(tmp_path, "first", good), target(tmp_path, "theirs", write)))
+        write_all(RECORDED, (target(tmp_path, "first", good), target(tmp_path, "theirs", write)))
     assert list(tmp_path.iterdir()) == []
 
 

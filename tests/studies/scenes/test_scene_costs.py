@@ -17,18 +17,21 @@ SLOW_S = 0.005
 SAMPLES_A_FRAME = 20  # 8 a second for 2.5 s
 
 
-def _slow(perturbs, *, needs=(), method="apply"):
+def _effect(perturbs, act, *, needs=(), method="apply"):
+    """An effect that does something with the computer's time."""
+    members = {"__init__": lambda self, setting: None, "needs": tuple(needs), "perturbs": perturbs}
+    return type("Timed", (), members | {method: lambda self, changed: act()})
+
+
+def _work():
+    begun_s = time.process_time()  # sleeping costs nothing
+    while time.process_time() < begun_s + SLOW_S:
+        pass
+
+
+def _slow(perturbs, **more):
     """An effect that takes its time."""
-
-    def act(self, changed):
-        begun_s = time.process_time()  # sleeping costs nothing
-        while time.process_time() < begun_s + SLOW_S:
-            pass
-
-    needed = tuple(needs)
-    return type(
-        "Slow", (), {"__init__": lambda self, setting: None, "needs": needed, "perturbs": perturbs, method: act}
-    )
+    return _effect(perturbs, _work, **more)
 
 
 def _effects(*names):
@@ -80,16 +83,7 @@ def test_differences_that_are_noise_are_no_cost():
 @pytest.mark.skipif(sys.platform == "win32", reason="time of the processor is counted in steps of 15.6 ms")
 def test_what_else_the_computer_does_is_no_effects_cost(tmp_path):
     """Time in which the process has no processor, as here while it sleeps, is not counted."""
-    waiting = type(
-        "Waiting",
-        (),
-        {
-            "__init__": lambda self, setting: None,
-            "needs": (),
-            "perturbs": "voltages",
-            "apply": lambda self, changed: time.sleep(0.02),
-        },
-    )
+    waiting = _effect("voltages", lambda: time.sleep(0.02))
     _, costs = _costs(tmp_path, HEAD + _effects("waiting"), waiting=waiting)
     assert costs.effect_ms["waiting"] < 10
 
