@@ -15,6 +15,7 @@ from demo_fleet import demo_fleet
 from pages import HOW_TO, SHORTENED, TOP, TYPED, assert_printed, blocks, commands, typed, write_files
 
 import cbsr_qa as qa
+from cbsr_qa import cli
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward import ring_readings
@@ -22,6 +23,15 @@ from cbsr_qa.studies import SAID
 from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
 
 _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
+
+
+def test_commands_that_are_shown_exist():
+    known = {command.words for command in cli.commands()}
+    for page in _PAGES:
+        for command in commands(page):
+            program, *words = shlex.split(command)
+            if program == "cbsr-qa" and not words[0].startswith("--"):
+                assert not known.isdisjoint((words[0], " ".join(words[:2]))), f"{page.name}: {command}"
 
 
 @pytest.mark.rest
