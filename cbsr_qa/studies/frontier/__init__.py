@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         EVEN as EVEN,
         PAPER as PAPER,
         Tried as Tried,
-        shortened as shortened,
         try_ways as try_ways,
         worth_the_station as worth_the_station,
     )
