@@ -95,6 +95,10 @@ def test_a_pause_asked_for_in_a_press_comes_after_its_rest_and_frames_are_taken_
     frames_s = [one.frames.time_s[-1] for one in documents if isinstance(one, FramesTaken)]
     assert sum(continued.time_s < time_s < later.press_start_s for time_s in frames_s) == 4
     assert dict(ended.spent)["pause"] == continued.time_s - paused.time_s
+    left_s = [
+        [one.remaining_s for one in told if isinstance(one, StepStarted)] for told in (documents, run(STEPS)[1])
+    ]
+    assert left_s[0][-1] == pytest.approx(left_s[1][-1])  # the frames that were taken again were expected
     assert not bench.force_applicator.down
     assert script.count("force_applicator.press") == 2
 

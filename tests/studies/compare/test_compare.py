@@ -21,6 +21,7 @@ def test_the_batch_is_told_from_the_station(two):
     assert found["p"] < 0.05
     assert found["model"].startswith("mixed")
     assert found["unit"] == "mm"
+    assert found["effect_size"] == pytest.approx(found["difference"] / found["deviation"])
     station = next(s for s in json_of(made)["stations"] if s["name"] == ERROR)
     assert (station["station"], station["reference"]) == ("B", "A")
     assert station["low"] < STATION_MM < station["high"]

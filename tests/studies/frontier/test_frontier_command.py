@@ -194,5 +194,7 @@ def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     assert "What accuracy costs in time" in text
     assert "E_CoM is the distance" in text
     assert "made up" in text
+    assert f"Settings of the station</dt><dd><bdi>{len(FORCES)}<" in text
+    assert "Settings of the computer</dt><dd><bdi>1<" in text
     assert "<svg" in text
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -103,6 +103,15 @@ def test_the_page_has_references_in_tables(crossed, command, tmp_path):
     assert "Bias of S-01 on" not in page
 
 
+@pytest.mark.parametrize(("known", "depends"), [("", "yes"), ("±1", "not significant")])
+def test_the_page_says_whether_the_bias_depends_on_the_value_measured(crossed, command, tmp_path, known, depends):
+    given = ["--reference", f"S-01.force_gain=11{known}", "--reference", f"S-02.force_gain=8{known}"]
+    command("--recipe", "short", *given, "--output", tmp_path / "page.html", "--database", crossed)
+    table = (tmp_path / "page.html").read_text().partition("Linearity of the bias")[2].partition("</table>")[0]
+    rows = [re.findall("<bdi>(.*?)</bdi>", row) for row in table.split("<tr")[2:]]
+    assert [cells[-2] for cells in rows] == [depends] * 3
+
+
 def test_legends_cover_no_panel_and_every_panel_has_its_axis_named(monkeypatch):
     drawn: list[Canvas] = []
     keep = figures.canvas

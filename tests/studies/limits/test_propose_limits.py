@@ -1,6 +1,7 @@
 """``limits propose`` on stored golden lots: what it reads, proposes, says and writes."""
 
 import tomllib
+from statistics import mean
 
 import pytest
 from proposed_lots import lot, replace_value, sensor
@@ -37,6 +38,15 @@ def test_repeated_runs_make_the_guard_band(lot_database, document):
     risks, guarded_risks = drift["risks"]["marginal_accepted"], drift["risks"]["marginal_refused"]
     assert 0 < guarded_risks["consumer"] < risks["consumer"] < 0.01
     assert risks["producer"] < guarded_risks["producer"]
+
+
+def test_a_lot_has_the_mean_of_its_sensors_however_often_each_was_run(database, document):
+    runs = [*lot(), ("S-1", sensor(9), {"day": 1}), ("S-1", sensor(10), {"day": 2})]
+    drifts = {}
+    for serial, measurements, _ in runs:
+        drifts.setdefault(serial, []).extend(m.value for m in measurements if m.name == "drift")
+    found = document(database(*runs), "--batch", "golden", "--measurement", "drift")["limits"][0]
+    assert found["mean"] == pytest.approx(mean(map(mean, drifts.values())))
 
 
 def test_stated_uncertainties_make_it_where_nothing_was_repeated(database, document):
