@@ -5,7 +5,7 @@ import pytest
 from pressed_files import DISC
 
 from cbsr_qa.analysis.recording.imaging import sheet_for, unit_model
-from cbsr_qa.analysis.recording.places import find_places, matcher
+from cbsr_qa.analysis.recording.places import _surroundings, find_places, matcher
 from cbsr_qa.eit.forward import disc_coverage
 from cbsr_qa.eit.inverse import nominal_model
 from cbsr_qa.eit.loads import LocalUpdate
@@ -71,3 +71,14 @@ def test_noise_beside_two_loads_is_no_third(pressed):
     reference, scene = pressed
     scenes = [scene(seed % SCENES, (1.0, 1.0)) for seed in range(10 * SCENES)]
     assert found(reference, scenes, 3e-3)[1] == 0
+
+
+def test_what_is_taken_out_with_a_load_lies_about_its_place():
+    sheet = sheet_for(DISC, USED)
+    match = matcher(sheet.patterns, sheet.places, np.ones(len(sheet.patterns)), np.ones(len(sheet.patterns)))
+    index = int(np.argmin(np.hypot(*(match.places - (0.6, 0.2)).T)))
+    basis = _surroundings(match, index)
+    left = np.linalg.norm(match.patterns - basis @ (basis.T @ match.patterns), axis=0)
+    away = np.hypot(*(match.places - match.places[index]).T)
+    assert left[away < 0.1].max() < 0.1
+    assert left[away > 0.8].min() > 0.7
