@@ -130,10 +130,14 @@ class Stages:
         self._listener = listener
         self._spent: dict[str, float] = {}
 
+    def announce(self, name: str) -> None:
+        """Name what begins, without timing it."""
+        self._listener(name)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Add the time of the body to a stage."""
-        self._listener(name)
+        self.announce(name)
         before = time.perf_counter()
         try:
             yield

@@ -67,6 +67,9 @@ def test_the_document_says_what_was_promised(finished):
     assert run["outcome"] in ("pass", "marginal", "fail")
     for key in ("station_s", "compute_s"):
         assert run[key] > 0
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        (stages,) = database.execute("SELECT compute_s FROM analyses WHERE run = ?", (run["run"],)).fetchone()
+    assert [name for name, _ in json.loads(stages)] == ["reading the run back", "imaging", "metrics"]  # no station
     for measurement in run["measurements"]:
         assert {"name", "value", "unit", "lower", "upper", "outcome"} <= set(measurement)
     assert (folder / run["report"]).is_file()

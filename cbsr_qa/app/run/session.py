@@ -166,8 +166,8 @@ class Session:
         """
         self.warnings += filter(None, [store.from_the_future()])
         self.warnings += gate_warnings(self.gate)
-        with self._stages.stage("running the station"):
-            ended = self._drive(identity, store)
+        self._stages.announce("running the station")  # which takes the station's time, and none of the result's
+        ended = self._drive(identity, store)
         _refuse_unstored(identity.run, ended, store)
         outcome = concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
         deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
