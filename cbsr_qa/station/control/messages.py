@@ -132,19 +132,13 @@ class SensorUnderTest:
     operator: str
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hello(SensorUnderTest):
     """First line for every client. ``pid``: of the process that drives the bench."""
 
-    type: Literal["hello"]
+    type: Literal["hello"] = "hello"
     protocol: int
     pid: int
-    run: str | None
-    station: str
-    recipe: str
-    serial: str
-    batch: str
-    operator: str
     state: State
 
 

@@ -166,7 +166,7 @@ class RunServer:
             writer.close()
             return
         self._clients.add(writer)  # first: what happens from here on is sent after the state
-        hello = filled(Hello, self._sensor(), type="hello", protocol=PROTOCOL, pid=os.getpid(), state=self._state())
+        hello = filled(Hello, self._sensor(), protocol=PROTOCOL, pid=os.getpid(), state=self._state())
         self._send(writer, _line(hello))
         try:
             while line := await reader.readline():
