@@ -4,6 +4,7 @@ Every text of a form is checked by the rules of the command line before anything
 """
 
 import asyncio
+import unicodedata
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -14,6 +15,7 @@ from cbsr_qa.config import validate_operator, validate_reason
 from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.web.gate import check_pin, gate_view
 from cbsr_qa.web.guard import LOG
+from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.processes import start_run
@@ -38,6 +40,7 @@ class Actions:
     def __init__(self, line: Line, pages: Pages) -> None:
         self._line, self._pages = line, pages
         self._beginning = {station: asyncio.Lock() for station in line.stations}
+        self._pins = Guesses()
 
     def by_name(self) -> dict[str, Action]:
         """Return the actions of a station by the last part of their address."""
@@ -61,7 +64,10 @@ class Actions:
         """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
         wanted = StartForm.of(watch.served, form)
+        guesser = self._count_pin(station, wanted.operator, wanted.pin)
         view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database, with_pin=True)
+        if view.pin_is_right:
+            self._pins.accept(guesser)
         if not view.may:
             return _said(parts=[["gate", self._pages.gate(station, wanted, view)]])
         arguments = wanted.arguments(watch.served, self._line.database)
@@ -76,10 +82,19 @@ class Actions:
             raise RefusedError(text("problem.no_run"))
         operator = validate_operator(form.get("operator", look.operator))
         pin = form.get("pin", "")
+        guesser = self._count_pin(station, operator, pin)
         await run_in_threadpool(check_pin, watch.served, operator, pin)
+        self._pins.accept(guesser)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
         await self._begin(station, arguments, look.serial, pin)
         return _said(words=text("station.resumed"))
+
+    def _count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
+        """Return whose PIN this is a guess of. TooManyGuessesError if it is not compared yet."""
+        guesser = (station, unicodedata.normalize("NFC", operator))
+        if pin:
+            self._pins.admit(guesser, pin)
+        return guesser
 
     async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:
         watch = self._line.stations[station]
@@ -111,6 +126,9 @@ class Actions:
         async def worded(station: str, form: dict[str, str]) -> Response:
             try:
                 return await action(station, form)
+            except TooManyGuessesError as wait:
+                LOG.warning("%s: too many wrong PINs", station)
+                return _said(words=text("refused.pins", operator=form.get("operator", ""), seconds=wait.wait_s))
             except CbsrError as error:
                 LOG.warning("%s: %s", station, error.reason)
                 words = refusal_words(error)

@@ -18,8 +18,9 @@ from starlette.routing import Route
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.files import calibration_response, prompt_picture, report_response
-from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right
-from cbsr_qa.web.line import MOST_VIEWERS, Line, Viewer
+from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right, client_of
+from cbsr_qa.web.guesses import TooManyGuessesError
+from cbsr_qa.web.line import MOST_LOOKERS, MOST_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
 from cbsr_qa.web.shift import sensor_page, shift_page
 from cbsr_qa.web.streams import EventStream
@@ -90,7 +91,7 @@ class Site:
 
         async def endpoint_for_viewers(request: Request) -> Response:
             if "token" in request.query_params:
-                return self._signed_in(request.query_params["token"], request.url.path)
+                return self._signed_in(request, request.query_params["token"], request.url.path)
             if request.scope["cbsr_right"] < Right.LOOK:
                 return self._sign_in_page(HTTPStatus.UNAUTHORIZED)
             return await endpoint(request)
@@ -112,7 +113,7 @@ class Site:
         return HTMLResponse(self._pages.station(self._known(request), control=_controls(request)))
 
     async def overview_events(self, request: Request) -> Response:
-        return self._events(Viewer(None), self._pages.overview_parts, lambda: "")
+        return self._events(Viewer(None, _controls(request)), self._pages.overview_parts, lambda: "")
 
     async def station_events(self, request: Request) -> Response:
         name = self._known(request)
@@ -122,10 +123,11 @@ class Site:
             shown = watch.snapshot
             return "" if shown is None or not shown.mode.live else picture_address(shown)
 
-        return self._events(Viewer(name), lambda: self._pages.station_parts(name), picture)
+        return self._events(Viewer(name, _controls(request)), lambda: self._pages.station_parts(name), picture)
 
     def _events(self, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> Response:
-        if len(self._line.viewers) >= MOST_VIEWERS:
+        lookers = sum(not one.control for one in self._line.viewers)
+        if len(self._line.viewers) >= MOST_VIEWERS or (not viewer.control and lookers >= MOST_LOOKERS):
             LOG.warning("%s", text("refused.streams"))
             return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
         return EventStream(self._line, viewer, parts, picture)
@@ -169,16 +171,20 @@ class Site:
     async def sign_in(self, request: Request) -> Response:
         if request.method == "GET":
             return self._sign_in_page(HTTPStatus.OK)
-        return self._signed_in((await _form(request)).get("token", ""), "/")
+        return self._signed_in(request, (await _form(request)).get("token", ""), "/")
 
-    def _signed_in(self, token: str, path: str) -> Response:
-        if not self._access.is_token(token):
-            LOG.warning("a wrong token was given")
-            return self._sign_in_page(HTTPStatus.UNAUTHORIZED, wrong=True)
-        return RedirectResponse(path, HTTPStatus.SEE_OTHER, {"set-cookie": self._access.set_cookie()})
+    def _signed_in(self, request: Request, token: str, path: str) -> Response:
+        try:
+            if self._access.check_token(token, client_of(request.scope)):
+                return RedirectResponse(path, HTTPStatus.SEE_OTHER, {"set-cookie": self._access.set_cookie()})
+        except TooManyGuessesError as wait:
+            words = text("refused.guesses", seconds=wait.wait_s)
+            return self._sign_in_page(HTTPStatus.TOO_MANY_REQUESTS, words, {"retry-after": str(wait.wait_s)})
+        LOG.warning("a wrong token was given")
+        return self._sign_in_page(HTTPStatus.UNAUTHORIZED, text("sign.wrong"))
 
-    def _sign_in_page(self, status: int, *, wrong: bool = False) -> Response:
-        return HTMLResponse(self._pages.page("sign_in", control=True, wrong=wrong), status)
+    def _sign_in_page(self, status: int, why: str = "", headers: dict[str, str] | None = None) -> Response:
+        return HTMLResponse(self._pages.page("sign_in", control=True, why=why), status, headers)
 
     def _known(self, request: Request) -> str:
         name = str(request.path_params["station"])

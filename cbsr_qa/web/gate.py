@@ -25,6 +25,11 @@ class GateView:
     answers: tuple[GateAnswer, ...]
 
     @property
+    def pin_is_right(self) -> bool:
+        """Whether the PIN that counted was right, or none was needed."""
+        return not self.asks_pin or all(one.check is not GateCheck.OPERATOR for one in self.answers)
+
+    @property
     def only_pin_is_wrong(self) -> bool:
         """Whether the run could begin with another PIN."""
         refused = [one.check for one in self.answers if one.outcome is GateOutcome.REFUSED]

@@ -10,12 +10,13 @@ import hashlib
 import hmac
 import logging
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Final
 from urllib.parse import quote
 
+from cbsr_qa.web.guesses import Guesses, TooManyGuessesError, client_network
 from cbsr_qa.web.texts import text
 
 Scope = MutableMapping[str, Any]
@@ -75,6 +76,8 @@ class Access:
     token : of at least 16 characters; who shows it may control.
     anyone_may_look : whether pages are shown without it.
     port : in the cookie's name, as cookies are shared by the ports of a computer.
+    cookie_key : secret; without it, a guess of the token gives no cookie to try.
+    guesses : wrong tokens by client.
     """
 
     hosts: frozenset[str]
@@ -82,6 +85,8 @@ class Access:
     token: str
     anyone_may_look: bool
     port: int
+    cookie_key: str = field(repr=False)
+    guesses: Guesses = field(default_factory=Guesses, repr=False)
 
     @property
     def cookie(self) -> str:
@@ -90,11 +95,19 @@ class Access:
     @property
     def cookie_value(self) -> str:
         """A digest: who reads the cookie does not learn the token."""
-        return hashlib.sha256(f"cbsr-qa cookie {self.token}".encode()).hexdigest()
+        return hmac.new(self.cookie_key.encode(), f"cbsr-qa cookie {self.token}".encode(), hashlib.sha256).hexdigest()
 
     def set_cookie(self) -> str:
         secure = "; Secure" if self.scheme == "https" else ""
         return f"{self.cookie}={self.cookie_value}; HttpOnly; SameSite=Strict; Path=/; Max-Age=31536000{secure}"
+
+    def check_token(self, given: str, client: str) -> bool:
+        """Return whether this is the token. TooManyGuessesError if the client gave too many wrong ones to be told."""
+        self.guesses.admit(client, given)
+        right = self.is_token(given)
+        if right:
+            self.guesses.accept(client)
+        return right
 
     def is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self.token.encode())
@@ -106,6 +119,7 @@ class RefusedRequestError(Exception):
 
     status: int
     words: str
+    headers: tuple[tuple[bytes, bytes], ...] = ()
 
 
 class Guard:
@@ -138,18 +152,17 @@ class Guard:
             raise RefusedRequestError(431, text("refused.headers"))
         if scope["method"] not in ("GET", "HEAD", "POST"):
             raise RefusedRequestError(405, text("refused.method"))
-        right, by_cookie = self._right(headers)
+        right, by_cookie = self._right(scope, headers)
         if scope["method"] == "POST":
             self._check_change(scope, headers, right, by_cookie)
         return right
 
-    def _right(self, headers: dict[bytes, bytes]) -> tuple[Right, bool]:
+    def _right(self, scope: Scope, headers: dict[bytes, bytes]) -> tuple[Right, bool]:
         """Return the right of a request, and whether a cookie gives it."""
         kind, _, token = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
         if kind.lower() == "bearer":
-            if self._access.is_token(token.strip()):
-                return Right.CONTROL, False
-            raise RefusedRequestError(401, text("refused.token"))
+            self._check_bearer(scope, token.strip())
+            return Right.CONTROL, False
         try:
             cookies = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1"))
         except CookieError:
@@ -158,6 +171,17 @@ class Guard:
         if given is not None and hmac.compare_digest(given.value.encode(), self._access.cookie_value.encode()):
             return Right.CONTROL, True
         return (Right.LOOK if self._access.anyone_may_look else Right.NONE), True
+
+    def _check_bearer(self, scope: Scope, token: str) -> None:
+        if scope["path"].endswith("/emergency") and self._access.is_token(token):
+            return  # an emergency stop waits for nobody's guesses
+        try:
+            if self._access.check_token(token, client_of(scope)):
+                return
+        except TooManyGuessesError as wait:
+            retry = ((b"retry-after", str(wait.wait_s).encode()),)
+            raise RefusedRequestError(429, text("refused.guesses", seconds=wait.wait_s), retry) from None
+        raise RefusedRequestError(401, text("refused.token"))
 
     def _check_change(self, scope: Scope, headers: dict[bytes, bytes], right: Right, by_cookie: bool) -> None:
         if by_cookie:
@@ -172,6 +196,12 @@ class Guard:
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > MOST_BODY:
             raise RefusedRequestError(413, text("refused.body"))
+
+
+def client_of(scope: Scope) -> str:
+    """Return whose request it is, as far as guesses are concerned."""
+    client = scope.get("client")
+    return client_network(client[0]) if client else ""
 
 
 def _headers(scope: Scope) -> dict[bytes, bytes]:
@@ -224,6 +254,7 @@ async def _answer(refusal: RefusedRequestError, send: Send) -> None:
         (b"content-type", b"text/plain; charset=utf-8"),
         (b"content-length", str(len(body)).encode()),
         (b"connection", b"close"),
+        *refusal.headers,
     ]
     await _with_headers(send)({"type": "http.response.start", "status": refusal.status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

@@ -10,8 +10,9 @@ from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
 
-#: Pages that may be open at once.
+#: Pages that may be open at once: all, and those that may only look.
 MOST_VIEWERS = 256
+MOST_LOOKERS = 192
 
 
 @dataclass(eq=False)
@@ -21,10 +22,12 @@ class Viewer:
     Parameters
     ----------
     station : that it shows; None for all.
+    control : whether it may control.
     news : set when there is something new.
     """
 
     station: str | None
+    control: bool
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
 

@@ -12,24 +12,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.web.application import make_application
+from cbsr_qa.web.connections import ServerLoop, connection_settings
 from cbsr_qa.web.guard import LOG, Access
-from cbsr_qa.web.line import MOST_VIEWERS, Line
+from cbsr_qa.web.line import Line
 from cbsr_qa.web.stations import served_stations
 
-#: Largest head of a request [B].
-_MOST_HEAD: Final = 16_384
-#: How long the head of a request may take, and how long a connection is kept without one [s].
-_HEAD_S: Final = 10
-#: Connections that are open at once; more are answered with 503.
-_MOST_CONNECTIONS: Final = MOST_VIEWERS + 128
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
 
@@ -70,28 +64,25 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
     listening = _listening(request.host, request.port)
     port = listening.getsockname()[1]
     scheme = "http" if tls is None else "https"
-    access = Access(_hosts(request, port), scheme, token, request.anyone_may_look, port)
+    access = Access(_hosts(request, port), scheme, token, request.anyone_may_look, port, _cookie_key())
     line = Line(served, request.database)
     config = uvicorn.Config(
         make_application(line, access),
-        http=_Unhurried,
-        ws="none",
         loop="asyncio",
         log_config=None,
         access_log=False,
         server_header=False,
         lifespan="on",
-        h11_max_incomplete_event_size=_MOST_HEAD,
-        limit_concurrency=_MOST_CONNECTIONS,
-        timeout_keep_alive=_HEAD_S,
         timeout_graceful_shutdown=1,
         ssl_certfile=None if tls is None else tls[0],
         ssl_keyfile=None if tls is None else tls[1],
+        **connection_settings(),
     )
     shown = request.names[0] if request.names else "127.0.0.1" if loopback else request.host
     shown = f"[{shown}]" if ":" in shown else shown
     tell(f"{scheme}://{shown}:{port}/?token={token}")
-    asyncio.run(_Server(config).serve(sockets=[listening]))
+    with asyncio.Runner(loop_factory=ServerLoop) as runner:
+        runner.run(_Server(config).serve(sockets=[listening]))
 
 
 class _Server(uvicorn.Server):
@@ -106,18 +97,6 @@ class _Server(uvicorn.Server):
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-
-
-class _Unhurried(H11Protocol):
-    """Closes a connection whose first request does not arrive in time; later ones have the keep-alive's time."""
-
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        self.loop.call_later(_HEAD_S, self._leave_idle)
-
-    def _leave_idle(self) -> None:
-        if getattr(self, "cycle", None) is None and not self.transport.is_closing():
-            self.transport.close()
 
 
 def _log_to_stderr() -> None:
@@ -167,21 +146,38 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
 
 def _token(request: ServeRequest) -> str:
     """Return the token: of the given file, or one that is made once and kept."""
-    file = request.token_file
-    if file is None:
-        file = writable_folder(var_folder() / "control") / "serve.token"
-        if not file.exists():
-            file.touch(mode=0o600)
-            file.write_text(secrets.token_urlsafe(24), encoding="ascii")
-    try:
-        token = file.read_text(encoding="ascii").strip()
-    except (OSError, UnicodeError) as error:
-        raise ConfigError(f"the token cannot be read from {file}: {error}") from error
+    file = request.token_file or _make_secret("serve.token")
+    token = _read_secret(file, "the token")
     if len(token) < _SHORTEST or not all(one.isalnum() or one in "-_" for one in token):
         raise ConfigError(
             f"the token in {file} cannot be used", remedy=f"allowed: at least {_SHORTEST} letters, digits, - and _"
         )
     return token
+
+
+def _cookie_key() -> str:
+    """Return what cookies are made with, besides the token. It is kept: a browser stays signed in over a restart."""
+    file = _make_secret("serve.cookie-key")
+    key = _read_secret(file, "the key of cookies")
+    if len(key) < _SHORTEST:
+        raise ConfigError(f"the key of cookies in {file} is too short", remedy="delete the file: a new key is made")
+    return key
+
+
+def _make_secret(name: str) -> Path:
+    """Return the file of a secret that only this user may read; it is made if there is none."""
+    file = writable_folder(var_folder() / "control") / name
+    if not file.exists():
+        file.touch(mode=0o600)
+        file.write_text(secrets.token_urlsafe(24), encoding="ascii")
+    return file
+
+
+def _read_secret(file: Path, what: str) -> str:
+    try:
+        return file.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(f"{what} cannot be read from {file}: {error}") from error
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -3,7 +3,6 @@
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
 from typing import Any, Final
 
 from starlette.responses import StreamingResponse
@@ -14,8 +13,6 @@ from cbsr_qa.web.pages import Part
 
 #: After so long without news a page is told that the server is here [s].
 _HERE_S: Final = 5.0
-#: A page that does not take what it is sent for so long is disconnected [s].
-_SLOW_S: Final = 30.0
 
 
 async def events(viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> AsyncIterator[bytes]:
@@ -54,7 +51,7 @@ def _fresh(parts: list[Part], sent: dict[str, str]) -> list[Part]:
 
 
 class EventStream(StreamingResponse):
-    """The stream of a page. It counts from the start, and leaves a client that does not read it."""
+    """The stream of a page. It counts from the start."""
 
     media_type = "text/event-stream"
 
@@ -66,12 +63,7 @@ class EventStream(StreamingResponse):
         line.viewers.add(viewer)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def in_time(message: Any) -> None:
-            async with asyncio.timeout(_SLOW_S):
-                await send(message)
-
         try:
-            with suppress(TimeoutError):  # starlette unwraps a group of one error
-                await super().__call__(scope, receive, in_time)
+            await super().__call__(scope, receive, send)
         finally:
             self._line.viewers.discard(self._viewer)

@@ -1,0 +1,86 @@
+"""How long somebody who guesses has to wait."""
+
+import pytest
+
+from cbsr_qa.web.guesses import FREE_GUESSES, LONGEST_WAIT_S, Guesses, TooManyGuessesError, client_network
+
+
+class _Clock:
+    now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return _Clock()
+
+
+@pytest.fixture
+def guesses(clock):
+    return Guesses(clock)
+
+
+def _wait_s(guesses, guess, who="Ada"):
+    try:
+        guesses.admit(who, guess)
+    except TooManyGuessesError as wait:
+        return wait.wait_s
+    return 0
+
+
+def test_waits_double_up_to_the_longest(guesses, clock):
+    assert [_wait_s(guesses, str(n)) for n in range(FREE_GUESSES)] == [0] * FREE_GUESSES
+    waits = []
+    for n in range(8):
+        waits.append(_wait_s(guesses, f"more {n}"))
+        clock.now_s += waits[-1]
+        assert _wait_s(guesses, f"more {n}") == 0
+    assert waits == [1, 2, 4, 8, 16, 30, 30, 30]
+    assert max(waits) == LONGEST_WAIT_S
+
+
+def test_ten_thousand_pins_take_days(guesses, clock):
+    begun_s = clock.now_s
+    for n in range(10_000):
+        clock.now_s += _wait_s(guesses, f"{n:04d}")
+        assert _wait_s(guesses, f"{n:04d}") == 0
+    assert clock.now_s - begun_s > 3 * 86_400
+
+
+def test_others_do_not_wait_and_who_is_right_starts_anew(guesses):
+    for n in range(FREE_GUESSES):
+        guesses.admit("Ada", str(n))
+    assert _wait_s(guesses, "right") == 1
+    assert _wait_s(guesses, "right", "Ben") == 0
+    guesses.accept("Ada")
+    assert [_wait_s(guesses, str(n)) for n in range(FREE_GUESSES)] == [0] * FREE_GUESSES
+
+
+def test_the_same_guess_again_neither_counts_nor_waits(guesses):
+    assert [_wait_s(guesses, "old") for _ in range(100)] == [0] * 100
+    for n in range(FREE_GUESSES - 1):
+        guesses.admit("Ada", str(n))
+    assert (_wait_s(guesses, "another"), _wait_s(guesses, "old")) == (1, 0)
+
+
+def test_after_a_quarter_of_an_hour_all_is_forgotten(guesses, clock):
+    for n in range(FREE_GUESSES):
+        guesses.admit("Ada", str(n))
+    clock.now_s += 901
+    assert [_wait_s(guesses, f"later {n}") for n in range(FREE_GUESSES)] == [0] * FREE_GUESSES
+
+
+@pytest.mark.parametrize(
+    ("address", "network"),
+    [
+        ("192.0.2.7", "192.0.2.7"),
+        ("::ffff:192.0.2.7", "192.0.2.7"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("2001:db8:1:2::", "2001:db8:1:2::/64"),
+        ("", ""),
+    ],
+)
+def test_a_client_with_many_addresses_is_one(address, network):
+    assert client_network(address) == network
