@@ -2,6 +2,8 @@
 
 import json
 import queue
+import socket
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -23,6 +25,8 @@ from cbsr_qa_plugins.sinks._options import (
 
 #: A connection without traffic is checked at this interval [s].
 _KEEP_ALIVE_S: Final = 30
+#: How long the broker may take to be told of the end [s].
+_GOODBYE_S: Final = 1.0
 _PORT, _TLS_PORT = 1883, 8883
 
 
@@ -83,25 +87,36 @@ class Mqtt(WithOptions):
         self._port = self.options.port or (_TLS_PORT if self.options.tls else _PORT)
         self._broker = f"broker {self.options.host}:{self._port}"
         self._client: Any = None
+        self._disconnected = threading.Event()
 
     def deliver(self, messages: Sequence[Mapping[str, Any]]) -> None:
         if self._client is None or not self._client.is_connected():
-            self.close()
+            self._drop_connection()
             self._connect()
         try:
             self._publish(self._client, messages)
         except (OSError, ValueError, RuntimeError) as error:  # paho raises the latter two when the connection is lost
-            self.close()
+            self._drop_connection()
             raise DeliveryError(f"{self._broker}: {error}") from error
         except DeliveryError:
-            self.close()
+            self._drop_connection()
             raise
 
     def close(self) -> None:
+        if self._client is not None and self._client.is_connected():
+            with suppress(OSError, ValueError):
+                self._client.disconnect()
+            self._disconnected.wait(_GOODBYE_S)
+        self._drop_connection()
+
+    def _drop_connection(self) -> None:
+        """Forget the connection, whatever is still to be sent: paho's thread would wait for the broker to take it."""
         if self._client is not None:
             client, self._client = self._client, None
-            with suppress(OSError, ValueError):
-                client.disconnect()
+            connection = client.socket()
+            if connection is not None:
+                with suppress(OSError, ValueError):
+                    connection.shutdown(socket.SHUT_RDWR)
             client.loop_stop()
 
     def _publish(self, client: Any, messages: Sequence[Mapping[str, Any]]) -> None:
@@ -125,6 +140,8 @@ class Mqtt(WithOptions):
         options, answers = self.options, queue.SimpleQueue[Any]()
         self._client = client = self._paho.Client(self._paho.CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
         client.connect_timeout = options.timeout_s
+        self._disconnected.clear()
+        client.on_disconnect = lambda *_: self._disconnected.set()
         client.on_connect = lambda client, data, flags, reason, properties: answers.put(reason)
         if options.user is not None:
             client.username_pw_set(options.user, self._password)
@@ -135,11 +152,11 @@ class Mqtt(WithOptions):
             client.loop_start()
             reason = answers.get(timeout=options.timeout_s)
         except queue.Empty:
-            self.close()
+            self._drop_connection()
             raise DeliveryError(f"{self._broker} does not answer within {options.timeout_s:g} s") from None
         except (OSError, ValueError) as error:
-            self.close()
+            self._drop_connection()
             raise DeliveryError(f"{self._broker} cannot be reached: {error}") from error
         if reason.is_failure:
-            self.close()
+            self._drop_connection()
             raise DeliveryError(f"{self._broker} refuses the connection: {reason}")

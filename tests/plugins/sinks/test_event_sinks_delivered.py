@@ -7,7 +7,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from uuid import uuid4
 
@@ -137,6 +137,55 @@ def test_a_broker_that_is_absent_or_silent_is_named(nobody, hanging):
         Mqtt(host="127.0.0.1", port=nobody).deliver(example_messages(1))
     with pytest.raises(DeliveryError, match=f"broker 127.0.0.1:{hanging} does not answer within 0.2 s"):
         Mqtt(host="127.0.0.1", port=hanging, timeout_s=0.2).deliver(example_messages(1))
+
+
+_ACCEPTED = bytes([0x20, 2, 0, 0])
+
+
+@pytest.fixture
+def false_broker():
+    """Starts brokers that accept a client, answer what they are told to, and read nothing more."""
+    listening, accepted = socket.create_server(("127.0.0.1", 0)), []
+
+    def start(answer):
+        def serve():
+            with suppress(OSError):
+                while True:
+                    connection, _ = listening.accept()
+                    accepted.append(connection)
+                    connection.recv(100)
+                    connection.sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        return listening.getsockname()[1], accepted
+
+    yield start
+    listening.shutdown(socket.SHUT_RDWR)
+    listening.close()
+    for connection in accepted:
+        connection.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        pytest.param(_ACCEPTED, "has not confirmed within 0.3 s", id="stalls"),
+        pytest.param(_ACCEPTED + b"\x40\x02\x7f\xff", "has not confirmed within 0.3 s", id="confirms-another"),
+        pytest.param(_ACCEPTED + b"\x30\xff\xff\xff", "has not confirmed within 0.3 s", id="half-a-message"),
+        pytest.param(_ACCEPTED[:3], "does not answer within 0.3 s", id="half-an-answer"),
+        pytest.param(_ACCEPTED + b"\xff" * 200, "broker 127.0.0.1", id="garbage"),
+    ],
+)
+def test_a_broker_that_stalls_is_named_and_connected_to_again(false_broker, answer, said):
+    port, accepted = false_broker(answer)
+    sink = Mqtt(host="127.0.0.1", port=port, timeout_s=0.3)
+    long = [{**message, "text": "x" * 1_000_000} for message in example_messages(20)]  # more than fits on the way
+    for _ in range(2):
+        with pytest.raises(DeliveryError, match=said) as stalled:
+            sink.deliver(long)
+        assert not stalled.value.final
+    assert len(accepted) == 2
+    sink.close()
 
 
 @pytest.fixture
