@@ -122,7 +122,7 @@ class Delivery:
         """Return how many events were not delivered, and why; empty if all were."""
         with self._changed:
             lost = self._dropped + len(self._sending) + len(self._waiting)
-            why = self._why or f"the sink did not take them within {END_S:g} s of the run's end"
+            why = self._why or "the sink did not take them in time"
             return f"{self._name}: {lost} of {self._total} events were not delivered: {why}" if lost else ""
 
     def _work(self) -> None:

@@ -97,8 +97,15 @@ class _Client:
 class StandardOutput(_Client):
     """The one reader behind a pipe."""
 
-    def __init__(self, write: Callable[[bytes], None]) -> None:
+    def __init__(self, write: Callable[[bytes], None], tell: Tell) -> None:
         super().__init__("stream to standard output", write, lambda: None)
+        self._tell = tell
+
+    def close(self) -> None:
+        super().close()
+        lost = self._delivery.lost()
+        if lost and not self.over:
+            self._tell(lost)
 
     def _ended(self, why: str) -> None:
         self.over = f"standard output: {why}"

@@ -108,7 +108,7 @@ def _outlet(place: str, plugins: Plugins, write: Callable[[bytes], None] | None,
     if place == "-":
         if write is None:
             raise RefusedError("there is no standard output to stream to", remedy=_ALLOWED)
-        return StandardOutput(write)
+        return StandardOutput(write, tell)
     if place.startswith("unix:") and len(place) > len("unix:"):
         return Server.unix(Path(place.removeprefix("unix:")), tell)
     try:

@@ -9,7 +9,7 @@ from contextlib import closing
 
 import pytest
 
-from cbsr_qa.app.stream import EndMessage, HeaderMessage, Outlets
+from cbsr_qa.app.stream import EndMessage, HeaderMessage, Outlets, clients
 from cbsr_qa.app.stream.clients import LARGEST_QUEUE, MOST_CLIENTS
 from cbsr_qa.app.stream.messages import SCHEMA_VERSION, FrameMessage, json_line
 from cbsr_qa.domain import ConfigError, RefusedError
@@ -161,6 +161,19 @@ def test_a_socket_left_by_a_killed_process_is_used_again_and_one_in_use_is_not(t
     with pytest.raises(RefusedError, match="in use"):
         opened(f"unix:{path}")
     outlets.close()
+
+
+def test_what_standard_output_did_not_take_is_counted_at_the_end(monkeypatch):
+    monkeypatch.setattr(clients, "END_S", 0.1)
+    read = threading.Event()
+    outlets, told = opened("-", write=lambda data: read.wait(20))
+    for sequence in range(1, 11):
+        outlets.send(frame(sequence))
+    outlets.close()
+    assert told == [
+        "stream to standard output: 10 of 10 events were not delivered: the sink did not take them in time"
+    ]
+    read.set()
 
 
 def test_a_reader_of_standard_output_that_has_gone_is_noticed():
