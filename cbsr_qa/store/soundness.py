@@ -1,17 +1,17 @@
-"""Whether a database is sound: its file, its references, and every run with its chain and frames."""
+"""Whether a database is sound: its file, its references, its runs one after the other, and each with its frames."""
 
 from collections.abc import Iterator
 
-from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy import Connection, Engine, exists, select, text
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
 from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.results import calibrations
-from cbsr_qa.store.runs import runs
+from cbsr_qa.store.runs import begun, runs
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables import Base, CalibrationRow, StationCheckFramesRow
+from cbsr_qa.store.tables import Base, CalibrationRow, RunRow, SensorRow, StationCheckFramesRow
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -33,6 +33,39 @@ def file_problems(engine: Engine) -> Iterator[str]:
                 yield "more rows refer to rows that are missing"
                 return
             yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
+
+
+def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
+    """Return the runs that are missing between others, and in words what explains a gap or a doubled place.
+
+    A run that this database refused when it was sent here is explained, and so are runs that a copy of a database
+    went on with.
+    """
+    with reading(engine) as connection:
+        missing = begun.gaps(connection)
+        refused = tuple(
+            f"run {gap.run} is not here: it was refused when it was sent, see cbsr-qa db sync --status"
+            for gap in missing
+            if gap.refused
+        )
+        return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
+
+
+def sensor_problems(engine: Engine) -> Iterator[str]:
+    """Yield which sensors no run tested as their rows say, and which calibrations are not of their run's sensor."""
+    of_sensor = RunRow.serial == SensorRow.serial
+    same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
+    foreign = select(SensorRow.serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
+    swapped = (
+        select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
+        .join(RunRow, RunRow.run == CalibrationRow.run)
+        .where(RunRow.serial != CalibrationRow.serial)
+    )
+    with reading(engine) as connection:
+        for serial in connection.scalars(foreign):
+            yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
+        for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
+            yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"
 
 
 def _row(connection: Connection, table: str, rowid: int | None) -> str:

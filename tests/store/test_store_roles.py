@@ -7,7 +7,6 @@ from uuid import uuid4
 import psycopg
 import pytest
 from stored_runs import calibration, journalled, short_run
-from test_store_changes import ALLOWED
 
 from cbsr_qa.domain.results import Outcome, RunResult, Verdict
 from cbsr_qa.store import (
@@ -20,24 +19,15 @@ from cbsr_qa.store import (
     upgrade,
     writing,
 )
-from cbsr_qa.store.roles import FILLED_LATER
 from cbsr_qa.store.tables import RunRow
 from cbsr_qa.store.views import VIEWS
-
-
-def test_only_the_cells_that_the_program_fills_in_later_may_be_updated():
-    assert {f"UPDATE {table} SET {column}=" for table, columns in FILLED_LATER.items() for column in columns} == {
-        pattern.partition("\\S")[0] for pattern in ALLOWED
-    }
 
 
 def test_the_script_names_every_table_and_view():
     script = roles_script()
     for name in (*RunRow.metadata.tables, *VIEWS, "alembic_version"):
         assert script.count(f" {name}") >= 2, name
-    assert "TRUNCATE" not in script
-    deleted = re.findall(r"DELETE[^;]*ON\s+([^;]*?)\s+TO", script)
-    assert deleted == ["outbox"]
+    assert not re.search("TRUNCATE|DELETE", script)
 
 
 @pytest.fixture
@@ -85,7 +75,7 @@ def test_a_station_stores_runs_and_cannot_delete_and_a_reader_reads(logins):
         "DELETE FROM frame_blocks",
         "TRUNCATE runs CASCADE",
         "UPDATE runs SET serial = 'x'",
-        "UPDATE phases SET name = 'x'",
+        "UPDATE phase_ends SET ended_s = 1",
         "UPDATE calibrations SET file = NULL",
         "DROP TABLE warnings",
         "CREATE TABLE mine (one integer)",
@@ -101,5 +91,5 @@ def test_a_station_stores_runs_and_cannot_delete_and_a_reader_reads(logins):
             drop_views(connection)
             create_views(connection)
     refused(reader, "INSERT INTO sensors SELECT * FROM sensors")
-    refused(reader, "UPDATE phases SET ended_s = 1")
+    refused(reader, "UPDATE phase_ends SET ended_s = 1")
     refused(reader, "DELETE FROM runs")
