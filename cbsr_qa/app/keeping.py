@@ -159,7 +159,7 @@ def check_database(
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
         problems += [FoundProblem(None, what) for what in store.file_problems()]
-        problems += [FoundProblem(None, what) for what in store.sensor_problems()]
+        problems += [FoundProblem(None, what) for what in store.misplaced_rows()]
         missing, notes = store.order_problems()
         problems += [FoundProblem(gap.after or None, gap.words) for gap in missing]
         runs = store.run_names(RunSelection(since=since))

@@ -184,8 +184,8 @@ def sync(
     """Send what this database holds to a central one: runs, analyses, calibrations, station checks and the rest.
 
     Everything waits in this database until the central one has confirmed it; a command that is interrupted loses
-    nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on. Before more of
-    a run is sent, what the central database has of it is compared at both ends; --compare-since compares all runs.
+    nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on. Before more
+    of a run is sent, what the central database has of it is compared at both ends; --compare-since compares all runs.
 
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
     used. --status needs no central database.

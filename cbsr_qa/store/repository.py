@@ -181,7 +181,7 @@ class Repository:
 
     file_problems = _of_engine(soundness.file_problems)
     order_problems = _of_engine(soundness.order_problems)
-    sensor_problems = _of_engine(soundness.sensor_problems)
+    misplaced_rows = _of_engine(soundness.misplaced_rows)
     check_stored_run = _of_engine(soundness.check_stored_run)
     ring_problems = _of_engine(soundness.ring_problems)
 

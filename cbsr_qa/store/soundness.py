@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sqlalchemy import Connection, Engine, exists, select, text
+from sqlalchemy import Connection, Engine, exists, func, select, text
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
@@ -51,8 +51,12 @@ def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ..
         return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
 
 
-def sensor_problems(engine: Engine) -> Iterator[str]:
-    """Yield which sensors no run tested as their rows say, and which calibrations are not of their run's sensor."""
+def misplaced_rows(engine: Engine) -> Iterator[str]:
+    """Yield which rows, none of which a link contradicts, do not go together with others.
+
+    They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and runs
+    without a chain of stations that stored chained ones before.
+    """
     of_sensor = RunRow.serial == SensorRow.serial
     same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
     foreign = select(SensorRow.serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
@@ -61,11 +65,20 @@ def sensor_problems(engine: Engine) -> Iterator[str]:
         .join(RunRow, RunRow.run == CalibrationRow.run)
         .where(RunRow.serial != CalibrationRow.serial)
     )
+    chained = select(RunRow.station, func.min(RunRow.run).label("first")).where(RunRow.chain.is_not(None))
+    of_station = chained.group_by(RunRow.station).subquery()
+    unchained = (
+        select(RunRow.run, of_station.c.first)
+        .join(of_station, of_station.c.station == RunRow.station)
+        .where(RunRow.chain.is_(None), RunRow.run > of_station.c.first)
+    )
     with reading(engine) as connection:
         for serial in connection.scalars(foreign):
             yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
         for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
             yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"
+        for row in connection.execute(unchained.order_by(RunRow.run)):
+            yield f"run {row.run} has no chain, and run {row.first} of its station, which is older, has one"
 
 
 def _row(connection: Connection, table: str, rowid: int | None) -> str:

@@ -55,6 +55,7 @@ def upgrade() -> None:
         sa.Column("run", sa.String(length=36), nullable=False),
         sa.Column("sha256", sa.LargeBinary(length=32), nullable=False),
         sa.PrimaryKeyConstraint("number", name=op.f("pk_runs_begun")),
+        sa.UniqueConstraint("run", name=op.f("uq_runs_begun_run")),
         sqlite_with_rowid=False,
     )
     # Programs of earlier schemas send ends of phases as columns.

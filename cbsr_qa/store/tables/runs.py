@@ -93,7 +93,7 @@ class RunBegunRow(Base):
     __table_args__ = (NO_ROWID,)
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: from 0
-    run: Mapped[str] = mapped_column(Identifier)
+    run: Mapped[str] = mapped_column(Identifier, unique=True)
     sha256: Mapped[str] = mapped_column(Digest)  #: of its first link
 
 
