@@ -113,14 +113,14 @@ NOT_NOTICED = {
 
 @pytest.fixture
 def filled(logins):
-    """A database with one of everything, stored by a station's login: its address, the owner's engine, a run."""
+    """A database with one of everything, stored by a station's login: its address, the owner's engine, two runs."""
     login, engine = logins
     with open_store(login("bench")) as store:
         run = everything(store)
-        run_of(store, "S-2")
+        under_way = run_of(store, "S-2", events=2)
         reanalysis = store.save_reanalysis(found_again(run))
         store.adopt(reanalysis, operator="Zoë", why="so")
-    return login("bench"), engine, run
+    return login("bench"), engine, run, under_way
 
 
 def found_again(run):
@@ -160,13 +160,14 @@ def test_of_all_that_is_there_a_station_changes_only_what_is_listed(filled):
     assert check_database(url, None, lambda *_: None, quick=False).exit_code == 0
 
 
-def another_row(connection, table):
+def another_row(connection, table, under_way):
     """Return a row for a table: as one that is there, under a key that is not; else of what it refers to."""
     there = connection.execute(sa.select(table).limit(1)).mappings().one_or_none()
     row = dict(there) if there is not None else {column.name: cell(connection, column) for column in table.columns}
     own = [column for column in table.primary_key if not column.foreign_keys]
     free = [(own or list(table.primary_key))[-1], *(column for column in table.columns if column.unique)]
-    return row | {column.name: cell(connection, column) for column in free}
+    row |= {column.name: cell(connection, column) for column in free}
+    return row | {"run_links": {"document": "x"}, "phase_ends": {"run": under_way, "phase": 0}}.get(table.name, {})
 
 
 def cell(connection, column):
@@ -181,11 +182,11 @@ def cell(connection, column):
     return next((value for kind, value in kinds.items() if isinstance(column.type, kind)), "x-another")
 
 
-def added(engine, table):
+def added(engine, table, *known):
     """Add a row; returns why it is refused, empty if it is not."""
     try:
         with writing(engine) as connection:
-            connection.execute(table.insert(), another_row(connection, table))
+            connection.execute(table.insert(), another_row(connection, table, *known))
     except StoreError as error:
         return error.reason
     return ""
@@ -194,13 +195,13 @@ def added(engine, table):
 @pytest.mark.postgres
 @pytest.mark.rest
 def test_what_a_station_adds_to_anothers_rows_is_noticed(filled):
-    url, owner, _ = filled
+    url, owner, _, under_way = filled
     outcome = {}
     engine = open_engine(parsed_url(url))
     for table in RunRow.metadata.sorted_tables:
         with reading(owner) as connection:
             before = connection.execute(sa.select(*table.primary_key)).all()
-        if why := added(engine, table):
+        if why := added(engine, table, under_way):
             outcome[table.name] = why
             continue
         unsound = check_database(url, None, lambda *_: None, quick=True).exit_code
@@ -218,7 +219,7 @@ def test_what_a_station_adds_to_anothers_rows_is_noticed(filled):
 
 @pytest.mark.postgres
 def test_a_calibration_is_withdrawn_by_no_row_that_a_login_may_change(filled):
-    url, engine, run = filled
+    url, engine, run, _ = filled
     with reading(engine) as connection:
         before = connection.exec_driver_sql("SELECT calibration FROM v_calibrations").all()
     assert before
