@@ -1,12 +1,12 @@
 """Whether a database is sound: its file, its references, its runs one after the other, and each with its frames."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from sqlalchemy import Connection, Engine, exists, func, select, text
+from sqlalchemy import ColumnElement, Connection, Engine, Row, exists, func, select, text
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.chain import PLAIN, check_run, new_chain, signing_key
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import begun, runs
@@ -55,7 +55,7 @@ def misplaced_rows(engine: Engine) -> Iterator[str]:
     """Yield which rows, none of which a link contradicts, do not go together with others.
 
     They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and runs
-    without a chain of stations that stored chained ones before.
+    that have no chain, or are not signed, though earlier ones of their station have or are.
     """
     of_sensor = RunRow.serial == SensorRow.serial
     same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
@@ -65,20 +65,28 @@ def misplaced_rows(engine: Engine) -> Iterator[str]:
         .join(RunRow, RunRow.run == CalibrationRow.run)
         .where(RunRow.serial != CalibrationRow.serial)
     )
-    chained = select(RunRow.station, func.min(RunRow.run).label("first")).where(RunRow.chain.is_not(None))
-    of_station = chained.group_by(RunRow.station).subquery()
-    unchained = (
-        select(RunRow.run, of_station.c.first)
-        .join(of_station, of_station.c.station == RunRow.station)
-        .where(RunRow.chain.is_(None), RunRow.run > of_station.c.first)
-    )
     with reading(engine) as connection:
         for serial in connection.scalars(foreign):
             yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
         for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
             yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"
-        for row in connection.execute(unchained.order_by(RunRow.run)):
-            yield f"run {row.run} has no chain, and run {row.first} of its station, which is older, has one"
+        for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
+            yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
+        if signing_key(connection) is not None:
+            signed = RunRow.chain == new_chain(connection)
+            for run, earlier in _unlike_earlier(connection, signed, RunRow.chain == PLAIN):
+                yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
+
+
+def _unlike_earlier(
+    connection: Connection, before: ColumnElement[bool], after: ColumnElement[bool]
+) -> Sequence[Row[str, str]]:
+    """Return runs of one kind of chain that are younger than the first of their station's of another kind, and it."""
+    first = (
+        select(RunRow.station, func.min(RunRow.run).label("run")).where(before).group_by(RunRow.station).subquery()
+    )
+    query = select(RunRow.run, first.c.run).join(first, first.c.station == RunRow.station)
+    return connection.execute(query.where(after, RunRow.run > first.c.run).order_by(RunRow.run)).all()
 
 
 def _row(connection: Connection, table: str, rowid: int | None) -> str:

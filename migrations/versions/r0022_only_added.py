@@ -47,6 +47,7 @@ def upgrade() -> None:
     )
     _without("sync_refusals", "settled_at", key=[*_KEY, "noted_at"])
     op.add_column("runs", sa.Column("before_run", sa.String(length=36), nullable=True))
+    op.add_column("runs", sa.Column("before_link", sa.Integer(), nullable=True))
     op.add_column("runs", sa.Column("before_sha256", sa.LargeBinary(length=32), nullable=True))
     op.create_index(op.f("ix_runs_before_run"), "runs", ["before_run"])
     op.create_table(
@@ -73,6 +74,7 @@ def downgrade() -> None:
     op.drop_table("runs_begun")
     op.drop_index(op.f("ix_runs_before_run"), table_name="runs")
     op.drop_column("runs", "before_sha256")
+    op.drop_column("runs", "before_link")
     op.drop_column("runs", "before_run")
     op.add_column("sync_refusals", sa.Column("settled_at", sa.DateTime(timezone=True), nullable=True))
     same = "s.kind = sync_refusals.kind AND s.item = sync_refusals.item AND s.settled_at > sync_refusals.noted_at"

@@ -119,7 +119,7 @@ def test_data_survive_every_step_up_and_down(engine):
     # Eased, notes; chain, the run before; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
-        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 3), ("run_states", 3))
+        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 4), ("run_states", 3))
     }
     # The end of a phase has a row of its own, and the runs of a sensor say when it was first seen.
     later |= {name: [row[:-1] for row in before[name]] for name in ("sensors", "phases")}

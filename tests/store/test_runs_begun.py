@@ -8,7 +8,10 @@ from stored_runs import journalled, short_run
 from synced import Place, judged, remove_run, run_of
 
 from cbsr_qa.app import check_database
-from cbsr_qa.store import schema, writing
+from cbsr_qa.domain.results import Outcome
+from cbsr_qa.store import reading, schema, writing
+from cbsr_qa.store.chain import check_run, of_run
+from cbsr_qa.store.tables import Base
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 SOUND = ((), ())
@@ -29,12 +32,13 @@ def words_of(place):
 
 def test_runs_follow_each_other(place):
     runs = [run_of(place.store, f"S-{number}") for number in range(3)]
-    rows = place.said("SELECT run, before_run, before_sha256 FROM runs ORDER BY run")
-    first = dict(map(tuple, place.said("SELECT run, sha256 FROM run_links WHERE number = 0")))
+    rows = place.said("SELECT run, before_run, before_link, before_sha256 FROM runs ORDER BY run")
+    newest = "number = (SELECT max(number) FROM run_links AS n WHERE n.run = l.run)"
+    last = {run: link for run, *link in place.said(f"SELECT run, number, sha256 FROM run_links AS l WHERE {newest}")}
     assert [tuple(row) for row in rows] == [
-        (runs[0], None, None),
-        (runs[1], runs[0], first[runs[0]]),
-        (runs[2], runs[1], first[runs[1]]),
+        (runs[0], None, None, None),
+        (runs[1], runs[0], *last[runs[0]]),
+        (runs[2], runs[1], *last[runs[1]]),
     ]
     assert place.store.order_problems() == SOUND
 
@@ -69,18 +73,42 @@ def test_several_missing_runs_are_named_each(place):
     assert earlier.startswith(f"run {runs[1]} ")
 
 
+def test_rows_that_were_there_when_the_next_run_began_cannot_be_cut_off(place):
+    first = run_of(place.store)
+    judged(place.store, first)
+    run_of(place.store)
+    place.store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="so")
+    cut_off(place, first, "verdict_overrides")  # no run was begun after it
+    assert place.store.order_problems() == SOUND
+    cut_off(place, first, "warnings", "measurements", "analyses")
+    (words,) = words_of(place)
+    assert f"was another one, or had more rows, than run {first}" in words
+    with reading(place.engine) as connection:
+        assert check_run(connection, first).chained  # by itself, it looks like a run without a result
+
+
+def cut_off(place, run, *tables):
+    """Remove the newest rows of a run with their links, as if they had never been stored."""
+    with writing(place.engine) as connection:
+        for name in tables:
+            table = Base.metadata.tables[name]
+            connection.execute(table.delete().where(of_run(table, run)))
+        kinds = ", ".join(f"'{name}'" for name in (*tables, *["figures"] * ("measurements" in tables)))
+        connection.exec_driver_sql(f"DELETE FROM run_links WHERE run = '{run}' AND kind IN ({kinds})")
+
+
 def test_a_run_in_the_place_of_another_one_is_named(place):
     first, _ = (run_of(place.store) for _ in range(2))
     remove_run(place, first, begun=True)
     journalled(place.store, short_run(first, "S-7"))
-    assert f"was another one than the run {first} that is there" in words_of(place)[0]
+    assert f"was another one, or had more rows, than run {first}" in words_of(place)[0]
 
 
 @pytest.mark.parametrize(
     ("number", "removed", "said"),
     [
         (1, "number = 7", "is another one by now: it was begun in this database"),
-        (0, "number = 0", "was another one than the run"),
+        (0, "number = 0", "was another one, or had more rows, than run"),
         (1, "number = 1", "has no chain, and run"),
     ],
 )
@@ -97,14 +125,14 @@ def unchain(place):
     """Make the runs of a database look as if they were from before chains."""
     place.change("DELETE FROM runs_begun")
     place.change("DELETE FROM run_links")
-    place.change("UPDATE runs SET chain = NULL, before_run = NULL, before_sha256 = NULL")
+    place.change("UPDATE runs SET chain = NULL, before_run = NULL, before_link = NULL, before_sha256 = NULL")
 
 
 def test_after_a_run_without_a_chain_only_its_name_counts(place):
     old = run_of(place.store)
     unchain(place)
     new = run_of(place.store)
-    assert place.said(f"SELECT before_run, before_sha256 FROM runs WHERE run = '{new}'") == [(old, None)]
+    assert place.said(f"SELECT before_run, before_link FROM runs WHERE run = '{new}'") == [(old, None)]
     assert place.store.order_problems() == SOUND
     place.change(f"UPDATE runs SET batch = 'B8' WHERE run = '{old}'")
     assert place.store.order_problems() == SOUND
@@ -114,7 +142,7 @@ def test_after_a_run_without_a_chain_only_its_name_counts(place):
 
 def test_the_first_run_after_an_upgrade_follows_the_latest_one(place):
     runs = [run_of(place.store) for _ in range(2)]
-    place.change("UPDATE runs SET before_run = NULL, before_sha256 = NULL")
+    place.change("UPDATE runs SET before_run = NULL, before_link = NULL, before_sha256 = NULL")
     schema.downgrade(place.engine, "0021")
     schema.upgrade(place.engine)
     assert place.said("SELECT * FROM runs_begun") == []

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .links import (
         KEY_OPTION as KEY_OPTION,
         OF_A_SESSION as OF_A_SESSION,
+        PLAIN as PLAIN,
         SigningKey as SigningKey,
         add_links as add_links,
         add_rows as add_rows,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
+        signing_key as signing_key,
         take_turns as take_turns,
     )
     from .many_rows import (

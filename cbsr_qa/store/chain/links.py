@@ -75,7 +75,7 @@ class SigningKey:
 
 #: Option of an engine that holds the key, and what the column ``runs.chain`` says.
 KEY_OPTION: Final = "cbsr_signing_key"
-_PLAIN, _SIGNED = "sha256", "hmac-sha256:"
+PLAIN, _SIGNED = "sha256", "hmac-sha256:"
 
 
 # Statements are built once, and for the plain table: there is a row and its link with every frame.
@@ -119,7 +119,7 @@ def checking_key(connection: Connection, chain: str) -> SigningKey | None:
 def new_chain(connection: Connection) -> str:
     """Return the chain entry of a new run: its kind and signing key."""
     key = signing_key(connection)
-    return _PLAIN if key is None else f"{_SIGNED}{key.key_id}"
+    return PLAIN if key is None else f"{_SIGNED}{key.key_id}"
 
 
 def key_id_of(chain: str) -> str:

@@ -1,11 +1,11 @@
 """The order in which runs were begun in a database: each names the one before it, so that a missing one is noticed.
 
-The row of a run, which its first link covers, holds the digest of the first link of the run before it.
+The row of a run, which its first link covers, holds the digest of the last link that the run before it had by then.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import Connection, Row, and_, exists, func, insert, or_, select
 from sqlalchemy.orm import aliased
@@ -36,20 +36,20 @@ class Gap:
     refused: bool = False
 
 
-def run_before(connection: Connection) -> dict[str, str | None]:
-    """Return the columns of a new run that say which was begun before it in this database.
+def run_before(connection: Connection) -> dict[str, Any]:
+    """Return the columns of a new run that say which was begun before it in this database, and how far that had come.
 
     Whoever begins another one waits until this transaction ends. The first run after an upgrade follows the latest
     that is there.
     """
     take_turns(connection, "runs begun")
     newest = _newest(connection)
-    if newest is not None:
-        return {"before_run": newest.run, "before_sha256": newest.sha256}
-    first = (LinkRow.run == RunRow.run) & (LinkRow.number == 0)
-    latest = select(RunRow.run, LinkRow.sha256).outerjoin(LinkRow, first).order_by(RunRow.run.desc()).limit(1)
-    row = connection.execute(latest).one_or_none()
-    return {"before_run": None if row is None else row.run, "before_sha256": None if row is None else row.sha256}
+    before = connection.scalar(select(func.max(RunRow.run))) if newest is None else newest.run
+    number, sha256 = (None, None) if newest is None else (0, newest.sha256)
+    links = select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == before).order_by(LinkRow.number.desc())
+    if (last := connection.execute(links.limit(1)).one_or_none()) is not None:
+        number, sha256 = last.number, last.sha256
+    return {"before_run": before, "before_link": number, "before_sha256": sha256}
 
 
 def latest_begun(connection: Connection) -> str | None:
@@ -82,7 +82,7 @@ def _before_others(connection: Connection) -> Iterator[Gap]:
     query = (
         select(RunRow.run, RunRow.station, RunRow.started_at, RunRow.before_run, before.run.label("present"), refused)
         .outerjoin(before, before.run == RunRow.before_run)
-        .outerjoin(link, and_(link.run == RunRow.before_run, link.number == 0))
+        .outerjoin(link, and_(link.run == RunRow.before_run, link.number == RunRow.before_link))
         .where(RunRow.before_run.is_not(None))
         .where(or_(before.run.is_(None), func.coalesce(link.sha256 != RunRow.before_sha256, link.sha256.is_(None))))
         .where(or_(before.run.is_(None), RunRow.before_sha256.is_not(None)))
@@ -91,7 +91,7 @@ def _before_others(connection: Connection) -> Iterator[Gap]:
         after = f"the run before {row.run} (begun {row.started_at:%Y-%m-%d %H:%M} UTC)"
         words = f"{after} is missing: run {named_run(row.before_run)}"
         if row.present is not None:
-            words = f"{after} was another one than the run {row.before_run} that is there"
+            words = f"{after} was another one, or had more rows, than run {row.before_run} that is there"
         yield Gap(row.before_run, words, row.run, row.station, bool(row.refused))
 
 

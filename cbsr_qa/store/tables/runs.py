@@ -80,7 +80,8 @@ class RunRow(Base):
     before_run: Mapped[str | None] = mapped_column(
         Identifier
     )  #: begun before it in the same database; None: none was
-    before_sha256: Mapped[str | None] = mapped_column(Digest)  #: of the first link of that run; None: it has none
+    before_link: Mapped[int | None]  #: number of the last link of that run at the time; None: it has none
+    before_sha256: Mapped[str | None] = mapped_column(Digest)  #: of that link
 
 
 class RunBegunRow(Base):

@@ -62,6 +62,7 @@ def test_what_was_altered_at_the_station_after_it_was_sent_stops_the_run(full, c
     assert content(centre.engine) == before
 
 
+@pytest.mark.rest
 @on_both
 @pytest.mark.parametrize(("statement", "why"), ALTERED.values(), ids=ALTERED)
 def test_what_was_altered_at_the_centre_stops_the_run(full, centre, statement, why):
@@ -83,6 +84,7 @@ def test_a_run_whose_links_were_computed_again_differs(full, centre, where):
     assert_quarantined(full, centre, sent(full, centre), run, "differs from the centre's")
 
 
+@pytest.mark.rest
 @on_both
 def test_all_that_was_sent_is_compared_from_a_day_on(station, centre):
     runs = [run_of(station.store, f"S-{number}") for number in range(4)]
@@ -168,6 +170,7 @@ def test_the_last_run_removed_without_a_trace_is_known_to_the_centre(station, ce
     assert fork.startswith(f"runs {runs[1]} and {later} follow the same run {runs[0]}")
 
 
+@pytest.mark.rest
 def test_databases_that_went_on_from_one_copy_are_no_fault(station, centre, place, tmp_path):
     run_of(station.store)
     station.engine.dispose()
