@@ -33,7 +33,7 @@ _VERIFIED: Final = (
     "verified: the file is intact, and the chain of every run ends as in the database; db check reads frames too"
 )
 _UNCHAINED: Final = "{count} without a chain of digests: changed rows of it cannot be detected"
-_UNSIGNED: Final = "{count} not signed with the key that is set: whoever can write the database can have made them"
+_UNSIGNED: Final = "{count} not signed with the key that is set: anyone who can write the database can have made them"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,14 @@
 import pytest
 from synced import Place, judged, link_again, remove_run, run_of
 
-from cbsr_qa.app import check_database
-from cbsr_qa.app.sync import synchronise
+from cbsr_qa.app import check_database, synchronise
 from cbsr_qa.domain.results import Outcome
 from cbsr_qa.store import open_store
 
 pytestmark = pytest.mark.rest
 
 KEY = "a key that nobody else has"
-NOT_SIGNED = "1 run is not signed with the key that is set: whoever can write the database can have made them"
+NOT_SIGNED = "1 run is not signed with the key that is set: anyone who can write the database can have made them"
 
 
 @pytest.fixture
