@@ -129,7 +129,7 @@ def synchronise(
     to : the central one; None for ``CBSR_QA_CENTRE``.
     limit_h : longest time that something may wait [h]; None for any.
     progress : called with items done, their number and what was sent so far.
-    compare_since : compare every run from this day on (UTC) with the centre's; None: only those that are sent again.
+    compare_since : compare everything from this day on (UTC) with the centre's; None: only runs that are sent again.
 
     Raises
     ------

@@ -176,7 +176,7 @@ def sync(
     compare_since: Annotated[
         datetime | None,
         typer.Option(
-            "--compare-since", formats=["%Y-%m-%d"], help="Compare all runs from this day on with the centre's (UTC)."
+            "--compare-since", formats=["%Y-%m-%d"], help="Compare all from this day on with the centre's (UTC)."
         ),
     ] = None,
     as_json: AsJson = False,
@@ -185,7 +185,7 @@ def sync(
 
     Everything waits in this database until the central one has confirmed it; a command that is interrupted loses
     nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on. Before more
-    of a run is sent, what the central database has of it is compared at both ends; --compare-since compares all runs.
+    of a run is sent, what the central database has of it is compared at both ends; --compare-since compares all.
 
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
     used. --status needs no central database.

@@ -64,7 +64,7 @@ def send_waiting(
     ----------
     who : names this process to others that want to send from the same database, and the sender at the centre.
     progress : called with entries done, their number, and the totals.
-    compare_since : compare every run from this day on (UTC) with the centre's, also what waits for nothing.
+    compare_since : compare everything from this day on (UTC) with the centre's, also what was sent long ago.
 
     Raises
     ------

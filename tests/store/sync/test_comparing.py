@@ -104,6 +104,24 @@ def test_all_that_was_sent_is_compared_from_a_day_on(station, centre):
     assert refusals(centre.engine) == []
 
 
+@pytest.mark.parametrize(
+    ("statement", "why"),
+    [
+        ("UPDATE releases SET outcome = 'withdrawn'", "release"),
+        ("UPDATE chart_references SET mean = 7.0", "chart reference"),
+        ("UPDATE station_check_lines SET outcome = 'failed'", "station check"),
+    ],
+)
+@pytest.mark.parametrize("where", ["station", "centre"])
+def test_what_is_no_run_is_compared_too(full, centre, where, statement, why):
+    sent(full, centre)
+    {"station": full, "centre": centre}[where].change(statement)
+    assert sent(full, centre).quarantined == []  # nothing announces it
+    (entry,) = sent(full, centre, compare_since=DAY).quarantined
+    assert entry.kind == why
+    assert "differs from the centre's" in held(full.engine)[0].why
+
+
 def test_a_run_under_way_is_compared_when_it_has_ended(station, centre):
     run = station.store.new_id()
     events = short_run(run)
