@@ -57,6 +57,8 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     return "\n".join(
         (
             _HEAD.format(station=station, reader=reader),
+            "-- Up to PostgreSQL 14, everyone may create functions that others' queries find.",
+            "REVOKE CREATE ON SCHEMA public FROM PUBLIC;\n",
             _ROLE.format(role=station),
             _grant("SELECT", read, station),
             *_writing(tables, station),
