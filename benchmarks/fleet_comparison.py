@@ -95,9 +95,7 @@ def _sensor(
         range(3) if (number // 3) % on_all == 0 else [batch if random.random() < 0.6 else int(random.integers(3))]
     )
     began = _START + timedelta(minutes=40 * number)
-    tables[SensorRow].append(
-        {"serial": serial, "batch": BATCHES[batch], "sensor_type": "disc-100mm", "first_seen": began}
-    )
+    tables[SensorRow].append({"serial": serial, "batch": BATCHES[batch], "sensor_type": "disc-100mm"})
     own = random.standard_normal(metrics)
     for again, station in enumerate(stations):
         at = began + timedelta(minutes=again)

@@ -16,7 +16,7 @@ from sqlalchemy.exc import OperationalError
 from benchmarks.rows import Row
 from cbsr_qa.app.run import RunRequest, run_sensor
 from cbsr_qa.store import IdSource, open_engine, open_store, parsed_url, reading, upgrade, writing
-from cbsr_qa.store.chain import FIGURES, KEYS, add_links, add_rows, of_run, phase_end, stored_figures
+from cbsr_qa.store.chain import FIGURES, KEYS, add_links, add_rows, of_run, stored_figures
 from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, RunRow, SensorRow
 from cbsr_qa.system import RealClock
 
@@ -137,8 +137,6 @@ class Copied:
                 if name == CalibrationRow.__tablename__:
                     copies = [row | {"serial": serial} for row in copies]
                 add_rows(connection, run, table, copies)
-                if name == "phases":
-                    add_links(connection, run, [phase_end(row["phase"], row["ended_s"]) for row in copies])
                 if name == AnalysisRow.__tablename__:
                     analyses = [row["analysis"] for row in copies]
                 if name == "measurements":

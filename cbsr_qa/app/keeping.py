@@ -33,6 +33,7 @@ _VERIFIED: Final = (
     "verified: the file is intact, and the chain of every run ends as in the database; db check reads frames too"
 )
 _UNCHAINED: Final = "{count} without a chain of digests: changed rows of it cannot be detected"
+_UNSIGNED: Final = "{count} not signed with the key that is set: anyone who can write the database can have made them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,8 @@ class DatabaseCheck:
     ----------
     quick : frames, samples and files of calibrations were not checked.
     runs, unchained : runs that were checked, and those of them without a chain of digests.
+    unsigned : runs that are not signed with the key that is set; None where none is set.
+    notes : what is no damage, in words: runs that were refused here, and databases that were worked with in copies.
     """
 
     url: str
@@ -80,6 +83,8 @@ class DatabaseCheck:
     runs: int
     unchained: int
     problems: tuple[FoundProblem, ...]
+    unsigned: int | None = None
+    notes: tuple[str, ...] = ()
 
 
 def stamped(path: Path, words: str) -> Path:
@@ -137,7 +142,7 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
 def check_database(
     option: str | None, since: date | None, count: Count, *, quick: bool
 ) -> CommandOutcome[DatabaseCheck]:
-    """Check a database: its file, its references, and every run with its chain and frames; nothing is changed.
+    """Check a database: its file, its references, whether a run is missing, and every run with its chain and frames.
 
     Parameters
     ----------
@@ -150,21 +155,28 @@ def check_database(
         If it cannot be opened or is not of this version. Damage is part of the outcome.
     """
     problems: list[FoundProblem] = []
-    checked = unchained = 0
+    checked = unchained = unsigned = 0
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
         problems += [FoundProblem(None, what) for what in store.file_problems()]
+        problems += [FoundProblem(None, what) for what in store.misplaced_rows()]
+        missing, notes = store.order_problems()
+        problems += [FoundProblem(gap.after or None, gap.words) for gap in missing]
         runs = store.run_names(RunSelection(since=since))
         for run in runs:
             count("checking runs", checked, len(runs))
             try:
-                unchained += not store.check_stored_run(run, frames=not quick).chained
+                chain = store.check_stored_run(run, frames=not quick)
+                unchained, unsigned = unchained + (not chain.chained), unsigned + (chain.signature != "checked")
             except StoreError as error:
                 problems.append(FoundProblem(run, error.reason.removeprefix(f"run {run}: ")))
             checked += 1
         if not quick:
             problems += [FoundProblem(None, what) for what in store.ring_problems()]
-        return _laid_out(DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems)))
+        without_key = unsigned if store.key_id else None
+        return _laid_out(
+            DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
+        )
 
 
 def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
@@ -180,7 +192,11 @@ def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
     facts += [("Frames", "not checked: --quick")] if done.quick else []
     facts += [("Since", f"{done.since}: earlier runs were not checked")] if done.since else []
     facts += [("What to do", _REMEDY)] if done.problems else []
-    remarks = (_UNCHAINED.format(count=plural(done.unchained, "run is", "runs are")),) if done.unchained else ()
+    remarks = [_UNCHAINED.format(count=plural(done.unchained, "run is", "runs are"))] if done.unchained else []
+    remarks += [_UNSIGNED.format(count=plural(done.unsigned, "run is", "runs are"))] if done.unsigned else []
+    remarks += done.notes
     rows = [(problem.run or "–", problem.what) for problem in done.problems]
     sections = (Section("Problems", (text_table("", ("run", "problem"), rows),)),) if rows else ()
-    return CommandOutcome(done, Page("", "", banner, tuple(facts), remarks=remarks), sections, 1 if rows else 0)
+    return CommandOutcome(
+        done, Page("", "", banner, tuple(facts), remarks=tuple(remarks)), sections, 1 if rows else 0
+    )

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import date, datetime
 from typing import Final
 
 from sqlalchemy import Engine
@@ -16,6 +16,7 @@ from cbsr_qa.domain import ConfigError, StoreError, filled
 from cbsr_qa.domain.results import Banner, CommandOutcome, Paragraph, Section
 from cbsr_qa.report import answer, plural
 from cbsr_qa.store import Age, address, found_version, open_engine, parsed_url, refusal, this_process
+from cbsr_qa.store.chain import KEY_OPTION, SigningKey
 from cbsr_qa.store.sync import (
     QUARANTINED,
     Backlog,
@@ -75,6 +76,8 @@ class Synchronised:
     database, centre : passwords hidden; centre empty where none is configured.
     centre_problem : why ``--status`` could not read the centre; empty if it could.
     items, runs, rows, bytes, seconds : sent by this command.
+    compared : runs that the centre had rows of, compared at both ends by this command.
+    notes : what the centre has more than this database, in words; only of a command that sends.
     waiting : number of items that wait, by kind.
     backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
     limit_h : longest time that is allowed [h]; None for any.
@@ -100,6 +103,8 @@ class Synchronised:
     held: tuple[WaitingItem, ...]
     refused: tuple[RefusedItem, ...] = ()
     centre_problem: str = ""
+    compared: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) -> str:
@@ -109,7 +114,12 @@ def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) 
 
 
 def synchronise(
-    option: str | None, to: str | None, *, limit_h: float | None = None, progress: Progress | None = None
+    option: str | None,
+    to: str | None,
+    *,
+    limit_h: float | None = None,
+    progress: Progress | None = None,
+    compare_since: date | None = None,
 ) -> CommandOutcome[Synchronised]:
     """Send everything that waits in a database to the central one.
 
@@ -119,6 +129,7 @@ def synchronise(
     to : the central one; None for ``CBSR_QA_CENTRE``.
     limit_h : longest time that something may wait [h]; None for any.
     progress : called with items done, their number and what was sent so far.
+    compare_since : compare everything from this day on (UTC) with the centre's; None: only runs that are sent again.
 
     Raises
     ------
@@ -129,7 +140,7 @@ def synchronise(
     """
     with _station(option) as station, _centre(to) as centre:
         begun_s = time.monotonic()
-        sent = _sent(station, centre, progress)
+        sent = _sent(station, centre, progress, compare_since)
         return _outcome(station, address(centre.url), sent, time.monotonic() - begun_s, limit_h)
 
 
@@ -163,7 +174,7 @@ def keep_synchronised(
             while True:
                 try:
                     with _station(option) as station:
-                        sent = _sent(station, centre, None)
+                        sent = _sent(station, centre, None, None)
                 except StoreError as error:
                     centre.dispose()  # a connection that was cut is not used again
                     if error.reason != trouble:
@@ -171,7 +182,8 @@ def keep_synchronised(
                     trouble = error.reason
                 else:
                     trouble = ""
-                    total = replace(total, **{name: getattr(total, name) + getattr(sent, name) for name in _TOTALS})
+                    sums = {name: getattr(total, name) + getattr(sent, name) for name in _TOTALS}
+                    total = replace(total, **sums, notes=sent.notes)
                     if sent.items or sent.quarantined:
                         tell(_said(sent, len(sent.quarantined)))
                 sleep(every_s)
@@ -207,12 +219,12 @@ def decide_item(option: str | None, item: str, *, again: bool) -> CommandOutcome
         return _outcome(station, "", Sent(), 0.0, None)
 
 
-_TOTALS: Final = ("items", "runs", "rows", "size")
+_TOTALS: Final = ("items", "runs", "compared", "rows", "size")
 
 
 @contextmanager
 def _station(option: str | None) -> Iterator[Engine]:
-    engine = open_engine(parsed_url(database_url(option)))
+    engine = _signing(open_engine(parsed_url(database_url(option))))
     try:
         version = found_version(engine)
         if version.age is not Age.CURRENT:
@@ -227,17 +239,22 @@ def _centre(to: str | None) -> Iterator[Engine]:
     url = centre_url(to)
     if not url:
         raise ConfigError("no central database is named", remedy=f"give --to URL, or set {VARIABLE}")
-    engine = open_engine(parsed_url(url))
+    engine = _signing(open_engine(parsed_url(url)))
     try:
         yield engine
     finally:
         engine.dispose()
 
 
-def _sent(station: Engine, centre: Engine, progress: Progress | None) -> Sent:
+def _signing(engine: Engine) -> Engine:
+    """Return an engine that checks signatures with the key that is set, as an open store does."""
+    return engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})
+
+
+def _sent(station: Engine, centre: Engine, progress: Progress | None, compare_since: date | None) -> Sent:
     """Send; an error says what waits."""
     try:
-        return send_waiting(station, centre, this_process(""), progress)
+        return send_waiting(station, centre, this_process(""), progress, compare_since=compare_since)
     except StoreError as error:
         with_backlog = f"{error.reason}; {_safe(backlog(station))}"
         raise StoreError(with_backlog, remedy=error.remedy) from error
@@ -253,7 +270,8 @@ def _said(sent: Sent, quarantined: int) -> str:
     )
     if not sent.items:
         words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
-    return words + _held_back(quarantined)
+    compared = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
+    return words + compared + _held_back(quarantined)
 
 
 def _held_back(quarantined: int) -> str:
@@ -276,6 +294,8 @@ def _outcome(
         rows=sent.rows,
         bytes=sent.size,
         seconds=round(seconds, 3),
+        compared=sent.compared,
+        notes=tuple(sent.notes),
         waiting=dict(Counter(entry.kind for entry in entries)),
         backlog_h=waits.age_h,
         limit_h=limit_h,
@@ -291,6 +311,7 @@ def _outcome(
         for entry in quarantined[:_LISTED]
     ]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
+    facts += [("Note", words) for words in sent.notes[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
     count = len(quarantined)
     headline = _said(sent, count) if centre else _safe(waits) + _held_back(count)

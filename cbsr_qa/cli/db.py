@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -172,12 +173,19 @@ def sync(
     limit_h: Annotated[
         float | None, typer.Option(min=0, metavar="HOURS", help="Fail if anything has waited longer.")
     ] = None,
+    compare_since: Annotated[
+        datetime | None,
+        typer.Option(
+            "--compare-since", formats=["%Y-%m-%d"], help="Compare all from this day on with the centre's (UTC)."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Send what this database holds to a central one: runs, analyses, calibrations, station checks and the rest.
 
     Everything waits in this database until the central one has confirmed it; a command that is interrupted loses
-    nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on.
+    nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on. Before more
+    of a run is sent, what the central database has of it is compared at both ends; --compare-since compares all.
 
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
     used. --status needs no central database.
@@ -189,6 +197,7 @@ def sync(
         stated = load_station(station).value.sync
         to, limit_h = to or stated.centre, stated.backlog_hours if limit_h is None else limit_h
     given = [option for option, value in {"--watch": watch, "--status": status, "--let-go": let_go}.items() if value]
+    given += ["--compare-since"] if compare_since and given else []
     given += ["--retry"] if retry and (let_go or status) else []
     if len(given) > 1:
         raise ConfigError(f"{' and '.join(given)} cannot be given together", remedy="give one of them")
@@ -201,7 +210,13 @@ def sync(
     if watch is not None:
         return show(keep_synchronised(database, to, watch, note, limit_h=limit_h), as_json=as_json)
     with Counting("items") as counting:
-        done = synchronise(database, to, limit_h=limit_h, progress=lambda one, of, _: counting.count(one, of))
+        done = synchronise(
+            database,
+            to,
+            limit_h=limit_h,
+            progress=lambda one, of, _: counting.count(one, of),
+            compare_since=to_day(compare_since),
+        )
     return show(done, as_json=as_json)
 
 

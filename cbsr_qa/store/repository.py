@@ -13,6 +13,7 @@ from cbsr_qa.domain.results import Outcome, RunResult
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, soundness, stations
+from cbsr_qa.store.chain import KEY_OPTION
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
 from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
@@ -72,6 +73,12 @@ class Repository:
     def address(self) -> str:
         """Value of ``--database``, quoted for a shell; a password is hidden."""
         return address(self._engine.url)
+
+    @property
+    def key_id(self) -> str | None:
+        """Names the key that signs new links; None if none is set."""
+        key = self._engine.get_execution_options().get(KEY_OPTION)
+        return None if key is None else str(key.key_id)
 
     def is_at(self, url: str) -> bool:
         return parsed_url(url) == self._engine.url
@@ -173,6 +180,8 @@ class Repository:
     backlog = _of_engine(backlog)
 
     file_problems = _of_engine(soundness.file_problems)
+    order_problems = _of_engine(soundness.order_problems)
+    misplaced_rows = _of_engine(soundness.misplaced_rows)
     check_stored_run = _of_engine(soundness.check_stored_run)
     ring_problems = _of_engine(soundness.ring_problems)
 

@@ -11,15 +11,16 @@ from cbsr_qa.store.views import VIEWS
 STATION: Final = "cbsr_station"
 READER: Final = "cbsr_reader"
 
-#: The only cells that are filled in later, each once, by table; all other rows are added and never changed.
-FILLED_LATER: Final = {"phases": ("ended_s",), "calibrations": ("superseded_by",)}
-#: Tables that say what is still to be done, not what happened: their rows change and go.
-_QUEUES: Final = ("outbox",)
-#: Cells that a database which takes in others' rows changes: the earliest date of several stations holds, and what
-#: was refused is settled.
-_MERGED: Final = {"sensors": ("first_seen",), "sync_refusals": ("settled_at",)}
-#: Tables to which only an upgrade adds rows.
-_OF_UPGRADES: Final = ("sync_accepts",)
+#: The only cells that a station may change, by table, with the reason. They say what is still to be sent, not what
+#: happened: every other row is added, and never changed or removed.
+CHANGED: Final = {
+    "outbox": {
+        "version": "a run that grows while it waits to be sent is announced again in its row",
+        "noted_at": "with the time of that, once all that was announced before was sent",
+    }
+}
+#: Tables to which the owner alone adds rows: upgrades, and what moves frames to archives.
+OF_THE_OWNER: Final = ("sync_accepts", "archives")
 
 _HEAD: Final = """\
 -- Roles of a cbsr-qa database: {station} stores runs and deletes nothing, {reader} reads.
@@ -56,6 +57,8 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     return "\n".join(
         (
             _HEAD.format(station=station, reader=reader),
+            "-- Up to PostgreSQL 14, everyone may create functions that others' queries find.",
+            "REVOKE CREATE ON SCHEMA public FROM PUBLIC;\n",
             _ROLE.format(role=station),
             _grant("SELECT", read, station),
             *_writing(tables, station),
@@ -71,10 +74,9 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
 
 def _writing(tables: Sequence[str], station: str) -> Iterator[str]:
     """Yield the rights to add rows, and to change the few cells that may change."""
-    yield _grant("INSERT", [name for name in tables if name not in _OF_UPGRADES], station)
-    for table, columns in (FILLED_LATER | _MERGED).items():
+    yield _grant("INSERT", [name for name in tables if name not in OF_THE_OWNER], station)
+    for table, columns in CHANGED.items():
         yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
-    yield _grant("UPDATE, DELETE", _QUEUES, station)
 
 
 def _grant(right: str, names: Sequence[str], role: str) -> str:

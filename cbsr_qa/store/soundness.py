@@ -1,17 +1,17 @@
-"""Whether a database is sound: its file, its references, and every run with its chain and frames."""
+"""Whether a database is sound: its file, its references, its runs one after the other, and each with its frames."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy import ColumnElement, Connection, Engine, Row, exists, func, select, text
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.chain import PLAIN, check_run, new_chain, signing_key
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.results import calibrations
-from cbsr_qa.store.runs import runs
+from cbsr_qa.store.runs import begun, runs
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables import Base, CalibrationRow, StationCheckFramesRow
+from cbsr_qa.store.tables import Base, CalibrationRow, RunRow, SensorRow, StationCheckFramesRow
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -33,6 +33,60 @@ def file_problems(engine: Engine) -> Iterator[str]:
                 yield "more rows refer to rows that are missing"
                 return
             yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
+
+
+def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
+    """Return the runs that are missing between others, and in words what explains a gap or a doubled place.
+
+    A run that this database refused when it was sent here is explained, and so are runs that a copy of a database
+    went on with.
+    """
+    with reading(engine) as connection:
+        missing = begun.gaps(connection)
+        refused = tuple(
+            f"run {gap.run} is not here: it was refused when it was sent, see cbsr-qa db sync --status"
+            for gap in missing
+            if gap.refused
+        )
+        return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
+
+
+def misplaced_rows(engine: Engine) -> Iterator[str]:
+    """Yield which rows, none of which a link contradicts, do not go together with others.
+
+    They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and runs
+    that have no chain, or are not signed, though earlier ones of their station have or are.
+    """
+    of_sensor = RunRow.serial == SensorRow.serial
+    same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
+    foreign = select(SensorRow.serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
+    swapped = (
+        select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
+        .join(RunRow, RunRow.run == CalibrationRow.run)
+        .where(RunRow.serial != CalibrationRow.serial)
+    )
+    with reading(engine) as connection:
+        for serial in connection.scalars(foreign):
+            yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
+        for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
+            yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"
+        for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
+            yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
+        if signing_key(connection) is not None:
+            signed = RunRow.chain == new_chain(connection)
+            for run, earlier in _unlike_earlier(connection, signed, RunRow.chain == PLAIN):
+                yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
+
+
+def _unlike_earlier(
+    connection: Connection, before: ColumnElement[bool], after: ColumnElement[bool]
+) -> Sequence[Row[str, str]]:
+    """Return runs of one kind of chain that are younger than the first of their station's of another kind, and it."""
+    first = (
+        select(RunRow.station, func.min(RunRow.run).label("run")).where(before).group_by(RunRow.station).subquery()
+    )
+    query = select(RunRow.run, first.c.run).join(first, first.c.station == RunRow.station)
+    return connection.execute(query.where(after, RunRow.run > first.c.run).order_by(RunRow.run)).all()
 
 
 def _row(connection: Connection, table: str, rowid: int | None) -> str:

@@ -52,7 +52,9 @@ SELECT
 FROM calibrations AS c
 JOIN v_runs AS r
     ON r.run = c.run
-WHERE c.superseded_by IS NULL
+WHERE NOT EXISTS (
+    SELECT 1 FROM calibrations AS later WHERE later.serial = c.serial AND later.calibration > c.calibration
+)
 """
 
 #: Name of each view and its query, the same on SQLite and PostgreSQL; a view may read those before it.

@@ -115,15 +115,18 @@ def test_data_survive_every_step_up_and_down(engine):
         "adoptions",
     }
     announced = {name: content(engine)[name] for name in ("outbox", "sync_accepts")}
-    concluded |= {*announced, "sync_refusals"}
-    # Eased, notes; chain; operator, software and time of a session.
+    concluded |= {*announced, "sync_refusals", "sync_settlements", "phase_ends", "runs_begun"}
+    # Eased, notes; chain, the run before; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
-        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 1), ("run_states", 3))
+        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 4), ("run_states", 3))
     }
+    # The end of a phase has a row of its own, and the runs of a sensor say when it was first seen.
+    later |= {name: [row[:-1] for row in before[name]] for name in ("sensors", "phases")}
+    later["phase_ends"] = [("x", 7, before["phases"][0][-1])]
     # Digests are bytes; the arrays of these rows have no length that fits, and stay as they are.
     later |= {name: [(*row[:-1], b"x") for row in before[name]] for name in ("frame_blocks", "sample_blocks")}
-    assert content(engine) == before | later | {name: [] for name in concluded} | announced
+    assert content(engine) == before | {name: [] for name in concluded} | later | announced
     assert [row[:2] for row in announced["outbox"]] == [("run", "x")]
     assert announced["sync_accepts"] == [(schema.OLDEST_SENDER,)]
 
@@ -219,6 +222,50 @@ def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_ba
         raw.cursor().execute("UPDATE calibrations SET scale = NULL")
 
 
+REFUSED = {"kind": "run", "station": "s", "station_sha256": "", "centre_sha256": "", "run": None, "why": "so"}
+
+
+@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
+def test_what_was_changed_in_its_row_is_added_beside_it_and_changed_again_on_the_way_back(engine):
+    schema.upgrade(engine, "0021")
+    fill(engine, table_names(engine))
+    tables = {table.name: table for table in reflected(engine)}
+    calibration = {column.name: sample(column) for column in tables["calibrations"].columns}
+    at = [dt.datetime(2026, 11, day) for day in (1, 2)]
+    with writing(engine) as connection:
+        connection.execute(tables["sync_refusals"].delete())
+        connection.execute(tables["calibrations"].update().values(superseded_by=None))
+        connection.execute(tables["calibrations"].insert(), calibration | {"calibration": "y", "superseded_by": None})
+        connection.execute(
+            tables["calibrations"].update().where(sa.text("calibration = 'x'")).values(superseded_by="y")
+        )
+        for item, settled_at in (("open", None), ("settled", at[1])):
+            row = REFUSED | {"item": item, "noted_at": at[0], "settled_at": settled_at}
+            connection.execute(tables["sync_refusals"].insert(), row)
+    before = content(engine)
+
+    schema.upgrade(engine)
+    assert cells(engine, "v_calibrations", "calibration", "serial") == [("y", "x")]
+    assert cells(engine, "sync_settlements", "kind", "item") == [("run", "settled")]
+    assert cells(engine, "phase_ends", "run", "phase", "ended_s") == [("x", 7, 0.1 + 0.2)]
+    with writing(engine) as connection:
+        refused = sa.table("sync_refusals", *map(sa.column, [*REFUSED, "item", "noted_at"]))
+        again = REFUSED | {"item": "settled", "noted_at": dt.datetime(2026, 11, 3)}
+        connection.execute(refused.insert(), again)
+
+    schema.downgrade(engine, "0021")
+    for name in ("calibrations", "phases"):
+        again = sa.select(*(sa.column(one.name, one.type) for one in tables[name].columns)).select_from(
+            sa.table(name)
+        )
+        with reading(engine) as connection:
+            assert sorted(map(tuple, connection.execute(again)), key=repr) == sorted(before[name], key=repr), name
+    assert dict(map(tuple, cells(engine, "sync_refusals", "item", "settled_at"))) == {"open": None, "settled": None}
+    with reading(engine) as connection:  # from now on it is when the first run of the sensor began
+        seen = "SELECT count(*) FROM sensors JOIN runs USING (serial) WHERE first_seen = started_at"
+        assert connection.exec_driver_sql(seen).scalar() == 1
+
+
 def cells(engine, table, *names):
     with reading(engine) as connection:
         return connection.execute(sa.text(f"SELECT {', '.join(names)} FROM {table} ORDER BY 1, 2")).all()
@@ -244,7 +291,8 @@ def test_stored_runs_take_less_room_and_keep_their_chain_and_every_bit_up_and_do
     ]
     schema.upgrade(engine)
     again = content(engine)
-    # Runs are announced again to a central database, at a later time.
+    # Which runs were begun here is forgotten, and runs are announced again to a central database, at a later time.
+    assert (len(compact.pop("runs_begun")), again.pop("runs_begun")) == (1, [])
     assert [row[:3] for row in again.pop("outbox")] == [row[:3] for row in compact.pop("outbox")]
     assert again == compact
     again = store.load_run(run)

@@ -66,6 +66,17 @@ def test_a_quarantined_run_is_named_and_let_go_and_open_again_until_it_is_right(
     assert "nothing named" in sync(station, "--retry", run).stderr
 
 
+def test_what_was_altered_at_the_centre_is_found_when_it_is_compared(station):
+    sync(station, "--to", "centre.db", check=True)
+    with sqlite3.connect(station / "centre.db") as database:
+        database.execute("UPDATE loads SET x_mm = 1.5")
+    assert sync(station, "--to", "centre.db").returncode == 0  # nothing is announced
+    done = sync(station, "--to", "centre.db", "--compare-since", "2026-11-01", "--json")
+    (held,) = json.loads(done.stdout)["held"]
+    assert (done.returncode, held["why"].startswith("at the centre, run ")) == (1, True)
+    assert "cannot be given together" in sync(station, "--status", "--compare-since", "2026-11-01").stderr
+
+
 def refused(folder):
     status = json.loads(sync(folder, "--status", "--to", "centre.db", "--json").stdout)
     return [one["item"] for one in status["refused"]]
@@ -141,6 +152,8 @@ def test_the_page_on_the_central_database_runs_as_printed(tmp_path, postgres_dat
     typed(tmp_path, upgrade)
     name, value = export.removeprefix("export ").split("=")
     assert value == named
-    _, sent, status = (typed(tmp_path, line, **{name: postgres_database}).stdout for line in commands(page))
+    said = (typed(tmp_path, line, **{name: postgres_database}).stdout for line in commands(page))
+    _, sent, status, compared = said
     assert "1 run" in sent
     assert "nothing waits" in status
+    assert "1 run compared at both ends" in compared

@@ -192,7 +192,6 @@ def _values(calibration, analysis):
         "analysis": analysis,
         "serial": calibration.sensor.serial,
         "issued_at": datetime.fromisoformat(calibration.issued_at),
-        "superseded_by": None,
         "response": str(calibration.response),
         "current_a": calibration.current_A,
         "scale": calibration.scale,

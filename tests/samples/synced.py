@@ -6,6 +6,7 @@ import signal
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
+import pytest
 import sqlalchemy as sa
 from stored_runs import calibration, frames, journalled, short_run
 
@@ -20,13 +21,14 @@ from cbsr_qa.domain.run import (
     RingReadings,
     StationCheck,
 )
-from cbsr_qa.store import open_engine, parsed_url, reading, upgrade
-from cbsr_qa.store.chain import check_run
+from cbsr_qa.store import Repository, open_engine, parsed_url, reading, upgrade, writing
+from cbsr_qa.store.chain import FIGURES, KEYS, check_run, link_digest, of_run, stored_documents, stored_figures
 from cbsr_qa.store.sync import copying, send_waiting, waiting
-from cbsr_qa.store.tables import Base
+from cbsr_qa.store.tables import Base, LinkRow
+from cbsr_qa.system import RealClock
 
-#: Tables that only say what is to be sent.
-OWN = {"outbox", "sync_refusals", "sync_accepts"}
+#: Tables that say what is to be sent, and what was begun in a database itself.
+OWN = {"outbox", "sync_refusals", "sync_settlements", "sync_accepts", "runs_begun"}
 NOW = datetime(2026, 11, 27, 8, 0, tzinfo=UTC)
 
 
@@ -35,6 +37,62 @@ def opened(url):
     engine = open_engine(parsed_url(url), durable=False)
     upgrade(engine)
     return engine
+
+
+class Place:
+    """A database with its repository."""
+
+    def __init__(self, url):
+        self.url, self.engine = url, opened(url)
+        self.store = Repository(self.engine, RealClock().wall)
+
+    def said(self, statement, *values):
+        with reading(self.engine) as connection:
+            return connection.exec_driver_sql(statement, values or None).all()
+
+    def change(self, statement):
+        with writing(self.engine) as connection:
+            assert connection.exec_driver_sql(statement).rowcount != 0, statement
+
+
+def sent(station, centre, **how):
+    """Send what waits at one place to another."""
+    return send_waiting(station.engine, centre.engine, "a test", **how)
+
+
+on_both = pytest.mark.parametrize(
+    "centre", ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)], indirect=True
+)
+
+
+def remove_run(place, run, *, begun=False):
+    """Delete every row of a run that was not announced, as somebody with write access can.
+
+    Parameters
+    ----------
+    begun : also the row that says that it was begun here.
+    """
+    with writing(place.engine) as connection:
+        for table in reversed(Base.metadata.sorted_tables):
+            if table.name in KEYS or table.name in ("run_links", "archives"):
+                connection.execute(table.delete().where(of_run(table, run)))
+        connection.exec_driver_sql(f"DELETE FROM outbox WHERE item = '{run}'")
+        if begun:
+            connection.exec_driver_sql(f"DELETE FROM runs_begun WHERE run = '{run}'")
+
+
+def link_again(place, run):
+    """Compute the links of a run again from its rows, as somebody who knows how they are computed can."""
+    with writing(place.engine) as connection:
+        contents = {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+        links = connection.execute(sa.select(LinkRow.__table__).where(LinkRow.run == run).order_by(LinkRow.number))
+        before = ""
+        for link in links.all():
+            of_figures = link.kind == FIGURES
+            content = stored_figures(connection, link.document) if of_figures else contents[link.kind, link.document]
+            before = link_digest(before, link.kind, link.document, content)
+            same = sa.update(LinkRow).where(LinkRow.run == run, LinkRow.number == link.number)
+            connection.execute(same.values(content_sha256=content, sha256=before))
 
 
 def judged(repository, run, *, issued=None, outcome=Outcome.PASS):
@@ -70,7 +128,7 @@ def everything(repository, serial="S-1"):
 
 
 def content(engine, runs=None):
-    """Every row of every table but those that only say what is to be sent, sorted."""
+    """Every row of every table that is sent, sorted."""
     with reading(engine) as connection:
         return {
             table.name: sorted(map(repr, connection.execute(sa.select(table))))

@@ -23,11 +23,6 @@ from cbsr_qa.store.engine import writing
 
 #: What is still to be sent is no result.
 OUTBOX = "INSERT INTO outbox "
-#: The cells that may be filled in later: a phase's end, and what a calibration was superseded by.
-ALLOWED = (
-    r"UPDATE phases SET ended_s=\S+ WHERE .*phases\.ended_s IS NULL$",
-    r"UPDATE calibrations SET superseded_by=\S+ WHERE .*calibrations\.superseded_by IS NULL",
-)
 
 
 @pytest.fixture
@@ -190,7 +185,7 @@ def test_a_cell_of_another_type_met_while_writing_is_named(tmp_path, cell):
 
 @contextmanager
 def only_added():
-    """Fail on any statement that changes or removes a row, but for the two cells that may be filled in."""
+    """Fail on any statement that changes or removes a row."""
     seen = []
 
     def look(connection, cursor, statement, parameters, context, executemany):
@@ -201,24 +196,21 @@ def only_added():
 
     event.listen(sa.Engine, "before_cursor_execute", look)
     try:
-        yield seen
+        yield
     finally:
         event.remove(sa.Engine, "before_cursor_execute", look)
-    refused = [words for words in seen if not any(re.match(allowed, words) for allowed in ALLOWED)]
-    assert refused == []
+    assert seen == []
 
 
 @pytest.mark.rest
 def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
-    with only_added() as seen:
+    with only_added():
         run = begun(repository)
         judged(repository, run, issued=calibration(repository.new_id(), run))
         judged(repository, run, Outcome.FAIL, calibration(repository.new_id(), run))
         repository.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
         repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="no")
         begun(repository, recipe=recipe(5.0), end=EndReason.ABORTED)
-    # The ends of two phases of two runs; the first calibration of a sensor supersedes none, the second one it.
-    assert [words.split()[1] for words in seen] == [*["phases"] * 2, *["calibrations"] * 2, *["phases"] * 2]
 
 
 @pytest.mark.rest
@@ -226,14 +218,13 @@ def test_a_whole_run_with_its_report_and_override_only_adds(database_url, tmp_pa
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
     recipe_file = str(Path(__file__).parents[1] / "faults" / "two-frames.toml")
     open_store(database_url).close()  # migrations have their own tests
-    with only_added() as seen:
+    with only_added():
         for serial in ("S-1", "S-2"):
             request = RunRequest(station="simulated", recipe=recipe_file, serial=serial, database=database_url)
             outcome = run_sensor(request)
         override_verdict(outcome.run, "fail", by="Zoë", why="so", database=database_url)
         render_stored(outcome.run, database=database_url)
     assert outcome.result.record.end is EndReason.FINISHED
-    assert {words.split()[1] for words in seen} == {"phases"}
 
 
 @pytest.mark.parametrize("statement", ["UPDATE analyses SET outcome = 'pass'", "DELETE FROM warnings"])

@@ -8,11 +8,12 @@ from contextlib import ExitStack
 from functools import partial
 
 import pytest
+from stored_runs import journalled, short_run
 
 from cbsr_qa.app.run import RunRequest, Session, default_seed, run_sensor
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store import locks, open_store, schema
-from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.engine import open_engine, parsed_url, reading
 
 STATIONS = 4
 
@@ -74,6 +75,26 @@ def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, d
     before = stations(partial(upgraded, database_url))
     assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
     engine.dispose()
+
+
+def five_begun(url, number):
+    """Begin five runs, one after the other, while others do the same."""
+    _TOGETHER[0].wait(60)
+    with open_store(url) as store:
+        for _ in range(5):
+            journalled(store, short_run(store.new_id(), f"S-{number}")[:2])
+
+
+@pytest.mark.rest
+def test_runs_that_begin_together_each_follow_one_other(stations, database_url):
+    open_store(database_url).close()
+    stations(partial(five_begun, database_url))
+    with open_store(database_url) as store, reading(store._engine) as connection:
+        assert store.order_problems() == ((), ())
+        begun = connection.exec_driver_sql("SELECT run FROM runs_begun ORDER BY number").scalars().all()
+        before = dict(map(tuple, connection.exec_driver_sql("SELECT run, before_run FROM runs").all()))
+    assert [before[run] for run in begun] == [None, *begun[:-1]]
+    assert len(begun) == 5 * STATIONS
 
 
 @pytest.mark.rest

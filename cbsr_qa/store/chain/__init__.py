@@ -6,6 +6,7 @@ from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
     from .check import (
+        ALL_KINDS as ALL_KINDS,
         IDENTITY as IDENTITY,
         RESULTS as RESULTS,
         check_run as check_run,
@@ -24,13 +25,17 @@ if TYPE_CHECKING:
     from .links import (
         KEY_OPTION as KEY_OPTION,
         OF_A_SESSION as OF_A_SESSION,
+        PLAIN as PLAIN,
         SigningKey as SigningKey,
         add_links as add_links,
         add_rows as add_rows,
         chain_head as chain_head,
+        checking_key as checking_key,
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
+        signing_key as signing_key,
+        take_turns as take_turns,
     )
     from .many_rows import (
         documents_in_columns as documents_in_columns,
@@ -42,11 +47,9 @@ if TYPE_CHECKING:
         FIGURES as FIGURES,
         JOINED as JOINED,
         KEYS as KEYS,
-        PHASE_END as PHASE_END,
         RUN_COLUMNS as RUN_COLUMNS,
         documents as documents,
         facts as facts,
-        phase_end as phase_end,
         sha256 as sha256,
         shown as shown,
         stored_figures as stored_figures,

@@ -10,28 +10,26 @@ from sqlalchemy.orm import aliased
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
 from cbsr_qa.store.archives import checked_bytes
-from cbsr_qa.store.chain.links import SigningKey, few_links, key_id_of, link_digest, signing_key
+from cbsr_qa.store.chain.links import SigningKey, checking_key, few_links, key_id_of, link_digest
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
-    PHASE_END,
     covered,
     documents,
-    phase_end,
     sha256,
     shown,
     stored_figures,
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, RunRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
     {"runs", FIGURES, *(name for name, key in KEYS.items() if key in (("analysis",), ("calibration",)))}
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
-ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
+ALL_KINDS: Final = frozenset({*KEYS, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
 _CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
 _REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
@@ -95,8 +93,7 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         return ChainState()
     if not links:
         raise _broken(run, "it is chained, and run_links holds no link of it")
-    key_id, key = key_id_of(row.chain), signing_key(connection)
-    key = key if key is not None and key.key_id == key_id else None
+    key_id, key = key_id_of(row.chain), checking_key(connection, row.chain)
     if not kinds and (missing := set(range(links[-1].number)) - {link.number for link in links}):
         raise _broken(run, f"link {min(missing)} in run_links is missing")
     for link in links:
@@ -165,10 +162,6 @@ def stored_documents(
         query = select(*columns).where(of_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
-    if PHASE_END in kinds:
-        ended = select(PhaseRow.phase, PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None))
-        for phase, ended_s in connection.execute(ended):
-            yield phase_end(phase, ended_s)
 
 
 def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]:

@@ -75,7 +75,7 @@ class SigningKey:
 
 #: Option of an engine that holds the key, and what the column ``runs.chain`` says.
 KEY_OPTION: Final = "cbsr_signing_key"
-_PLAIN, _SIGNED = "sha256", "hmac-sha256:"
+PLAIN, _SIGNED = "sha256", "hmac-sha256:"
 
 
 # Statements are built once, and for the plain table: there is a row and its link with every frame.
@@ -102,8 +102,6 @@ _NEWEST: Final = (
     .order_by(LinkRow.number.desc())
     .limit(literal_column("1"))
 )
-#: Two programs that add to one run must not both follow the same link. SQLite has one writer; on PostgreSQL this
-#: lasts to the end of the transaction. To lock the run's row would need the right to update it.
 _ALONE: Final = select(func.pg_advisory_xact_lock(bindparam("number")))
 
 
@@ -112,10 +110,16 @@ def signing_key(connection: Connection) -> SigningKey | None:
     return connection.get_execution_options().get(KEY_OPTION)
 
 
+def checking_key(connection: Connection, chain: str) -> SigningKey | None:
+    """Return the configured key if it is the one that signs a chain; else None."""
+    key = signing_key(connection)
+    return key if key is not None and key.key_id == key_id_of(chain) else None
+
+
 def new_chain(connection: Connection) -> str:
     """Return the chain entry of a new run: its kind and signing key."""
     key = signing_key(connection)
-    return _PLAIN if key is None else f"{_SIGNED}{key.key_id}"
+    return PLAIN if key is None else f"{_SIGNED}{key.key_id}"
 
 
 def key_id_of(chain: str) -> str:
@@ -158,9 +162,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     StoreError
         As :func:`key_to_continue`.
     """
-    if connection.dialect.name == "postgresql":
-        number = int.from_bytes(hashlib.sha256(f"cbsr-qa chain {run}".encode()).digest()[:8], signed=True)
-        connection.execute(_ALONE, {"number": number})
+    take_turns(connection, f"chain {run}")
     chain, last, before = prepared(_NEWEST, connection.dialect).one(connection, {"of_run": run})
     key = key_to_continue(connection, run, chain)
     if chain is None:
@@ -176,6 +178,16 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     _insert(connection, LinkRow, rows)
     if any(row["kind"] not in OF_A_SESSION for row in rows):
         announce(connection, Kind.RUN, [run], number + 1)
+
+
+def take_turns(connection: Connection, what: str) -> None:
+    """Wait until nobody else adds to a chain; others wait until this transaction ends.
+
+    SQLite has one writer anyway. To lock a row of PostgreSQL would need the right to update it.
+    """
+    if connection.dialect.name == "postgresql":
+        number = int.from_bytes(hashlib.sha256(f"cbsr-qa {what}".encode()).digest()[:8], signed=True)
+        connection.execute(_ALONE, {"number": number})
 
 
 def chain_head(connection: Connection, run: str) -> str:

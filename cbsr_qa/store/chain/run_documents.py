@@ -49,6 +49,7 @@ from cbsr_qa.store.tables import (
     LoadRow,
     MeasurementRow,
     OverlapBandRow,
+    PhaseEndRow,
     PhaseRow,
     ReanalysisRow,
     RelaxationRow,
@@ -75,6 +76,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (RunStateRow, ("number",)),
         (GateAnswerRow, ("session",)),
         (PhaseRow, ("phase",)),
+        (PhaseEndRow, ("phase",)),
         (StepRow, ("phase", "entry")),
         (FrameBlockRow, ("phase", "block")),
         (SampleBlockRow, ("phase", "block")),
@@ -96,10 +98,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (AdoptionRow, ("analysis",)),
     )
 }
-#: Columns that are filled in later. The end of a phase has its own link; that a calibration is superseded follows
-#: from a row of another run's chain.
-PHASE_END: Final = "phase_ends"
-_LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
+#: Columns that no digest covers: the chain that an end of a phase is in says of which run it is.
+_LEFT_OUT: Final = {("phase_ends", "run")}
 #: What a comparison of fleets reads of an analysis, see fleet.py.
 FIGURES: Final = "figures"
 
@@ -159,7 +159,9 @@ def tables() -> Iterator[Table]:
 def covered(table: Table) -> tuple[Column[Any], ...]:
     """Return the columns a digest covers. Bytes have their own digest in the same row."""
     return tuple(
-        one for one in table.columns if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LATER
+        one
+        for one in table.columns
+        if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LEFT_OUT
     )
 
 
@@ -196,15 +198,8 @@ def documents(table: Table, rows: Iterable[Mapping[str, Any] | RowMapping]) -> I
         yield key, sha256(*(text for _, text in some))
 
 
-def phase_end(phase: int, ended_s: float | None) -> tuple[str, str, str]:
-    """Return kind, key and content digest of the end of a phase."""
-    return PHASE_END, str(phase), sha256(canonical({"phase": phase, "ended_s": float(ended_s or 0.0) + 0.0}))
-
-
 def shown(kind: str, key: str) -> str:
     """Name a document for messages: its table and key columns."""
-    if kind == PHASE_END:
-        return f"phases.ended_s (phase {key})"
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
     found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
     return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({found})' if names else ''}"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         analysis_outcome as analysis_outcome,
         as_measurement as as_measurement,
     )
+    from .calibrations import check_files as check_files
     from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of
 
 door(__name__, __file__)

@@ -1,10 +1,12 @@
 """Issued calibrations: the bytes of their files, and searchable columns."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from typing import Any
 
-from sqlalchemy import Connection, Engine, select, update
+from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Calibration
@@ -15,7 +17,7 @@ from cbsr_qa.store.tables import BaselineRow, CalibrationRow
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSummary:
-    """A calibration in one line; ``superseded_by`` is None while it is valid."""
+    """A calibration in one line; ``superseded_by`` names the next one of the sensor, None while there is none."""
 
     calibration: str
     serial: str
@@ -26,7 +28,7 @@ class CalibrationSummary:
 
 
 def insert_calibration(connection: Connection, calibration: Calibration, analysis: str) -> None:
-    """Insert a calibration and mark the sensor's earlier ones as superseded by it.
+    """Insert a calibration, which from then on is the valid one of its sensor.
 
     Raises
     ------
@@ -44,7 +46,6 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
         "analysis": analysis,
         "serial": serial,
         "issued_at": datetime.fromisoformat(calibration.issued_at),
-        "superseded_by": None,
         "content_sha256": calibration.digest,
         "record_sha256": calibration.record_digest,
         "file": calibration.file,
@@ -53,19 +54,14 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
     add_rows(connection, calibration.run, CalibrationRow, [row])
     places = [{"calibration": name, "number": k, **asdict(place)} for k, place in enumerate(calibration.baseline)]
     add_rows(connection, calibration.run, BaselineRow, places)
-    earlier = update(CalibrationRow).where(
-        CalibrationRow.serial == serial,
-        CalibrationRow.calibration != name,
-        CalibrationRow.superseded_by.is_(None),
-    )
-    connection.execute(earlier.values(superseded_by=name))
 
 
 def calibrations_of(engine: Engine, serial: str) -> tuple[CalibrationSummary, ...]:
     """Return a sensor's calibrations, the latest first; the first is the valid one."""
     row = CalibrationRow
-    columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, row.superseded_by
-    query = select(*columns).where(row.serial == serial).order_by(row.issued_at.desc(), row.calibration.desc())
+    later = func.lead(row.calibration).over(order_by=row.calibration).label("superseded_by")
+    columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
+    query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
     with reading(engine) as connection:
         return tuple(CalibrationSummary(*found) for found in connection.execute(query))
 
@@ -87,11 +83,22 @@ def calibration_file(engine: Engine, calibration: str) -> tuple[bytes, str] | No
         check_run(connection, found.run, RESULTS)
     if found.file_sha256 is None and found.file is None:
         return None
-    if found.file is None or _sha256(found.file) != found.file_sha256:
+    _check_file(calibration, found.file, found.file_sha256)
+    return found.file, found.content_sha256
+
+
+def check_files(rows: Iterable[Any]) -> None:
+    """Check the files in rows of calibrations, digests as text. StoreError names the calibration that has another."""
+    for row in rows:
+        if row.file_sha256 is not None or row.file is not None:
+            _check_file(row.calibration, row.file, row.file_sha256)
+
+
+def _check_file(calibration: str, file: bytes | None, sha256: str | None) -> None:
+    if file is None or _sha256(file) != sha256:
         raise StoreError(
             f"calibration {calibration}: its file is not what was stored", remedy="restore the database from a copy"
         )
-    return found.file, found.content_sha256
 
 
 def _sha256(data: bytes) -> str:

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from . import (
         archiving as archiving,
         attendance as attendance,
+        begun as begun,
         live as live,
         outcomes as outcomes,
         runs as runs,

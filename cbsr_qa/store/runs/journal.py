@@ -10,7 +10,7 @@ from dataclasses import asdict, fields, replace
 from functools import singledispatchmethod
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, func, select, update
+from sqlalchemy import Connection, Engine, func, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from cbsr_qa.domain import StoreError
@@ -39,17 +39,18 @@ from cbsr_qa.domain.run import (
     Unloaded,
 )
 from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.store.chain import add_links, add_rows, phase_end
+from cbsr_qa.store.chain import add_rows
 from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.runs.attendance import attendance_values
 from cbsr_qa.store.runs.codec import encoded, frame_values, sample_block, sample_values
 from cbsr_qa.store.runs.gate_answers import add_answers
-from cbsr_qa.store.runs.rows import begin_run, current_state, run_row
+from cbsr_qa.store.runs.rows import begin_run, current_state, phases_of, run_row
 from cbsr_qa.store.tables import (
     AttendanceRow,
     FrameBlockRow,
     LoadRow,
+    PhaseEndRow,
     PhaseRow,
     RunStateRow,
     SampleBlockRow,
@@ -105,7 +106,7 @@ _TIMES = (
     (UnloadedMarkRow, UnloadedMarkRow.time_s),
     (AttendanceRow, AttendanceRow.time_s),
     (PhaseRow, PhaseRow.started_s),
-    (PhaseRow, PhaseRow.ended_s),
+    (PhaseEndRow, PhaseEndRow.ended_s),
 )
 
 
@@ -217,8 +218,7 @@ class Journal:
         known = select(PhaseRow.phase).where(PhaseRow.run == self._run, PhaseRow.phase == event.index)
         if connection.scalar(known) is None:  # a resumed phase keeps its original start
             values = {"name": event.name, "sequence": event.sequence, "role": str(event.role)}
-            times = {"started_s": event.time_s, "ended_s": None}
-            row = {"run": self._run, "phase": event.index, **values, **times}
+            row = {"run": self._run, "phase": event.index, **values, "started_s": event.time_s}
             add_rows(connection, self._run, PhaseRow, [row])
 
     @_store.register
@@ -264,12 +264,11 @@ class Journal:
 
     @_store.register
     def _(self, event: PhaseFinished, connection: Connection) -> None:
-        unended = update(PhaseRow).where(
-            PhaseRow.run == self._run, PhaseRow.phase == event.phase, PhaseRow.ended_s.is_(None)
-        )
-        if connection.execute(unended.values(ended_s=event.time_s)).rowcount != 1:
+        unended = phases_of(self._run).where(PhaseRow.phase == event.phase, PhaseEndRow.ended_s.is_(None))
+        if connection.execute(unended).one_or_none() is None:
             raise StoreError(f"phase {event.phase} of run {self._run} was not started, or has ended already")
-        add_links(connection, self._run, [phase_end(event.phase, event.time_s)])
+        row = {"run": self._run, "phase": event.phase, "ended_s": event.time_s}
+        add_rows(connection, self._run, PhaseEndRow, [row])
 
     @_store.register
     def _(self, event: RunEnded, connection: Connection) -> None:

@@ -18,14 +18,13 @@ from cbsr_qa.store.engine import reading, sqlite_file
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.codec import frame_block, sample_block
-from cbsr_qa.store.runs.rows import current_state
+from cbsr_qa.store.runs.rows import current_state, phases_of
 from cbsr_qa.store.tables import (
     AnalysisRow,
     CalibrationRow,
     FrameBlockRow,
     LinkRow,
     LoadRow,
-    PhaseRow,
     RunRow,
     RunStateRow,
     SampleBlockRow,
@@ -240,7 +239,6 @@ def _last(rows: list[Any], before: tuple[int, int]) -> tuple[int, int]:
 def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
     query = select(UnloadedMarkRow.phase, UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == run)
     marks = {row.phase: row.time_s for row in connection.execute(query.order_by(UnloadedMarkRow.mark))}
-    phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
     return tuple(
         of_row(
             LivePhase,
@@ -249,7 +247,7 @@ def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
             role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {run}"),
             unloaded_from_s=marks.get(row.phase),
         )
-        for row in connection.execute(phases)
+        for row in connection.execute(phases_of(run))
     )
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select
+from sqlalchemy import Connection, Row, Select, insert, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
@@ -11,14 +11,15 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.chain import add_rows, new_chain
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.mapping import of_row, row_of
-from cbsr_qa.store.tables import InstrumentRow, RunRow, RunStateRow, SensorRow
+from cbsr_qa.store.runs.begun import note_begun, run_before
+from cbsr_qa.store.tables import InstrumentRow, PhaseEndRow, PhaseRow, RunRow, RunStateRow, SensorRow
 
 
 def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
     """Insert a run with its instruments, and its sensor if new."""
     sensor = identity.sensor
     if connection.scalar(select(SensorRow.serial).where(SensorRow.serial == sensor.serial)) is None:
-        connection.execute(insert(SensorRow), row_of(SensorRow, sensor, first_seen=identity.started_at))
+        connection.execute(insert(SensorRow), row_of(SensorRow, sensor))
     row = row_of(
         RunRow,
         identity,
@@ -28,18 +29,29 @@ def begin_run(connection: Connection, identity: RunIdentity, configuration: str,
         configuration=configuration,
         setting=setting,
         chain=new_chain(connection),
+        **run_before(connection),
     )
     instruments = [
         row_of(InstrumentRow, instrument, run=identity.run, position=position)
         for position, instrument in enumerate(identity.instruments)
     ]
     add_rows(connection, identity.run, RunRow, [row])
+    note_begun(connection, identity.run)
     add_rows(connection, identity.run, InstrumentRow, instruments)
 
 
 def run_row(connection: Connection, run: str) -> Row[Any] | None:
     """Return a run's row, or None."""
     return connection.execute(select(*RunRow.__table__.columns).where(RunRow.run == run)).one_or_none()
+
+
+def phases_of(run: str) -> Select[Any]:
+    """Query the phases of a run in order, each with its end [s]: None where it was interrupted or is under way."""
+    phase, end = PhaseRow, PhaseEndRow
+    joined = select(*phase.__table__.columns, end.ended_s).outerjoin(
+        end, (end.run == phase.run) & (end.phase == phase.phase)
+    )
+    return joined.where(phase.run == run).order_by(phase.phase)
 
 
 def current_state(connection: Connection, run: str) -> Row[Any]:

@@ -39,13 +39,13 @@ from cbsr_qa.store.runs.codec import (
 from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
-from cbsr_qa.store.runs.rows import current_state, identity_of, run_row
+from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
 from cbsr_qa.store.tables import (
     AnalysisRow,
     FrameBlockRow,
     LoadRow,
-    PhaseRow,
+    PhaseEndRow,
     RunRow,
     RunStateRow,
     SampleBlockRow,
@@ -187,7 +187,7 @@ def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
 def ended_phases(engine: Engine, run: str) -> frozenset[int]:
     """Return the phases whose last step was carried out, which a resumed run skips."""
     with reading(engine) as connection:
-        rows = connection.scalars(select(PhaseRow.phase).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None)))
+        rows = connection.scalars(select(PhaseEndRow.phase).where(PhaseEndRow.run == run))
         return frozenset(rows)
 
 
@@ -264,8 +264,7 @@ def _phases(
     connection: Connection, run: str, sessions: tuple[RunSession, ...]
 ) -> tuple[tuple[PhaseRecord, ...], int]:
     """Return the phases of a run, and how many of their frames do not count."""
-    phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
-    found = [_phase(connection, row, sessions) for row in connection.execute(phases).all()]
+    found = [_phase(connection, row, sessions) for row in connection.execute(phases_of(run)).all()]
     return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
 
 

@@ -17,13 +17,14 @@ from cbsr_qa.domain.run import LoadRecord, RunSession
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import writer_of
+from cbsr_qa.store.runs.rows import phases_of
 from cbsr_qa.store.tables import (
     AnalysisRow,
     CalibrationRow,
     ChartReferenceRow,
     FrameBlockRow,
     LoadRow,
-    PhaseRow,
+    PhaseEndRow,
     ReanalysisRow,
     ReleaseRow,
     RunRow,
@@ -189,8 +190,7 @@ def counts(engine: Engine) -> dict[str, int]:
 
 
 def _stands(connection: Connection, run: str) -> tuple[str, str]:
-    phases = select(PhaseRow.phase, PhaseRow.name).where(PhaseRow.run == run, PhaseRow.ended_s.is_(None))
-    phase = connection.execute(phases.order_by(PhaseRow.phase).limit(1)).one_or_none()
+    phase = connection.execute(phases_of(run).where(PhaseEndRow.ended_s.is_(None)).limit(1)).one_or_none()
     if phase is None:
         return "", "the next phase"
     steps = select(StepRow.step, StepRow.time_s).where(

@@ -1,15 +1,17 @@
 """The central database: whom it accepts, where its runs stand, what it refused."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from sqlalchemy import (
+    ColumnElement,
     Engine,
     Row,
+    exists,
     func,
+    insert,
     select,
-    text,
-    update,
 )
 
 from cbsr_qa.domain import StoreError
@@ -23,6 +25,7 @@ from cbsr_qa.store.tables import (
     RunRow,
     SyncAcceptsRow,
     SyncRefusalRow,
+    SyncSettlementRow,
 )
 
 
@@ -104,23 +107,27 @@ def documents_of(engine: Engine, run: str) -> dict[tuple[str, str], str]:
 
 
 def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: str, error: StoreError) -> None:
-    """Note at the centre what was not stored, once; what was settled and is refused again is open again."""
+    """Note at the centre what was not stored; once, until it is settled."""
     digests = error.digests if isinstance(error, AlteredError) else ("", "")
-    statement = text(
-        "INSERT INTO sync_refusals (kind, item, station, station_sha256, centre_sha256, run, why, noted_at)"
-        " VALUES (:kind, :item, :station, :own, :centre, :run, :why, CURRENT_TIMESTAMP)"
-        " ON CONFLICT (kind, item, station, station_sha256, centre_sha256) DO UPDATE SET settled_at = NULL"
-    )
-    values = {"kind": kind, "item": item, "run": run, "station": station, "why": error.reason}
+    key = {"kind": kind, "item": item, "station": station, "station_sha256": digests[0], "centre_sha256": digests[1]}
     with writing(engine) as connection:
-        connection.execute(statement, values | {"own": digests[0], "centre": digests[1]})
+        same = [getattr(SyncRefusalRow, name) == value for name, value in key.items()]
+        if connection.scalar(select(func.count()).select_from(SyncRefusalRow).where(*same, _is_open())):
+            return
+        settled_at = connection.scalar(
+            select(func.max(SyncSettlementRow.settled_at)).where(
+                SyncSettlementRow.kind == kind, SyncSettlementRow.item == item
+            )
+        )
+        row = {"run": run, "why": error.reason, "noted_at": _after(settled_at)}
+        connection.execute(insert(SyncRefusalRow), key | row)
 
 
 def refusals(engine: Engine) -> Sequence[Row[Any]]:
     """Return what was refused and is not settled, oldest first."""
     row = SyncRefusalRow
     with reading(engine) as connection:
-        query = select(*row.__table__.columns).where(row.settled_at.is_(None)).order_by(row.noted_at, row.item)
+        query = select(*row.__table__.columns).where(_is_open()).order_by(row.noted_at, row.item)
         return connection.execute(query).all()
 
 
@@ -128,5 +135,21 @@ def settle(engine: Engine, kind: str, item: str) -> None:
     """Note that what was refused was accepted since, or is not to be sent."""
     row = SyncRefusalRow
     with writing(engine) as connection:
-        of_item = update(row).where(row.kind == kind, row.item == item, row.settled_at.is_(None))
-        connection.execute(of_item.values(settled_at=func.current_timestamp()))
+        open_ones = select(func.max(row.noted_at)).where(row.kind == kind, row.item == item, _is_open())
+        noted_at = connection.scalar(open_ones)
+        if noted_at is not None:
+            settled = {"kind": kind, "item": item, "settled_at": _after(noted_at)}
+            connection.execute(insert(SyncSettlementRow), settled)
+
+
+def _is_open() -> ColumnElement[bool]:
+    """Whether a refusal was not settled since."""
+    refusal, settled = SyncRefusalRow, SyncSettlementRow
+    same = settled.kind == refusal.kind, settled.item == refusal.item, settled.settled_at > refusal.noted_at
+    return ~exists().where(*same)
+
+
+def _after(moment: datetime | None) -> datetime:
+    """Return the time, or a moment that is just later than another computer's clock said."""
+    now = datetime.now(UTC)
+    return now if moment is None or now > moment else moment + timedelta(microseconds=1)

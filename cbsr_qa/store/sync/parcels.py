@@ -15,17 +15,18 @@ from cbsr_qa.store.chain import (
     FIGURES,
     KEYS,
     OF_A_SESSION,
-    PHASE_END,
+    SigningKey,
+    checking_key,
     documents_in_columns,
     keys_of,
     link_digest,
-    phase_end,
     shown,
     stored_documents,
     stored_figures,
     tables,
     unreadable,
 )
+from cbsr_qa.store.results import check_files
 from cbsr_qa.store.runs import check_many_frames, check_many_samples, current_state, frame_block, frame_values
 from cbsr_qa.store.sync.rows import columns_of, counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
@@ -34,7 +35,7 @@ from cbsr_qa.store.tables import (
     CalibrationRow,
     FrameBlockRow,
     LinkRow,
-    PhaseRow,
+    PhaseEndRow,
     ReanalysisRow,
     RunRow,
     SampleBlockRow,
@@ -49,15 +50,16 @@ MOST_BYTES: Final = 16_000_000
 #: More links than anything that is stored at once has, and the kinds of links with which it begins.
 _MOST_AT_ONCE: Final = 64
 _BEGINS: Final = OF_A_SESSION | {
-    PHASE_END,
-    *(one.__tablename__ for one in (AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
+    *(one.__tablename__ for one in (PhaseEndRow, AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
 }
 
 #: Checks of the bytes of rows, which no digest of its document covers.
 _CHECKED: Final[Mapping[str, Any]] = {
     FrameBlockRow.__tablename__: check_many_frames,
     SampleBlockRow.__tablename__: check_many_samples,
+    CalibrationRow.__tablename__: check_files,
 }
+_BLOCKS: Final = (FrameBlockRow.__tablename__, SampleBlockRow.__tablename__)
 #: Where a run stands at the centre: number and digest of its last link.
 Tail = tuple[int, str]
 NOTHING: Final[Tail] = (-1, "")
@@ -80,9 +82,7 @@ class Parcel:
     station : of the run.
     version : of the run with these documents: the number of its links.
     rows : by table, in an order in which references hold.
-    phase_ends : (phase, end [s]) of phases that are in no parcel with their end.
     sensor : row of the sensor, with the row of the run.
-    superseded : (calibration, by which one) of the sensor, if a calibration is among the rows.
     counts : rows of the run by table, once it is whole; else empty.
     whole : whether nothing follows.
     open : whether the run may grow without being announced.
@@ -92,9 +92,7 @@ class Parcel:
     station: str
     version: int
     rows: Mapping[str, Sequence[Sequence[Any]]]
-    phase_ends: tuple[tuple[int, float], ...] = ()
     sensor: Row[Any] | None = None
-    superseded: tuple[tuple[str, str], ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
     whole: bool = True
     open: bool = False
@@ -145,19 +143,17 @@ def next_parcel(connection: Connection, run: str, tail: Tail, archives: Archives
 
 def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
     number, sha256 = tail
-    head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
+    head = connection.execute(select(RunRow.station, RunRow.serial, RunRow.chain).where(RunRow.run == run)).one()
     own = connection.scalar(select(LinkRow.sha256).where(LinkRow.run == run, LinkRow.number == number)) or ""
     newest, _ = newest_link(connection, run)
     if own != sha256:
         raise AlteredError(f"link {number} of run {run} differs from the centre's", own, sha256)
     links = _links(connection, run, number)
-    _check_chain(run, links, number, sha256)
+    _check_chain(run, links, number, sha256, checking_key(connection, head.chain))
     wanted = defaultdict[str, dict[str, str]](dict)
     for _, _, kind, document, content, *_ in links:
         wanted[kind][document] = content.hex()
     rows = dict(_linked_rows(connection, run, wanted, archives))
-    ended = _phase_ends(connection, run, wanted)
-    rows, ended = _with_ends(rows, ended)
     rows[LinkRow.__tablename__] = links
     version = links[-1].number + 1 if links else number + 1
     whole = version == newest + 1
@@ -166,9 +162,7 @@ def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> P
         head.station,
         version,
         {name: rows[name] for name in (*KEYS, LinkRow.__tablename__) if rows.get(name)},
-        tuple(sorted(ended.items())),
         _sensor(connection, head.serial) if RunRow.__tablename__ in rows else None,
-        _superseded(connection, head.serial) if CalibrationRow.__tablename__ in rows else (),
         _counts(connection, run) if whole and links else {},
         whole,
         current_state(connection, run).end == EndReason.RUNNING,
@@ -204,15 +198,12 @@ def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str
         if (kind, key) not in centre:
             wanted.setdefault(kind, {})[key] = content
     rows = dict(_linked_rows(connection, run, wanted, Archives()))
-    rows, ended = _with_ends(rows, _phase_ends(connection, run, wanted))
     return Parcel(
         run,
         head.station,
         1,
         rows,
-        tuple(sorted(ended.items())),
         _sensor(connection, head.serial) if RunRow.__tablename__ in rows else None,
-        _superseded(connection, head.serial) if CalibrationRow.__tablename__ in rows else (),
         _counts(connection, run),
     )
 
@@ -240,7 +231,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
     of_kind = defaultdict[str, list[str]](list)
     for _, _, kind, document, *_ in links:
         of_kind[kind].append(document)
-    for table in (Base.metadata.tables[name] for name in _CHECKED):
+    for table in (Base.metadata.tables[name] for name in _BLOCKS):
         if keys := of_kind[table.name]:
             parts: list[Any] = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
             if table.name == FrameBlockRow.__tablename__:  # an archived one has no bytes here
@@ -248,7 +239,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
                 parts += [case((func.length(row.voltages) == 0, 8 * row.frames * row.drives * row.measures), else_=0)]
             size = sum(parts, literal(0))
             of_keys = within(table, run, keys)
-            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_CHECKED):
+            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_BLOCKS):
                 query = select(table.c.phase, table.c.block, size).where(of_keys)
                 sizes.update(
                     {(table.name, f"{phase}/{block}"): count for phase, block, count in connection.execute(query)}
@@ -256,8 +247,8 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
     return sizes
 
 
-def _check_chain(run: str, links: Sequence[Any], number: int, before: str) -> None:
-    for expected_number, (_, found, kind, document, content, own, _) in enumerate(links, start=number + 1):
+def _check_chain(run: str, links: Sequence[Any], number: int, before: str, key: SigningKey | None) -> None:
+    for expected_number, (_, found, kind, document, content, own, mac) in enumerate(links, start=number + 1):
         if found != expected_number:
             raise AlteredError(f"run {run}: link {expected_number} in run_links is missing")
         expected = link_digest(before, kind, document, content.hex())
@@ -265,6 +256,9 @@ def _check_chain(run: str, links: Sequence[Any], number: int, before: str) -> No
         if before != expected:
             what = f"link {found} in run_links, of {shown(kind, document)},"
             raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, before)
+        if key is not None and (mac is None or not key.signed(run, before, mac.hex())):
+            what = f"link {found} in run_links, of {shown(kind, document)},"
+            raise AlteredError(f"run {run}: {what} was not signed with key {key.key_id}", before)
 
 
 def _linked_rows(
@@ -320,37 +314,8 @@ def _unlike(run: str, kind: str, key: str, stored: str | None, content: str) -> 
     return AlteredError(f"run {run}: {what}", stored or "", content)
 
 
-def _phase_ends(connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]]) -> dict[int, float]:
-    ended = {}
-    for key, content in wanted.get(PHASE_END, {}).items():
-        query = select(PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.phase == int(key))
-        ended[int(key)] = ended_s = connection.scalar(query)
-        stored = None if ended_s is None else phase_end(int(key), ended_s)[2]
-        _match(run, PHASE_END, key, stored, content)
-    return {phase: ended_s for phase, ended_s in ended.items() if ended_s is not None}
-
-
-def _with_ends(
-    rows: dict[str, Sequence[Sequence[Any]]], ended: dict[int, float]
-) -> tuple[dict[str, Sequence[Sequence[Any]]], dict[int, float]]:
-    """Put the ends of phases into their rows if both are here; no other row has an end yet."""
-    phases = rows.get(PhaseRow.__tablename__)
-    if not phases:
-        return rows, ended
-    at, number = (PhaseRow.__table__.columns.keys().index(name) for name in ("ended_s", "phase"))
-    filled = [(*row[:at], ended.get(row[number]), *row[at + 1 :]) for row in phases]
-    left = {phase: end for phase, end in ended.items() if phase not in {row[number] for row in phases}}
-    return rows | {PhaseRow.__tablename__: filled}, left
-
-
 def _sensor(connection: Connection, serial: str) -> Row[Any]:
     return connection.execute(select(*SensorRow.__table__.columns).where(SensorRow.serial == serial)).one()
-
-
-def _superseded(connection: Connection, serial: str) -> tuple[tuple[str, str], ...]:
-    row = CalibrationRow
-    query = select(row.calibration, row.superseded_by).where(row.serial == serial, row.superseded_by.is_not(None))
-    return tuple((calibration, by) for calibration, by in connection.execute(query.order_by(row.calibration)) if by)
 
 
 def _counts(connection: Connection, run: str) -> dict[str, int]:

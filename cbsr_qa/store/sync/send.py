@@ -1,16 +1,20 @@
 """One pass over the outbox: everything that waits is sent, in an order in which references hold."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from typing import Final
 
 from sqlalchemy import Engine, select
 
+from cbsr_qa.domain.results import EndReason
 from cbsr_qa.store.archives import Archives
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.outbox import EntryState, Kind
+from cbsr_qa.store.runs import begun, current_state
 from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refusals, refuse, settle, tails
+from cbsr_qa.store.sync.comparing import announce_missing, announce_since, compare_run, other_runs_at_centre
 from cbsr_qa.store.sync.items import read_item
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, next_parcel, unchained_parcel
 from cbsr_qa.store.sync.queue import Entry, confirm, held, mark, waiting
@@ -29,17 +33,21 @@ class Sent:
 
     Parameters
     ----------
-    items : confirmed entries, ``runs`` of them runs; new and further rows alike.
+    items : entries of which the centre took rows, ``runs`` of them runs; new and further rows alike.
+    compared : runs of which the centre had rows: those were compared at both ends.
     rows, size : stored at the centre [rows, bytes of arrays and files].
     quarantined, blocked : refused, and put back until what they refer to is at the centre.
+    notes : what the centre has more than this database, in words.
     """
 
     items: int = 0
     runs: int = 0
+    compared: int = 0
     rows: int = 0
     size: int = 0
     quarantined: list[Entry] = field(default_factory=list)
     blocked: list[Entry] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def send_waiting(
@@ -47,6 +55,8 @@ def send_waiting(
     centre: Engine,
     who: str,
     progress: Callable[[int, int, Sent], None] | None = None,
+    *,
+    compare_since: date | None = None,
 ) -> Sent:
     """Send everything that waits in a station's outbox to a central database.
 
@@ -54,6 +64,7 @@ def send_waiting(
     ----------
     who : names this process to others that want to send from the same database, and the sender at the centre.
     progress : called with entries done, their number, and the totals.
+    compare_since : compare everything from this day on (UTC) with the centre's, also what was sent long ago.
 
     Raises
     ------
@@ -64,6 +75,9 @@ def send_waiting(
     sent = Sent()
     with sending_alone(station, who):
         check_centre(centre, station)
+        if compare_since is not None:
+            announce_since(station, compare_since)
+        missing = announce_missing(station)
         entries = waiting(station)
         refused = {(one.kind, one.item) for one in refusals(centre)}
         for entry in held(station):
@@ -73,11 +87,12 @@ def send_waiting(
         for some in _batches(entries):
             stands = tails(centre, [one.item for one in some if one.kind == Kind.RUN])
             for entry in some:
-                if _send(station, centre, entry, stands, sent) and (entry.kind, entry.item) in refused:
+                if _send(station, centre, entry, stands, missing, sent) and (entry.kind, entry.item) in refused:
                     settle(centre, entry.kind, entry.item)
                 done += 1
                 if progress is not None:
                     progress(done, len(entries), sent)
+        sent.notes += other_runs_at_centre(station, centre, [one.item for one in entries if one.kind == Kind.RUN])
     return sent
 
 
@@ -86,9 +101,19 @@ def _batches(entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
         yield entries[first : first + _AT_ONCE]
 
 
-def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail | None], sent: Sent) -> bool:
+def _send(
+    station: Engine,
+    centre: Engine,
+    entry: Entry,
+    stands: Mapping[str, Tail | None],
+    missing: Mapping[str, begun.Gap],
+    sent: Sent,
+) -> bool:
     """Send one entry; return whether the centre has it now."""
+    gap = missing.get(entry.item) if entry.kind == Kind.RUN else None
     try:
+        if gap is not None:
+            raise AlteredError(gap.words)
         if entry.kind == Kind.RUN:
             _send_run(station, centre, entry, stands.get(entry.item, NOTHING), sent)
         else:
@@ -96,8 +121,11 @@ def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail 
     except WaitsError as error:
         mark(station, entry.kind, entry.item, EntryState.WAITING, error.reason)
         sent.blocked.append(entry)
+        if entry.kind == Kind.RUN:  # runs that were begun after it are sent
+            run, name = _names(station, entry)
+            refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
     except (AlteredError, RowRefusedError) as error:
-        run, name = _names(station, entry)
+        run, name = (gap.run, gap.station) if gap is not None else _names(station, entry)
         refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
         sent.quarantined.append(entry)
@@ -108,10 +136,12 @@ def _send(station: Engine, centre: Engine, entry: Entry, stands: dict[str, Tail 
 
 def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
     """Send what the centre lacks of a run; again from where it stands if somebody else sent rows of it meanwhile."""
+    rows = sent.rows
     for tries_left in reversed(range(_TRIES)):
         try:
             _send_rest(station, centre, entry, tail, sent)
-            sent.items, sent.runs = sent.items + 1, sent.runs + 1
+            new = sent.rows > rows
+            sent.items, sent.runs = sent.items + new, sent.runs + new
             return
         except (AlteredError, RowRefusedError):
             stands = tails(centre, [entry.item]).get(entry.item, NOTHING)
@@ -125,6 +155,7 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
     with reading(station) as connection:
         row = connection.execute(select(RunRow.chain).where(RunRow.run == run)).one_or_none()
         newest = newest_link(connection, run)
+        ended = row is not None and current_state(connection, run).end != EndReason.RUNNING
     if row is None:
         raise AlteredError(f"run {run} is announced, and not in the database")
     if row.chain is None:
@@ -136,7 +167,14 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
         if (stored := link_at(centre, run, newest[0])) != newest[1]:
             raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
         confirm(station, entry, newest[0] + 1, more=False)
+        sent.notes.append(
+            f"the centre has {tail[0] - newest[0]} links more of run {run}: rows were added there, or this database"
+            " is an older copy of the one that sent them"
+        )
         return
+    if tail != NOTHING and ended:
+        compare_run(station, centre, run)
+        sent.compared += 1
     archives = Archives()
     while True:
         with reading(station) as connection:
@@ -154,7 +192,7 @@ def _send_unchained(station: Engine, centre: Engine, entry: Entry, *, known: boo
     stored = documents_of(centre, entry.item) if known else {}
     with reading(station) as connection:
         parcel = unchained_parcel(connection, entry.item, stored)
-    if parcel.rows or parcel.phase_ends:
+    if parcel.rows:
         _store(centre, parcel, sent)
     confirm(station, entry, entry.version, more=False)
 
@@ -173,7 +211,7 @@ def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> Non
         raise AlteredError(f"{entry.kind} {entry.item} is announced, and not in the database")
     new = store_item(centre, kind, entry.item, item)
     confirm(station, entry, entry.version, more=False)
-    sent.items += 1
+    sent.items += new
     sent.rows += sum(map(len, item.rows.values())) if new else 0
 
 

@@ -12,7 +12,6 @@ from sqlalchemy import (
     insert,
     select,
     text,
-    update,
 )
 from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
@@ -24,7 +23,7 @@ from cbsr_qa.store.sync.copying import copy_rows
 from cbsr_qa.store.sync.items import Item, read_item
 from cbsr_qa.store.sync.parcels import AlteredError, Parcel
 from cbsr_qa.store.sync.rows import columns_of, counts_of
-from cbsr_qa.store.tables import Base, CalibrationRow, ConfigurationChangeRow, PhaseRow, RunRow, SensorRow
+from cbsr_qa.store.tables import Base, ConfigurationChangeRow, RunRow, SensorRow
 
 
 class RowRefusedError(StoreError):
@@ -50,10 +49,6 @@ def store_parcel(engine: Engine, parcel: Parcel) -> None:
         if parcel.sensor is not None:
             _add_sensor(connection, parcel.sensor)
         _add_rows(connection, parcel.rows)
-        for phase, ended_s in parcel.phase_ends:
-            _end_phase(connection, parcel.run, phase, ended_s)
-        if CalibrationRow.__tablename__ in parcel.rows:
-            _supersede(connection, parcel)
         if parcel.counts:
             _compare_counts(connection, parcel)
 
@@ -110,7 +105,7 @@ def _check_runs(connection: Connection, runs: Sequence[str]) -> None:
 
 
 def _add_sensor(connection: Connection, sensor: Row[Any]) -> None:
-    """Add a sensor that is unknown; the earliest date of several stations holds."""
+    """Add a sensor that is unknown."""
     row, values = SensorRow, sensor._asdict()
     columns, parameters = ", ".join(values), ", ".join(f":{name}" for name in values)
     statement = text(f"INSERT INTO sensors ({columns}) VALUES ({parameters}) ON CONFLICT DO NOTHING")
@@ -123,8 +118,6 @@ def _add_sensor(connection: Connection, sensor: Row[Any]) -> None:
             raise AlteredError(
                 f"sensor {sensor.serial} has {name} {there!r} at the centre, and {values[name]!r} here"
             )
-    earlier = update(row).where(row.serial == sensor.serial, row.first_seen > sensor.first_seen)
-    connection.execute(earlier.values(first_seen=sensor.first_seen))
 
 
 def _add_rows(connection: Connection, parcel_rows: Mapping[str, Sequence[Sequence[Any]]]) -> None:
@@ -136,30 +129,6 @@ def _add_rows(connection: Connection, parcel_rows: Mapping[str, Sequence[Sequenc
             columns = columns_of(table, some)
             rows = zip(*columns.values(), strict=True)
             connection.execute(insert(table), [dict(zip(columns, row, strict=True)) for row in rows])
-
-
-def _end_phase(connection: Connection, run: str, phase: int, ended_s: float) -> None:
-    row = PhaseRow
-    ended = update(row).where(row.run == run, row.phase == phase, row.ended_s.is_(None)).values(ended_s=ended_s)
-    if connection.execute(ended).rowcount != 1:
-        raise AlteredError(f"phase {phase} of run {run} has another end at the centre")
-
-
-def _supersede(connection: Connection, parcel: Parcel) -> None:
-    """Mark superseded calibrations of a sensor, as the station did; of several stations' only the latest is valid."""
-    row = CalibrationRow
-    columns = row.__table__.columns.keys()
-    serial = parcel.rows[row.__tablename__][0][columns.index("serial")]
-    # Stations that send calibrations of one sensor at once follow one another.
-    connection.execute(select(SensorRow.serial).where(SensorRow.serial == serial).with_for_update(key_share=True))
-    held = select(row.calibration, row.superseded_by).where(row.serial == serial).order_by(row.calibration)
-    stored = {one.calibration: one.superseded_by for one in connection.execute(held)}
-    by = {calibration: later for calibration, later in parcel.superseded if later in stored}
-    latest = max(stored)
-    for calibration, later in stored.items():
-        if later is None and calibration != latest:
-            empty = update(row).where(row.calibration == calibration, row.superseded_by.is_(None))
-            connection.execute(empty.values(superseded_by=by.get(calibration, latest)))
 
 
 def _compare_counts(connection: Connection, parcel: Parcel) -> None:

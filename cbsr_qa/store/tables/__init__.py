@@ -41,7 +41,9 @@ if TYPE_CHECKING:
         FrameBlockRow as FrameBlockRow,
         InstrumentRow as InstrumentRow,
         LoadRow as LoadRow,
+        PhaseEndRow as PhaseEndRow,
         PhaseRow as PhaseRow,
+        RunBegunRow as RunBegunRow,
         RunRow as RunRow,
         RunStateRow as RunStateRow,
         SampleBlockRow as SampleBlockRow,
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
         OutboxRow as OutboxRow,
         SyncAcceptsRow as SyncAcceptsRow,
         SyncRefusalRow as SyncRefusalRow,
+        SyncSettlementRow as SyncSettlementRow,
     )
 
 door(__name__, __file__)

@@ -1,6 +1,6 @@
 """Tables of results: analyses with measurements, and calibrations.
 
-Judging a run again adds an analysis. Only ``calibrations.superseded_by`` is filled in later, while it is empty.
+Judging a run again adds an analysis; the latest calibration of a sensor is valid. Rows are never changed.
 """
 
 from datetime import datetime
@@ -118,7 +118,6 @@ class CalibrationRow(Base):
     analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"))
     serial: Mapped[str] = mapped_column(Word(64), ForeignKey("sensors.serial"))
     issued_at: Mapped[datetime]
-    superseded_by: Mapped[str | None] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
     content_sha256: Mapped[str] = mapped_column(Word(64))  #: of the issued file's content, as the file states it
     record_sha256: Mapped[str] = mapped_column(Word(64))  #: the same without what is computed again: the matrix
     file: Mapped[bytes | None]  #: HDF5, as issued

@@ -1,6 +1,6 @@
 """Tables of runs: sensors, runs, phases, frames, samples, presses.
 
-Rows are appended and never changed, except that a phase gets its end time once.
+Rows are appended and never changed.
 """
 
 from datetime import datetime
@@ -48,7 +48,6 @@ class SensorRow(Base):
     serial: Mapped[str] = mapped_column(Word(64), primary_key=True)
     batch: Mapped[str]
     sensor_type: Mapped[str]
-    first_seen: Mapped[datetime]
 
 
 class RunRow(Base):
@@ -61,6 +60,7 @@ class RunRow(Base):
         Index(None, "batch"),
         Index(None, "started_at"),
         Index(None, "station", "started_at"),
+        Index(None, "before_run"),
     )
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
@@ -77,6 +77,25 @@ class RunRow(Base):
     simulated: Mapped[list[Any]]  #: in words
     setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
     chain: Mapped[str | None] = mapped_column(Word(64))  #: chain and key (chain/links.py); None: from before chains
+    before_run: Mapped[str | None] = mapped_column(
+        Identifier
+    )  #: begun before it in the same database; None: none was
+    before_link: Mapped[int | None]  #: number of the last link of that run at the time; None: it has none
+    before_sha256: Mapped[str | None] = mapped_column(Digest)  #: of that link
+
+
+class RunBegunRow(Base):
+    """A run that was begun in this database, in order; a run that was sent here from another database has no row.
+
+    It refers to nothing, so that it outlives the rows of its run.
+    """
+
+    __tablename__ = "runs_begun"
+    __table_args__ = (NO_ROWID,)
+
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: from 0
+    run: Mapped[str] = mapped_column(Identifier, unique=True)
+    sha256: Mapped[str] = mapped_column(Digest)  #: of its first link
 
 
 class RunStateRow(Base):
@@ -113,7 +132,7 @@ class InstrumentRow(Base):
 
 
 class PhaseRow(Base):
-    """One sequence of a run; without an end it was interrupted."""
+    """One sequence of a run; without a row in ``phase_ends`` it was interrupted."""
 
     __tablename__ = "phases"
 
@@ -123,11 +142,21 @@ class PhaseRow(Base):
     sequence: Mapped[str]
     role: Mapped[str] = mapped_column(Word(16))  #: a Role: the purpose of the sequence
     started_s: Mapped[float]
-    ended_s: Mapped[float | None]
 
 
 def _of_phase() -> ForeignKeyConstraint:
     return ForeignKeyConstraint(["run", "phase"], ["phases.run", "phases.phase"])
+
+
+class PhaseEndRow(Base):
+    """The end of a phase."""
+
+    __tablename__ = "phase_ends"
+    __table_args__ = (_of_phase(), NO_ROWID)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    ended_s: Mapped[float]
 
 
 class StepRow(Base):

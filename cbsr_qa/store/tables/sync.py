@@ -37,8 +37,17 @@ class SyncRefusalRow(Base):
     centre_sha256: Mapped[str] = mapped_column(Word(64), primary_key=True)  #: of what is stored here; may be empty
     run: Mapped[str | None] = mapped_column(Identifier)  #: which may not be stored here
     why: Mapped[str]
-    noted_at: Mapped[datetime]
-    settled_at: Mapped[datetime | None]  #: when it was accepted after all, or let go; None: it is open
+    noted_at: Mapped[datetime] = mapped_column(primary_key=True)
+
+
+class SyncSettlementRow(Base):
+    """An item that was refused was accepted after all, or is not to be sent: its earlier refusals are settled."""
+
+    __tablename__ = "sync_settlements"
+
+    kind: Mapped[str] = mapped_column(Word(32), primary_key=True)
+    item: Mapped[str] = mapped_column(Word(64), primary_key=True)
+    settled_at: Mapped[datetime] = mapped_column(primary_key=True)
 
 
 class SyncAcceptsRow(Base):

@@ -111,12 +111,12 @@ EDITS = {
     "how it ended": ("update run_states set detail = 'x' where number = 1", r"run_states \(number 1\) was changed"),
     "a phase": ("update phases set role = 'noise' where phase = 1", r"phases \(phase 1\) was changed"),
     "the end of a phase": (
-        "update phases set ended_s = 156 where phase = 0",
-        r"phases.ended_s \(phase 0\) was changed",
+        "update phase_ends set ended_s = 156 where phase = 0",
+        r"phase_ends \(phase 0\) was changed",
     ),
     "no end of a phase": (
-        "update phases set ended_s = null where phase = 1",
-        r"phases.ended_s \(phase 1\) was removed",
+        "delete from phase_ends where phase = 1",
+        r"phase_ends \(phase 1\) was removed",
     ),
     "a step": ("update steps set time_s = 31 where entry = 2", r"steps \(phase 0, entry 2\) was changed"),
     "a frame": (
@@ -216,6 +216,7 @@ READ_ALL = (
 #: Nothing is stored in these here, or nobody reads it.
 EMPTY = (
     *("sensors", "configuration_changes", "releases", "archives", "outbox", "sync_accepts", "sync_refusals"),
+    *("sync_settlements", "runs_begun"),
     *(f"calibration_{what}" for what in ("settling", "relaxations", "parameters", "overlap_bands", "forces")),
 )
 
@@ -314,6 +315,8 @@ def test_every_table_of_a_run_is_covered_or_said_not_to_be():
             "outbox",
             "sync_accepts",
             "sync_refusals",
+            "sync_settlements",
+            "runs_begun",
         ),
         *("station_checks", "station_check_lines", "station_check_frames"),
     }

@@ -1,0 +1,128 @@
+"""The order in which runs were begun in a database: each names the one before it, so that a missing one is noticed.
+
+The row of a run, which its first link covers, holds the digest of the last link that the run before it had by then.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import Connection, Row, and_, exists, func, insert, or_, select
+from sqlalchemy.orm import aliased
+
+from cbsr_qa.store.chain import chain_head, take_turns
+from cbsr_qa.store.tables import LinkRow, RunBegunRow, RunRow, SyncRefusalRow
+from cbsr_qa.store.types import made_at
+
+_NEWEST: Final = select(RunBegunRow.number, RunBegunRow.run, RunBegunRow.sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A run that was begun in a database and is not there as it was begun.
+
+    Parameters
+    ----------
+    run : which is missing, or has another first link.
+    after, station : the run that was begun after it, and where; empty where none was.
+    words : what is wrong.
+    refused : whether this database refused the run when it was sent here.
+    """
+
+    run: str
+    words: str
+    after: str = ""
+    station: str = ""
+    refused: bool = False
+
+
+def run_before(connection: Connection) -> dict[str, Any]:
+    """Return the columns of a new run that say which was begun before it in this database, and how far that had come.
+
+    Whoever begins another one waits until this transaction ends. The first run after an upgrade follows the latest
+    that is there.
+    """
+    take_turns(connection, "runs begun")
+    newest = _newest(connection)
+    before = connection.scalar(select(func.max(RunRow.run))) if newest is None else newest.run
+    number, sha256 = (None, None) if newest is None else (0, newest.sha256)
+    links = select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == before).order_by(LinkRow.number.desc())
+    if (last := connection.execute(links.limit(1)).one_or_none()) is not None:
+        number, sha256 = last.number, last.sha256
+    return {"before_run": before, "before_link": number, "before_sha256": sha256}
+
+
+def latest_begun(connection: Connection) -> str | None:
+    """Return the run that was begun last in this database; None where none was."""
+    newest = _newest(connection)
+    return None if newest is None else newest.run
+
+
+def note_begun(connection: Connection, run: str) -> None:
+    """Note that a run was begun in this database, once its first link is stored."""
+    newest = _newest(connection)
+    number = 0 if newest is None else newest.number + 1
+    row = {"number": number, "run": run, "sha256": chain_head(connection, run)}
+    connection.execute(insert(RunBegunRow), row)
+
+
+def _newest(connection: Connection) -> Row[int, str, str] | None:
+    return connection.execute(_NEWEST.order_by(RunBegunRow.number.desc()).limit(1)).one_or_none()
+
+
+def gaps(connection: Connection) -> tuple[Gap, ...]:
+    """Return the runs that others name as begun before them, or that were begun here, and that are missing."""
+    named = {gap.run: gap for gap in _before_others(connection)}
+    return (*named.values(), *(gap for gap in _begun_here(connection) if gap.run not in named))
+
+
+def _before_others(connection: Connection) -> Iterator[Gap]:
+    before, link, refusal = aliased(RunRow), LinkRow, SyncRefusalRow
+    refused = exists().where(refusal.item == RunRow.before_run).label("refused")
+    query = (
+        select(RunRow.run, RunRow.station, RunRow.started_at, RunRow.before_run, before.run.label("present"), refused)
+        .outerjoin(before, before.run == RunRow.before_run)
+        .outerjoin(link, and_(link.run == RunRow.before_run, link.number == RunRow.before_link))
+        .where(RunRow.before_run.is_not(None))
+        .where(or_(before.run.is_(None), func.coalesce(link.sha256 != RunRow.before_sha256, link.sha256.is_(None))))
+        .where(or_(before.run.is_(None), RunRow.before_sha256.is_not(None)))
+    )
+    for row in connection.execute(query.order_by(RunRow.run)):
+        after = f"the run before {row.run} (begun {row.started_at:%Y-%m-%d %H:%M} UTC)"
+        words = f"{after} is missing: run {named_run(row.before_run)}"
+        if row.present is not None:
+            words = f"{after} was another one, or had more rows, than run {row.before_run} that is there"
+        yield Gap(row.before_run, words, row.run, row.station, bool(row.refused))
+
+
+def _begun_here(connection: Connection) -> Iterator[Gap]:
+    begun, link = RunBegunRow, LinkRow
+    query = (
+        select(begun.run, RunRow.run.label("present"))
+        .outerjoin(RunRow, RunRow.run == begun.run)
+        .outerjoin(link, and_(link.run == begun.run, link.number == 0))
+        .where(func.coalesce(link.sha256 != begun.sha256, link.sha256.is_(None)))
+    )
+    for row in connection.execute(query.order_by(begun.number)):
+        what = "is missing" if row.present is None else "is another one by now"
+        yield Gap(row.run, f"run {named_run(row.run)} {what}: it was begun in this database")
+
+
+def forks(connection: Connection) -> tuple[str, ...]:
+    """Return in words where several runs name the same one before them: a copy of a database was worked with."""
+    several = select(RunRow.before_run).group_by(RunRow.before_run).having(func.count() > 1)
+    query = select(RunRow.before_run, RunRow.run).where(RunRow.before_run.in_(several))
+    following: dict[str | None, list[str]] = {}
+    for before, run in connection.execute(query.order_by(RunRow.before_run, RunRow.run)):
+        following.setdefault(before, []).append(run)
+    return tuple(
+        f"runs {' and '.join(runs)} follow the same run {before}: their database was copied, or restored from a copy,"
+        " and worked with"
+        for before, runs in following.items()
+    )
+
+
+def named_run(run: str) -> str:
+    """Name a run by its identifier and when it was made."""
+    made = made_at(run)
+    return run if made is None else f"{run} (begun {made:%Y-%m-%d %H:%M} UTC)"

@@ -1,0 +1,110 @@
+"""What was sent before, compared at both ends: rows with their links, and the order in which runs were begun."""
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from datetime import UTC, date, datetime, time
+from typing import Any, Final
+
+from sqlalchemy import Engine, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store.archives import Archives, archive_row
+from cbsr_qa.store.chain import ALL_KINDS, KEYS, check_run
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.runs import begun
+from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, next_parcel
+from cbsr_qa.store.sync.rows import counts_of
+from cbsr_qa.store.tables import ChartReferenceRow, LinkRow, OutboxRow, ReleaseRow, RunRow, StationCheckRow
+
+#: What is announced: identifier, and when it was made.
+_ITEMS: Final[Mapping[Kind, tuple[Any, Any]]] = {
+    Kind.RUN: (RunRow.run, RunRow.started_at),
+    Kind.STATION_CHECK: (StationCheckRow.check_id, StationCheckRow.checked_at),
+    Kind.CHART_REFERENCE: (ChartReferenceRow.reference, ChartReferenceRow.made_at),
+    Kind.RELEASE: (ReleaseRow.release_id, ReleaseRow.noted_at),
+}
+#: Identifiers asked for at once.
+_AT_ONCE: Final = 500
+
+
+def compare_run(station: Engine, centre: Engine, run: str) -> None:
+    """Check that rows of a run still match their links at both ends, and at the station its frames and files.
+
+    Whether both ends have the same links shows in the last one that both have, which the sender compares.
+
+    Raises
+    ------
+    AlteredError
+        Naming table and row, and the centre if it is there.
+    """
+    try:
+        _check_station(station, run)
+    except StoreError as error:
+        raise AlteredError(error.reason) from error
+    try:
+        with reading(centre) as connection:
+            check_run(connection, run, ALL_KINDS)  # the station need not reach the centre's archives
+    except StoreError as error:
+        raise AlteredError(f"at the centre, {error.reason}") from error
+
+
+def _check_station(station: Engine, run: str) -> None:
+    """Check a run as it is checked when it is sent, a fifth of the time of reading it as a whole."""
+    tail, linked, archives = NOTHING, Counter[str](), Archives()
+    with reading(station) as connection:
+        if archive_row(connection, run) is None:
+            while tail != newest_link(connection, run):
+                parcel = next_parcel(connection, run, tail, archives)
+                linked.update({name: len(rows) for name, rows in parcel.rows.items()})
+                tail = parcel.tail
+            stored = counts_of(connection, run, [*KEYS, LinkRow.__tablename__])
+            if all(linked[name] == count for name, count in stored.items()):
+                return
+        check_run(connection, run, ALL_KINDS)  # names the row that no link covers
+
+
+def announce_since(station: Engine, day: date) -> None:
+    """Announce everything from a day on (UTC), so that it is compared with the centre's, and sent if need be."""
+    since = datetime.combine(day, time(), UTC)
+    for kind, (name, made_at) in _ITEMS.items():
+        with reading(station) as connection:
+            items = connection.scalars(select(name).where(made_at >= since).order_by(name)).all()
+        _announce_unannounced(station, kind, items)
+
+
+def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
+    """Return the runs that are missing in a station's database, and have them in its outbox: its operator decides."""
+    with reading(station) as connection:
+        missing = {gap.run: gap for gap in begun.gaps(connection) if not gap.refused}
+    _announce_unannounced(station, Kind.RUN, missing)
+    return missing
+
+
+def _announce_unannounced(station: Engine, kind: Kind, items: Collection[str]) -> None:
+    if not items:
+        return
+    with writing(station) as connection:
+        there = set(connection.scalars(select(OutboxRow.item).where(OutboxRow.kind == str(kind))))
+        announce(connection, kind, [item for item in items if item not in there])
+
+
+def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:
+    """Return in words which runs the centre has that follow those of a station's database, and are not in it.
+
+    Parameters
+    ----------
+    runs : that were sent now; the latest run of the database is looked at too.
+    """
+    with reading(station) as ours, reading(centre) as theirs:
+        before = set(ours.scalars(select(RunRow.before_run).where(RunRow.run.in_(list(runs)[-_AT_ONCE:]))))
+        before |= {begun.latest_begun(ours)}
+        followers = select(RunRow.run, RunRow.before_run).where(RunRow.before_run.in_(before - {None}))
+        found = theirs.execute(followers.order_by(RunRow.run)).all()
+        here = set(ours.scalars(select(RunRow.run).where(RunRow.run.in_([row.run for row in found]))))
+    return tuple(
+        f"the centre has run {begun.named_run(row.run)}, which follows run {row.before_run} and is not in this"
+        " database: it was removed here, or this is a copy or an older state of the database that it was begun in"
+        for row in found
+        if row.run not in here
+    )
