@@ -13,9 +13,10 @@ from cbsr_qa.domain.results import Outcome, RunResult
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, soundness, stations
+from cbsr_qa.store.chain import KEY_OPTION
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
-from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
+from cbsr_qa.store.listed import judged_measurements, listed_runs, measured_runs, run_count, run_names
 from cbsr_qa.store.results import (
     Reanalysis,
     analyses as analysed,
@@ -72,6 +73,11 @@ class Repository:
     def address(self) -> str:
         """Value of ``--database``, quoted for a shell; a password is hidden."""
         return address(self._engine.url)
+
+    @property
+    def signs(self) -> bool:
+        """Whether a signing key is set."""
+        return self._engine.get_execution_options().get(KEY_OPTION) is not None
 
     def is_at(self, url: str) -> bool:
         return parsed_url(url) == self._engine.url
@@ -154,7 +160,8 @@ class Repository:
     run_count = _of_engine(run_count)
     run_names = _of_engine(run_names)
     judged_measurements = _of_engine(judged_measurements)
-    measurement_rows = _of_engine(measurement_rows)
+    measured_runs = _of_engine(measured_runs)
+    altered_records = _of_engine(changed.altered_records)
     changes = _of_engine(changed.all_changes)
     overrides = _of_engine(changed.overrides)
     calibrations = _of_engine(issued.calibrations_of)

@@ -4,12 +4,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from importlib import import_module
-from operator import itemgetter
 from typing import Any, BinaryIO, Final, Protocol, TypeAlias
 
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import ListedRun
+from cbsr_qa.domain.results import ALTERED, ListedRun
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.shift import ListRequest, RunEntry, run_pages, table_cell
 from cbsr_qa.system import csv_text
@@ -40,6 +39,7 @@ _RUN: Final[dict[str, type]] = {
     "number": int,
     "of_check": bool,
     "simulated": bool,
+    "chain": str,
 }
 #: Columns of a measurement that tell which run it is of.
 _OF_RUN: Final = ("run", "serial", "batch", "station", "recipe", "started_at")
@@ -81,10 +81,16 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
         entries = map(RunEntry.of, runs)
         return [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
-    measured = store.measurement_rows([*of_run])
-    # By position: a row is looked up by name ten times slower, and there are millions of cells.
-    pick = itemgetter(*(measured[0]._fields.index(name) for name in _MEASURED)) if measured else tuple
-    return [(*of_run[row.run], *pick(row)) for row in measured]
+    measured = store.measured_runs([*of_run])
+    cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
+    rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
+    return rows + [_altered_row(of_run[run], problem) for run, problem in measured.altered.items()]
+
+
+def _altered_row(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
+    """Return the row that a run has in place of its measurements if it was altered."""
+    said = {"outcome": ALTERED, "how": problem}
+    return (*of_run, *(said.get(name) for name in _MEASURED))
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         LoadRecord as LoadRecord,
     )
     from .run import (
+        UNCHAINED as UNCHAINED,
         ChainState as ChainState,
         FramesTaken as FramesTaken,
         InstrumentIdentity as InstrumentIdentity,

@@ -7,7 +7,9 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .check import (
         IDENTITY as IDENTITY,
+        RESTORE as RESTORE,
         RESULTS as RESULTS,
+        chain_state as chain_state,
         check_run as check_run,
         data_digest as data_digest,
         of_run as of_run,
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
         add_links as add_links,
         add_rows as add_rows,
         chain_head as chain_head,
+        few_links as few_links,
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
@@ -37,13 +40,18 @@ if TYPE_CHECKING:
         keys_of as keys_of,
         row_texts as row_texts,
     )
+    from .many_runs import (
+        RUNS_AT_ONCE as RUNS_AT_ONCE,
+        ReadRows as ReadRows,
+        altered_runs as altered_runs,
+        read_rows as read_rows,
+    )
     from .run_documents import (
         BETWEEN as BETWEEN,
         FIGURES as FIGURES,
         JOINED as JOINED,
         KEYS as KEYS,
         PHASE_END as PHASE_END,
-        RUN_COLUMNS as RUN_COLUMNS,
         documents as documents,
         facts as facts,
         phase_end as phase_end,

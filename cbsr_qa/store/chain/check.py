@@ -34,7 +34,8 @@ IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
 _CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
-_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
+#: Remedy for a run that was altered.
+RESTORE: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
 def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
@@ -104,9 +105,17 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     if not kinds:
         checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
+    return chain_state(connection, row.chain)
+
+
+def chain_state(connection: Connection, chain: str | None) -> ChainState:
+    """Return the state of a chain that was checked, from column ``runs.chain``."""
+    if chain is None:
+        return ChainState()
+    key_id, key = key_id_of(chain), signing_key(connection)
     if not key_id:
         return ChainState("chained")
-    return ChainState("chained", "checked" if key is not None else "not checked", key_id)
+    return ChainState("chained", "checked" if key is not None and key.key_id == key_id else "not checked", key_id)
 
 
 def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence[Row[*tuple[Any, ...]]]:
@@ -186,4 +195,4 @@ def of_run(table: Table, run: str) -> Any:
 
 
 def _broken(run: str, what: str) -> StoreError:
-    return StoreError(f"run {run}: {what}", remedy=_REMEDY)
+    return StoreError(f"run {run}: {what}", remedy=RESTORE)

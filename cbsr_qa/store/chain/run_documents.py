@@ -26,7 +26,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     LargeBinary,
-    Row,
     RowMapping,
     Table,
     select,
@@ -236,9 +235,9 @@ def words() -> ColumnElement[str]:
     return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
 
 
-def facts(run: Row[*tuple[Any, ...]], analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
-    """Return the identifying facts as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
-    of_run = run.run, run.serial, run.batch, run.material, run.station, run.recipe, run.operator
+def facts(run: Any, analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
+    """Return the identifying facts as text, from something with :data:`RUN_COLUMNS` and the run's analysis."""
+    of_run = run.run, run.serial, run.batch, run.material or None, run.station, run.recipe, run.operator
     when = run.started_at.astimezone(UTC).isoformat()
     return canonical([*of_run, when, run.simulated, analysis, outcome, software])
 
