@@ -101,7 +101,8 @@ def _altered(connection: Connection, runs: Sequence[str], kinds: Sequence[type[B
     found: dict[str, str] = {}
     for first in range(0, len(runs), RUNS_AT_ONCE):
         some = runs[first : first + RUNS_AT_ONCE]
-        chains = dict(connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(some))).tuples().all())
+        rows = connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(some)))
+        chains = {row.run: row.chain for row in rows}
         found |= altered_runs(connection, chains, [read_rows(connection, kind, some) for kind in kinds], ended=True)
     return found
 

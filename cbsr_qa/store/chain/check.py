@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
-from sqlalchemy import Boolean, Connection, Integer, Row, Table, select, type_coerce
+from sqlalchemy import Boolean, Connection, Integer, Row, Table, func, select, type_coerce
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
@@ -24,7 +24,16 @@ from cbsr_qa.store.chain.run_documents import (
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.tables import (
+    MANY_LINKS,
+    AnalysisRow,
+    Base,
+    CalibrationRow,
+    LinkRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+)
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -89,6 +98,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise StoreError(f"no run {run[:64]!r} in this database")
     if hashlib.sha256(row.configuration.encode()).hexdigest() != row.configuration_digest:
         raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not match")
+    if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
+        return _checked(connection, run, ())  # names the link
     links = _links(connection, run, kinds)
     if row.chain is None:
         if links:
@@ -159,6 +170,22 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
                 raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
         for kind, document in links:
             raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
+
+
+def runs_with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
+    """Return the runs that lack a link from their last state on, where their results are."""
+    link = LinkRow
+    of_states = select(link.run, func.max(link.number).label("number")).where(
+        link.run.in_(runs), link.kind == RunStateRow.__tablename__, few_links()
+    )
+    last = of_states.group_by(link.run).subquery()
+    query = (
+        select(link.run)
+        .join(last, (last.c.run == link.run) & (link.number >= last.c.number))
+        .group_by(link.run)
+        .having(func.count() != func.max(link.number) - func.min(link.number) + 1)
+    )
+    return set(connection.scalars(query))
 
 
 def stored_documents(

@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 from types import NoneType
 from typing import Any, Final, Self, TypeAlias
 
-from sqlalchemy import JSON, Boolean, Connection, Integer, Table, Text, cast, func, select, type_coerce
+from sqlalchemy import JSON, Boolean, Connection, Integer, Table, Text, cast, select, type_coerce
 from sqlalchemy.orm import aliased
 from sqlalchemy.types import NullType
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store.chain.check import check_run
+from cbsr_qa.store.chain.check import check_run, runs_with_a_gap
 from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
 from cbsr_qa.store.chain.run_documents import covered
-from cbsr_qa.store.tables import AnalysisRow, Base, LinkRow, RunStateRow
+from cbsr_qa.store.tables import AnalysisRow, Base, LinkRow
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 #: Runs whose rows are in memory at once.
@@ -137,7 +137,7 @@ def altered_runs(
     linked, doubted = _linked(connection, chains, kinds)
     doubted |= {run for run, chain in chains.items() if linked.get(run, {}) != (stored[run] if chain else {})}
     if ended:
-        doubted |= _with_a_gap(connection, [run for run, chain in chains.items() if chain])
+        doubted |= runs_with_a_gap(connection, [run for run, chain in chains.items() if chain])
     return dict(_problems(connection, sorted(doubted), kinds))
 
 
@@ -165,22 +165,6 @@ def _linked(
         if not sound or own.hex() != link_digest("" if earlier is None else earlier.hex(), kind, document, content):
             doubted.add(run)
     return linked, doubted
-
-
-def _with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
-    """Return the runs that lack a link from their last state on."""
-    link = LinkRow
-    of_states = select(link.run, func.max(link.number).label("number")).where(
-        link.run.in_(runs), link.kind == RunStateRow.__tablename__, few_links()
-    )
-    last = of_states.group_by(link.run).subquery()
-    query = (
-        select(link.run)
-        .join(last, (last.c.run == link.run) & (link.number >= last.c.number))
-        .group_by(link.run)
-        .having(func.count() != func.max(link.number) - func.min(link.number) + 1)
-    )
-    return set(connection.scalars(query))
 
 
 def _problems(connection: Connection, runs: Sequence[str], kinds: Collection[str]) -> Iterator[tuple[str, str]]:
