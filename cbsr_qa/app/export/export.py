@@ -218,9 +218,9 @@ def _export_runs(
     with writing(to), written_whole(to) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
-                rows += write(page.runs)
-                runs += len(page.runs)
-                altered += [one.run for one in page.runs if one.altered]
+                written, marked = write(page.runs)
+                rows, runs = rows + written, runs + len(page.runs)
+                altered += marked
                 trusted += trust_counts(page.runs)
                 _tell(page, tell)
         if not runs:
@@ -240,6 +240,7 @@ def _export_runs(
     )
     words = plural(runs, "run")
     outcome = _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
+    trusted["altered"] = len(altered)
     page_of_file = replace(outcome.page, warnings=trust_notes(store, trusted))
     return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered)))
 
@@ -247,11 +248,11 @@ def _export_runs(
 @contextmanager
 def _writer(
     store: Repository, file: BinaryIO, kind: ExportFormat, table: ExportTable
-) -> Iterator[Callable[[Sequence[ListedRun]], int]]:
-    """Yield what writes some runs and returns the number of its rows."""
+) -> Iterator[Callable[[Sequence[ListedRun]], tuple[int, tuple[str, ...]]]]:
+    """Yield what writes some runs, and returns the number of its rows and the runs that are marked as altered."""
     if kind is ExportFormat.JUNIT:
 
-        def add_suites(runs: Sequence[ListedRun]) -> int:
+        def add_suites(runs: Sequence[ListedRun]) -> tuple[int, tuple[str, ...]]:
             for run in runs:
                 if run.altered:
                     raise StoreError(run.altered, remedy=_ALTERED)
@@ -259,17 +260,17 @@ def _writer(
             for run in runs:
                 check_listed(run, judged.get(run.run, ()))
                 file.write(suite(run, judged.get(run.run, ())))
-            return len(runs)
+            return len(runs), ()
 
         with suites(file):
             yield add_suites
         return
     with table_writer(file, kind, table) as writer:
 
-        def add_rows(runs: Sequence[ListedRun]) -> int:
-            rows = rows_of(store, table, runs)
+        def add_rows(runs: Sequence[ListedRun]) -> tuple[int, tuple[str, ...]]:
+            rows, altered = rows_of(store, table, runs)
             writer.write(rows)
-            return len(rows)
+            return len(rows), altered
 
         yield add_rows
 

@@ -75,16 +75,21 @@ class TableWriter(Protocol):
     def write(self, rows: Rows) -> None: ...
 
 
-def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> Rows:
-    """Return the rows of some runs. StoreError if a cell of one is damaged; the message names the run."""
+def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> tuple[Rows, tuple[str, ...]]:
+    """Return the rows of some runs, and which of the runs were altered: their rows say so.
+
+    StoreError if a cell of one is damaged; the message names the run.
+    """
     if table is ExportTable.RUNS:
         entries = map(RunEntry.of, runs)
-        return [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
+        rows = [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
+        return rows, tuple(run.run for run in runs if run.altered)
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
     measured = store.measured_runs([*of_run])
     cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
     rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
-    return rows + [_altered_row(of_run[run], problem) for run, problem in measured.altered.items()]
+    marked = [_altered_row(of_run[run], problem) for run, problem in measured.altered.items()]
+    return rows + marked, tuple(measured.altered)
 
 
 def _altered_row(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
@@ -97,7 +102,7 @@ def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> 
     """Return columns with their types, and all rows, of the selected runs. Raises as :func:`rows_of`."""
     rows: Rows = []
     for page in run_pages(store, request, AT_ONCE):
-        rows += rows_of(store, table, page.runs)
+        rows += rows_of(store, table, page.runs)[0]
     return _COLUMNS[table], rows
 
 
