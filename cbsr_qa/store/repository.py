@@ -181,6 +181,7 @@ class Repository:
 
     file_problems = _of_engine(soundness.file_problems)
     check_stored_run = _of_engine(soundness.check_stored_run)
+    seal_problems = _of_engine(soundness.seal_problems)
     ring_problems = _of_engine(soundness.ring_problems)
 
     save_release = _of_engine(releases.save_release)

@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         ChartSettings as ChartSettings,
         CheckOutcome as CheckOutcome,
         CheckResult as CheckResult,
+        CheckSeal as CheckSeal,
         RingReadings as RingReadings,
         StandingSignal as StandingSignal,
         StationCharts as StationCharts,

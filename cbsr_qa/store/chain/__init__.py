@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
+        signing_key as signing_key,
     )
     from .many_rows import (
         documents_in_columns as documents_in_columns,
@@ -52,9 +53,11 @@ if TYPE_CHECKING:
         JOINED as JOINED,
         KEYS as KEYS,
         PHASE_END as PHASE_END,
+        covered as covered,
         documents as documents,
         facts as facts,
         phase_end as phase_end,
+        row_text as row_text,
         sha256 as sha256,
         shown as shown,
         stored_figures as stored_figures,

@@ -99,6 +99,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
 #: from a row of another run's chain.
 PHASE_END: Final = "phase_ends"
 _LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
+#: What is computed over the other columns.
+_SEALS: Final = {("station_checks", "seal")}
 #: What a comparison of fleets reads of an analysis, see fleet.py.
 FIGURES: Final = "figures"
 
@@ -157,8 +159,11 @@ def tables() -> Iterator[Table]:
 @cache
 def covered(table: Table) -> tuple[Column[Any], ...]:
     """Return the columns a digest covers. Bytes have their own digest in the same row."""
+    left_out = _LATER | _SEALS
     return tuple(
-        one for one in table.columns if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LATER
+        one
+        for one in table.columns
+        if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in left_out
     )
 
 
