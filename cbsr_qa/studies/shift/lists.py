@@ -16,7 +16,7 @@ from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, local_day
 
 Altered: TypeAlias = Literal["altered"]
 
-#: Runs that are listed if nothing says which: reading 100 000 takes a quarter of a minute.
+#: Runs that are listed if nothing says which: reading 100 000 takes half a minute.
 LATEST_RUNS: Final = 50
 #: What is said of runs that were altered, or of which nobody can tell.
 _TRUST: Final = {
