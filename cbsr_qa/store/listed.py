@@ -9,12 +9,12 @@ from sqlalchemy import Connection, Engine, exists, func, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
-from cbsr_qa.store.chain import AT_ONCE, RESTORE, RUNS_AT_ONCE, altered_runs, read_rows
+from cbsr_qa.store.chain import AT_ONCE, RESTORE, altered_runs, read_rows
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.results import stored_measurement
 from cbsr_qa.store.selected import Conditions, conditions, naming_runs
 from cbsr_qa.store.tables import MeasurementRow, RunRow, RunStateRow, StationCheckRow
-from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts
+from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts, verdict_pages
 
 _EVERY: Final = RunSelection()
 
@@ -103,20 +103,22 @@ def _measured(connection: Connection, chosen: Conditions) -> MeasuredRuns:
 
 
 def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:
-    verdicts = list(stored_verdicts(connection, chosen))
-    failed, altered = _failed(connection, verdicts)
     earlier = _earlier(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
-    return tuple(
-        _run(
-            one,
-            altered.get(one.run, one.altered),
-            tuple(failed.get(one.analysis, ())),
-            earlier.get(one.run, 0),
-            of_check=one.run in of_checks,
+    runs: list[ListedRun] = []
+    for page in verdict_pages(connection, chosen):  # not all at once: garbage is looked for among what is kept
+        failed, altered = _failed(connection, page)
+        runs += (
+            _run(
+                one,
+                altered.get(one.run, one.altered),
+                tuple(failed.get(one.analysis, ())),
+                earlier.get(one.run, 0),
+                of_check=one.run in of_checks,
+            )
+            for one in page
         )
-        for one in verdicts
-    )
+    return tuple(runs)
 
 
 def _run(
@@ -156,16 +158,15 @@ def _failed(
     """
     chains = {one.run: one.values["chain"] for one in verdicts if one.outcome is Outcome.FAIL}
     latest = {one.analysis for one in verdicts if one.run in chains}
+    if not chains:
+        return {}, {}
+    rows = read_rows(connection, MeasurementRow, list(chains))
+    altered = altered_runs(connection, chains, [rows])
     found: dict[str, dict[MetricKey, None]] = {}
-    altered: dict[str, str] = {}
-    for first in range(0, len(chains), RUNS_AT_ONCE):
-        runs = list(chains)[first : first + RUNS_AT_ONCE]
-        rows = read_rows(connection, MeasurementRow, runs)
-        altered |= altered_runs(connection, {run: chains[run] for run in runs}, [rows])
-        names = ("analysis", "outcome", "name", "phase", "qualifier")
-        for run, analysis, outcome, *key in zip(rows.runs, *(rows.columns[name] for name in names), strict=True):
-            if outcome == Outcome.FAIL and analysis in latest and run not in altered:
-                found.setdefault(analysis, {})[MetricKey(*key)] = None
+    cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
+    for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
+        if outcome == Outcome.FAIL and analysis in latest and run not in altered:
+            found.setdefault(analysis, {})[MetricKey(*key)] = None
     return found, altered
 
 

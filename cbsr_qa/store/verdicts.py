@@ -66,8 +66,8 @@ class StoredVerdict:
         return self
 
 
-def stored_verdicts(connection: Connection, chosen: Conditions) -> Iterator[StoredVerdict]:
-    """Yield what holds of the selected runs, in the order they were made in.
+def verdict_pages(connection: Connection, chosen: Conditions) -> Iterator[list[StoredVerdict]]:
+    """Yield what holds of the selected runs, in the order they were made in, some at a time.
 
     Raises
     ------
@@ -78,7 +78,13 @@ def stored_verdicts(connection: Connection, chosen: Conditions) -> Iterator[Stor
     """
     runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
     for first in range(0, len(runs), RUNS_AT_ONCE):
-        yield from _verdicts(connection, runs[first : first + RUNS_AT_ONCE])
+        yield list(_verdicts(connection, runs[first : first + RUNS_AT_ONCE]))
+
+
+def stored_verdicts(connection: Connection, chosen: Conditions) -> Iterator[StoredVerdict]:
+    """Yield what holds of the selected runs, one by one, as :func:`verdict_pages`."""
+    for page in verdict_pages(connection, chosen):
+        yield from page
 
 
 def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
