@@ -59,7 +59,7 @@ WHERE c.superseded_by IS NULL
 
 #: What a view says of itself: in its definition on SQLite, as its comment on PostgreSQL.
 UNCHECKED: Final = (
-    "Unchecked: rows as they are, not compared with the chains of the runs. Whoever can write the tables can change"
+    "Unchecked: rows as they are, not compared with the chains of the runs. Anyone who can write the tables can change"
     " what is shown here; cbsr-qa runs, export, report and db check notice it."
 )
 

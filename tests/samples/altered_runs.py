@@ -6,7 +6,7 @@ from contextlib import closing
 from dataclasses import replace
 
 from calibration_samples import sample_force
-from sqlalchemy import JSON, Boolean, create_engine, select
+from sqlalchemy import JSON, Boolean, DateTime, Double, Integer, LargeBinary, create_engine, select
 from stored_runs import SETTING, calibration, short_run
 
 from cbsr_qa.calibration.file import stamped
@@ -17,7 +17,6 @@ from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import KEYS, documents_in_columns, keys_of, link_digest, of_run
 from cbsr_qa.store.results import Reanalysis
 from cbsr_qa.store.tables import Base
-from cbsr_qa.store.types import Digest, FiniteDouble, Instant, Whole
 
 LIMIT = Limit("drift", "mm", None, 5.0)
 PASSED = (
@@ -75,12 +74,12 @@ def another_value(column):
     for kind, other in (
         (Boolean, f"1 - {name}"),
         (JSON, """'[["altered","1"]]'"""),
-        (Instant, "'2020-01-01 00:00:00.000000'"),
-        (FiniteDouble, f"coalesce({name}, 0) + 1"),
-        (Whole, f"coalesce({name}, 0) + 1000"),
-        (Digest, "zeroblob(32)"),
+        (DateTime, "'2020-01-01 00:00:00.000000'"),
+        (Double, f"coalesce({name}, 0) + 1"),
+        (Integer, f"coalesce({name}, 0) + 1000"),
+        (LargeBinary, "zeroblob(32)"),
     ):
-        if isinstance(column.type, kind):
+        if isinstance(getattr(column.type, "impl", column.type), kind):
             return other
     return f"coalesce({name}, '') || 'x'"
 

@@ -12,13 +12,9 @@ from exported_runs import five_runs
 from cbsr_qa.app.run import outcome_of_stored
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome
 from cbsr_qa.interface import Run
 from cbsr_qa.plugin import discover
 from cbsr_qa.store import open_store
-from cbsr_qa.web.line import Line
-from cbsr_qa.web.pages import Pages, listed_kind
-from cbsr_qa.web.shift import sensor_page
 
 FAILED, PASSED = "S-1", "S-0"
 
@@ -180,20 +176,6 @@ def test_a_notebook_is_refused_too(forged):
     assert Run(names["passed"], url).verdict == "marginal"
     with open_store(url) as store, pytest.raises(StoreError, match="was changed"):
         outcome_of_stored(names["failed"], store, discover())
-
-
-def test_the_page_of_a_line_marks_the_run(forged):
-    _, url, names = forged
-    view = sensor_page(url, FAILED)
-    (run,) = view["runs"]
-    assert (listed_kind(run, frozenset()), run.verdict, run.outcome) == ("altered", None, None)
-    page = Pages(Line((), url)).page("sensor", control=True, here="shift", **view)
-    assert "Altered since it was stored" in page
-    assert "Passed" not in page.partition("<tbody>")[2]
-    with open_store(url) as store:
-        look = store.look_at(names["failed"])
-    assert (look.verdict, look.outcome is Outcome.PASS) == (None, False)
-    assert "was changed" in look.altered
 
 
 def test_changes_are_listed_without_an_override_that_nobody_made(database, capsys):
