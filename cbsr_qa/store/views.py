@@ -59,8 +59,8 @@ WHERE c.superseded_by IS NULL
 
 #: What a view says of itself: in its definition on SQLite, as its comment on PostgreSQL.
 UNCHECKED: Final = (
-    "Unchecked: rows as they are, not compared with the chains of the runs. Anyone who can write the tables can change"
-    " what is shown here; cbsr-qa runs, export, report and db check notice it."
+    "Unchecked: rows as they are, not compared with the chains of the runs. Anyone who can write the tables can"
+    " change what is shown here; cbsr-qa runs, export, report and db check notice it."
 )
 
 #: Name of each view and its query, the same on SQLite and PostgreSQL; a view may read those before it.

@@ -98,8 +98,6 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise StoreError(f"no run {run[:64]!r} in this database")
     if hashlib.sha256(row.configuration.encode()).hexdigest() != row.configuration_digest:
         raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not match")
-    if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
-        return _checked(connection, run, ())  # names the link
     links = _links(connection, run, kinds)
     if row.chain is None:
         if links:
@@ -116,6 +114,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     if not kinds:
         checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
+    if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
+        return _checked(connection, run, ())  # names the link
     return chain_state(connection, row.chain)
 
 
