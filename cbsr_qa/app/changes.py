@@ -29,19 +29,30 @@ class ChartChange(ChartReference):
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """All recorded changes, oldest first."""
+    """All recorded changes, oldest first.
+
+    ``altered``: what is wrong with runs that do not match their chains; nothing of them is in the other lists.
+    """
 
     changes: tuple[ConfigurationChange, ...]
     chart_references: tuple[ChartChange, ...]
     overrides: tuple[VerdictOverride, ...]
     adoptions: tuple[AdoptedRuns, ...]
+    altered: tuple[str, ...] = ()
 
 
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         charts = tuple(_chart_changes(store.all_chart_references()))
-        changes = Changes(store.changes(), charts, store.overrides(), store.adoptions())
+        altered = store.altered_records()
+        changes = Changes(
+            tuple(one for one in store.changes() if one.run not in altered),
+            charts,
+            tuple(one for one in store.overrides() if one.run not in altered),
+            store.adoptions(tuple(altered)),
+            tuple(altered.values()),
+        )
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
     found = {
         "file": len(changes.changes),
@@ -50,8 +61,10 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
         "analysis": sum(one.runs for one in changes.adoptions),
     }
     counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in found.items() if count)
-    outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED)
-    return replace(outcome, sections=tuple(_sections(changes, lambda run: names.get(run, run))))
+    warnings = [f"altered since it was stored, and not listed: {problem}" for problem in changes.altered]
+    outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED, warnings=warnings)
+    sections = tuple(_sections(changes, lambda run: names.get(run, run)))
+    return replace(outcome, sections=sections, exit_code=1 if warnings else 0)
 
 
 def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange]:

@@ -171,6 +171,7 @@ def check_database(
             except StoreError as error:
                 problems.append(FoundProblem(run, error.reason.removeprefix(f"run {run}: ")))
             checked += 1
+        problems += [FoundProblem(None, what) for what in store.seal_problems()]
         if not quick:
             problems += [FoundProblem(None, what) for what in store.ring_problems()]
         without_key = unsigned if store.key_id else None

@@ -151,7 +151,7 @@ def changes(database: Database = None, as_json: AsJson = False) -> None:
     """List changes of limits, recipes, other files, control charts and verdicts: who, when and why."""
     from cbsr_qa.app import list_changes
 
-    show(list_changes(database), as_json=as_json)
+    raise typer.Exit(show(list_changes(database), as_json=as_json))
 
 
 @command("db sync", prints="cbsr_qa.app:Synchronised")

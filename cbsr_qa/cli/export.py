@@ -48,10 +48,13 @@ def export(
 
     Tables and outcomes are of RUN, or of the runs that the options select, as cbsr-qa runs lists them. For example:
     cbsr-qa export --table measurements --batch 42 --to measurements.parquet
+
+    A run that was altered since it was stored is marked in a table (exit code 1), and in no other file: they are
+    refused, and nothing is written (exit code 2).
     """
     from cbsr_qa.app import ExportRequest, export_data
 
     selects = bool(_SELECTING & given_options(context))
     selected = selecting.request(latest=latest, checks=checks) if selects else None
     request = ExportRequest(to, run, selected, format_, table, phase, force)
-    show(export_data(request, database=database, tell=announce), as_json=as_json)
+    raise typer.Exit(show(export_data(request, database=database, tell=announce), as_json=as_json))

@@ -35,7 +35,7 @@ def runs(
     """List stored runs with their verdicts, yields and reasons for failure.
 
     An overridden verdict counts as it was overridden; aborted and broken runs have none. In a terminal the latest 50
-    are listed, unless an option says which.
+    are listed, unless an option says which. Exit code 1 if a listed run was altered since it was stored.
     """
     from cbsr_qa.studies.shift import LATEST_RUNS, list_runs, runs_csv, runs_outcome
 
@@ -56,6 +56,7 @@ def sensors(
     """List tested sensors, each with the verdict of its last run that passed or failed.
 
     A sensor tested by two recipes is listed twice. With --failed or --limit, that last verdict must be the failure.
+    Exit code 1 if a listed run was altered since it was stored.
     """
     from cbsr_qa.studies.shift import list_sensors, sensors_csv, sensors_outcome
 
@@ -81,10 +82,13 @@ def _list(
         raise RefusedError("--csv - with --json", remedy="one of them is printed: name a file for the other")
     with open_store(database_url(database), create=False) as store:
         found = find(store, request)
+    outcome = lay_out(found)
     if csv == _STDOUT:
         say(as_csv(found).removesuffix("\n"))
-        return
+        for remark in outcome.page.remarks:
+            note(remark)
+        raise typer.Exit(outcome.exit_code)
     if csv is not None:
         write_table(csv, as_csv(found))
         note(f"list         {csv}")
-    show(lay_out(found), as_json=as_json)
+    raise typer.Exit(show(outcome, as_json=as_json))

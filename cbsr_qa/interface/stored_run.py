@@ -8,7 +8,7 @@ from cbsr_qa.app.run import RunOutcome, outcome_of_stored, run_outcome
 from cbsr_qa.calibration import Calibration
 from cbsr_qa.calibration.file import calibration_of
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import CalibrationError, StoreError
 from cbsr_qa.domain.results import CommandOutcome, Outcome, RunSelection
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.interface.frames import dataset_of
@@ -68,9 +68,14 @@ class Run(Result[RunOutcome]):
 
     @property
     def verdict(self) -> Outcome | None:
-        """What counts now, an override included: a text such as ``"pass"``; None if it did not finish."""
+        """What counts now, an override included: a text such as ``"pass"``; None if it did not finish.
+
+        StoreError if the run was altered since it was stored.
+        """
         with open_store(self._url, create=False) as store:
             (listed,) = store.listed_runs(self._only)
+        if listed.altered:
+            raise StoreError(listed.altered, remedy="restore the database from a copy")
         return listed.verdict
 
     @property

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
 
@@ -20,13 +20,23 @@ from cbsr_qa.domain.run import (
     VerdictOverride,
     differences,
 )
-from cbsr_qa.store.chain import add_rows, check_run
+from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, add_rows, altered_runs, check_run, few_links, read_rows
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs import current_state, run_row
-from cbsr_qa.store.tables import AnalysisRow, ConfigurationChangeRow, RunRow, VerdictOverrideRow
+from cbsr_qa.store.tables import (
+    AdoptionRow,
+    AnalysisRow,
+    Base,
+    ConfigurationChangeRow,
+    LinkRow,
+    ReanalysisRow,
+    RunRow,
+    VerdictOverrideRow,
+)
+from cbsr_qa.store.verdicts import verdict_of
 
 _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
 
@@ -68,27 +78,71 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
     add_rows(connection, identity.run, ConfigurationChangeRow, rows)
 
 
+def altered_records(engine: Engine) -> dict[str, str]:
+    """Return what is wrong with what people changed or decided, by run: notes of files, overrides and adoptions.
+
+    Runs that have only links of such records are looked at too: their rows may have been removed.
+    """
+    kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
+    names = [one.__tablename__ for one in kinds[:3]]
+    with reading(engine) as connection:
+        linked = select(LinkRow.run).where(LinkRow.kind.in_(names), few_links()).distinct()
+        runs = {*connection.scalars(linked), *connection.scalars(select(ConfigurationChangeRow.run))}
+        runs |= {*connection.scalars(select(VerdictOverrideRow.run))}
+        runs |= {
+            *connection.scalars(
+                select(AnalysisRow.run).join(AdoptionRow, AdoptionRow.analysis == AnalysisRow.analysis)
+            )
+        }
+        return _altered(connection, sorted(runs), kinds)
+
+
+def _altered(connection: Connection, runs: Sequence[str], kinds: Sequence[type[Base]]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for first in range(0, len(runs), RUNS_AT_ONCE):
+        some = runs[first : first + RUNS_AT_ONCE]
+        rows = connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(some)))
+        chains = {row.run: row.chain for row in rows}
+        found |= altered_runs(connection, chains, [read_rows(connection, kind, some) for kind in kinds], ended=True)
+    return found
+
+
 def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
-    """Return all noted changes, oldest first."""
+    """Return all noted changes, oldest first; :func:`altered_records` says which of them not to believe."""
     with reading(engine) as connection:
         return _changes(connection)
 
 
 def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
-    """Return the changes of a run's files since its sensor type last passed its recipe, including its own."""
-    # Overrides do not count: a run passed by hand shows that its recipe is not accepted yet.
-    latest = select(func.max(AnalysisRow.analysis)).group_by(AnalysisRow.run)
-    accepted = (
-        select(func.max(RunRow.run))
-        .join(AnalysisRow, AnalysisRow.run == RunRow.run)
-        .where(RunRow.sensor_type == identity.sensor.sensor_type, RunRow.recipe == identity.recipe)
-        .where(RunRow.run < identity.run, AnalysisRow.outcome.in_(_ACCEPTED), AnalysisRow.analysis.in_(latest))
-    )
+    """Return the changes of a run's files since its sensor type last passed its recipe, including its own.
+
+    Changes noted with other runs are left out, and named, where these were altered.
+    """
     row = ConfigurationChangeRow
     files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in _names(identity, material)))
     with reading(engine) as connection:
-        since = connection.scalar(accepted) or ""
-        return ChangeHistory(since, _changes(connection, files, row.run > since, row.run <= identity.run))
+        since = _last_accepted(connection, identity)
+        changes = _changes(connection, files, row.run > since, row.run <= identity.run)
+        altered = _altered(connection, sorted({change.run for change in changes}), [ConfigurationChangeRow])
+    return ChangeHistory(
+        since, tuple(change for change in changes if change.run not in altered), tuple(altered.values())
+    )
+
+
+def _last_accepted(connection: Connection, identity: RunIdentity) -> str:
+    """Return the latest earlier run of the sensor type and recipe that passed and was not altered; may be empty."""
+    # Overrides do not count: a run passed by hand shows that its recipe is not accepted yet.
+    passed = (
+        select(RunRow.run)
+        .join(AnalysisRow, AnalysisRow.run == RunRow.run)
+        .where(RunRow.sensor_type == identity.sensor.sensor_type, RunRow.recipe == identity.recipe)
+        .where(RunRow.run < identity.run, AnalysisRow.outcome.in_(_ACCEPTED))
+    )
+    for run in connection.scalars(passed.distinct().order_by(RunRow.run.desc()).execution_options(yield_per=1)):
+        found = verdict_of(connection, run)
+        if found is not None and found.outcome in _ACCEPTED:
+            return run
+    return ""
 
 
 def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[ConfigurationChange, ...]:
@@ -155,7 +209,10 @@ def save_override(
 
 
 def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, ...]:
-    """Return the overrides of one run's verdicts, or of all, oldest first."""
+    """Return the overrides of one run's verdicts, or of all, oldest first.
+
+    StoreError if the run was altered; of all runs, :func:`altered_records` says which not to believe.
+    """
     row = VerdictOverrideRow
     query = select(*row.__table__.columns, AnalysisRow.outcome.label("verdict")).join(
         AnalysisRow, AnalysisRow.analysis == row.analysis
@@ -163,6 +220,9 @@ def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, 
     if run is not None:
         query = query.where(row.run == run)
     with reading(engine) as connection:
+        altered = {} if run is None else _altered(connection, [run], [VerdictOverrideRow, AnalysisRow])
+        for problem in altered.values():
+            raise StoreError(problem, remedy=RESTORE)
         found = connection.execute(query.order_by(row.override_id)).all()
     return tuple(
         VerdictOverride(

@@ -1,16 +1,14 @@
 """Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import Connection, Engine, Row, select
+from sqlalchemy import Connection, Engine, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import (
     Bound,
-    Decision,
-    EndReason,
     FleetTable,
     MetricKey,
     Outcome,
@@ -20,24 +18,20 @@ from cbsr_qa.domain.results import (
     ValueKind,
 )
 from cbsr_qa.store.chain import (
-    AT_ONCE,
     BETWEEN,
     JOINED,
-    RUN_COLUMNS,
     Figures,
     Known,
     check_figures,
-    check_run,
     facts,
     figures_query,
     words,
 )
 from cbsr_qa.store.damage import stored
-from cbsr_qa.store.listed import decisions_of
-from cbsr_qa.store.results import analysis_outcome
-from cbsr_qa.store.selected import Conditions, latest_of, read_selected
-from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
+from cbsr_qa.store.selected import Conditions, read_selected
+from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, StationCheckRow
 from cbsr_qa.store.types import made_at
+from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
 #: State of a value by its outcome and its bound.
@@ -52,8 +46,16 @@ _EVERY: Final = RunSelection()
 
 
 def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
-    """Return the selected runs in the order they were made in. StoreError as for :func:`fleet_table`."""
-    return read_selected(engine, selection, lambda connection, chosen: tuple(_runs(connection, chosen)[0]))
+    """Return the selected runs in the order they were made in; those that were altered are marked.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read, or holds an unknown outcome or a cell of the wrong type.
+    """
+    return read_selected(
+        engine, selection, lambda connection, chosen: tuple(line for line, _ in _lines(connection, chosen))
+    )
 
 
 def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
@@ -67,73 +69,57 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
     """
 
     def table(connection: Connection, chosen: Conditions) -> FleetTable:
-        runs, places, known = _runs(connection, chosen)
+        runs: list[RunLine] = []
+        places: dict[str, int] = {}
+        known: list[Known | None] = []
+        for line, one in _lines(connection, chosen):
+            one.checked()
+            if one.analysis:
+                places[one.analysis] = len(runs)
+            known.append(_known(line, one))
+            runs.append(line)
         kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
     return read_selected(engine, selection, table)
 
 
-def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], dict[str, int], list[Known | None]]:
-    """Runs in order, the place of each latest analysis, and the rows read of chained runs.
-
-    States and analyses are joined to their runs here: a database without statistics of its tables may scan every
-    analysis for every run.
-    """
-    ends = latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
-    a = AnalysisRow
-    analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).order_by(a.analysis)
-    analyses = latest_of(connection, analysed, chosen)
-    decisions = decisions_of(connection, chosen)
+def _lines(connection: Connection, chosen: Conditions) -> Iterator[tuple[RunLine, StoredVerdict]]:
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
-    query = select(*RUN_COLUMNS, RunRow.chain).where(*chosen).order_by(RunRow.run)
-    runs: list[RunLine] = []
-    places: dict[str, int] = {}
-    known: list[Known | None] = []
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
-    for row in connection.execute(query.execution_options(yield_per=AT_ONCE)):
-        analysis, linked = analyses.get(row.run), None
-        if analysis is not None:
-            name = analysis.analysis
-            linked = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
-            places[name] = len(runs)
-        decision = None if analysis is None else decisions.get((row.run, analysis.analysis))
-        if decision is not None and row.chain is not None:  # few runs have one
-            check_run(connection, row.run)
-        known.append(linked if row.chain is not None else None)
-        runs.append(_run(row, ends.get(row.run), analysis, decision, shared, of_check=row.run in of_checks))
-    return runs, places, known
+    for one in stored_verdicts(connection, chosen):
+        yield _line(one, shared, of_check=one.run in of_checks), one
 
 
-def _run(
-    row: Row[*tuple[Any, ...]],
-    end: Row[*tuple[Any, ...]] | None,
-    analysis: Row[*tuple[Any, ...]] | None,
-    decision: Decision | None,
-    shared: dict[Any, Any],
-    *,
-    of_check: bool,
-) -> RunLine:
-    software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
-    simulated = tuple(row.simulated)
+def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
+    row, simulated = one.values, tuple(one.values["simulated"])
+    material = row["setting"].get("material", {}).get("name", "")
     return RunLine(
-        run=row.run,
-        serial=row.serial,
-        batch=shared.setdefault(row.batch, row.batch),
-        material=shared.setdefault(row.material, row.material) or "",
-        station=shared.setdefault(row.station, row.station),
-        recipe=shared.setdefault(row.recipe, row.recipe),
-        started_at=row.started_at,
-        made_at=made_at(row.run),
-        end=EndReason.RUNNING if end is None else stored(EndReason, end.end, "run_states.end", f"run {row.run}"),
-        outcome=None if analysis is None else analysis_outcome(analysis),
-        software=shared.setdefault(software, software),
+        run=row["run"],
+        serial=row["serial"],
+        batch=shared.setdefault(row["batch"], row["batch"]),
+        material=shared.setdefault(material, material),
+        station=shared.setdefault(row["station"], row["station"]),
+        recipe=shared.setdefault(row["recipe"], row["recipe"]),
+        started_at=row["started_at"],
+        made_at=made_at(row["run"]),
+        end=one.end,
+        outcome=one.outcome,
+        software=shared.setdefault(one.software, one.software),
         simulated=shared.setdefault(simulated, simulated),
         of_check=of_check,
-        operator=shared.setdefault(row.operator, row.operator),
-        reason="" if analysis is None else analysis.reason,
-        overridden_to=None if decision is None else decision.outcome,
+        operator=shared.setdefault(row["operator"], row["operator"]),
+        reason=one.reason,
+        overridden_to=None if one.decision is None else one.decision.outcome,
+        altered=one.altered,
     )
+
+
+def _known(line: RunLine, one: StoredVerdict) -> Known | None:
+    """Return what the link of a run's measured values covers besides them; None for one without link or result."""
+    if not one.analysis or not one.chain.chained:
+        return None
+    return line.run, one.analysis, facts(line, one.analysis, str(one.outcome), one.software)
 
 
 def _values(

@@ -1,38 +1,28 @@
 """Runs as a shift lists them, by columns and indices: only the selected runs and their latest results are read."""
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, Row, Select, exists, func, select
+from sqlalchemy import Connection, Engine, exists, func, select
 
-from cbsr_qa.domain.results import Decision, EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
-from cbsr_qa.store.chain import AT_ONCE
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
+from cbsr_qa.store.chain import AT_ONCE, RESTORE, altered_runs, read_rows
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.results import analysis_outcome, as_measurement
-from cbsr_qa.store.selected import Conditions, conditions, latest_of, naming_runs
-from cbsr_qa.store.tables import (
-    AnalysisRow,
-    MeasurementRow,
-    RunRow,
-    RunStateRow,
-    StationCheckRow,
-    VerdictOverrideRow,
-)
+from cbsr_qa.store.results import stored_measurement
+from cbsr_qa.store.selected import Conditions, conditions, naming_runs
+from cbsr_qa.store.tables import MeasurementRow, RunRow, RunStateRow, StationCheckRow
+from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts, verdict_pages
 
-_Found: TypeAlias = Row[*tuple[Any, ...]]
 _EVERY: Final = RunSelection()
-_COLUMNS: Final = (
-    *(RunRow.run, RunRow.serial, RunRow.batch, RunRow.sensor_type, RunRow.station, RunRow.recipe),
-    *(RunRow.operator, RunRow.started_at, RunRow.simulated),
-)
 
 
 def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
-    """Return the selected runs in the order they were made in.
+    """Return the selected runs in the order they were made in; those that were altered are marked.
 
-    Chains of digests are not checked: that takes 0.3 ms a run, and a report does it.
+    What is shown of a run is compared with the links of its rows, not the whole chain: see docs/explanation.
 
     Raises
     ------
@@ -57,124 +47,127 @@ def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ..
         return tuple(connection.scalars(query.execution_options(yield_per=AT_ONCE)))
 
 
-def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
-    """Return the measurements with a limit by run, as :func:`measurement_rows` reads them."""
-    found: dict[str, list[Measurement]] = {}
-    for row in measurement_rows(engine, runs, limited=True):
-        found.setdefault(row.run, []).append(as_measurement(row))
-    return found
-
-
-def measurement_rows(engine: Engine, runs: Sequence[str], *, limited: bool = False) -> Sequence[_Found]:
-    """Return the rows of what runs measured, with ``run``, ordered by run and number: of their latest analyses.
-
-    Chains of digests are not checked.
+@dataclass(frozen=True, slots=True)
+class MeasuredRuns:
+    """What runs measured: the measurements of their latest analyses, by run and number.
 
     Parameters
     ----------
-    limited : only those with a limit.
+    runs : of each measurement.
+    columns : cells of the table of measurements, by the name of their column.
+    altered : what is wrong with runs that do not match their chain, by run; they have no measurements here.
+    """
+
+    runs: Sequence[str]
+    columns: Mapping[str, Sequence[Any]]
+    altered: Mapping[str, str]
+
+
+def measured_runs(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
+    """Read what runs measured, compared with their chains.
 
     Raises
     ------
     StoreError
         If the database cannot be read, or a cell of one of the runs is damaged; the message names the run.
     """
-    a, m = AnalysisRow, MeasurementRow
-
-    def read(connection: Connection, chosen: Conditions) -> Sequence[_Found]:
-        ours = select(a.run, func.max(a.analysis).label("analysis")).join(RunRow, RunRow.run == a.run)
-        latest = ours.where(*chosen).group_by(a.run).subquery()
-        query = select(latest.c.run, *m.__table__.columns).join(m, m.analysis == latest.c.analysis)
-        query = query.where(m.limited) if limited else query
-        return connection.execute(query.order_by(latest.c.run, m.number)).all()
-
     with reading(engine) as connection:
-        return naming_runs(connection, [RunRow.run.in_(runs)], read)
+        return naming_runs(connection, [RunRow.run.in_(runs)], _measured)
+
+
+def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
+    """Return the measurements with a limit by run. StoreError as for measured_runs, and if a run was altered."""
+    measured = measured_runs(engine, runs)
+    for problem in measured.altered.values():
+        raise StoreError(problem, remedy=RESTORE)
+    found: dict[str, list[Measurement]] = {}
+    names, limited = list(measured.columns), measured.columns["limited"]
+    for at, cells in enumerate(zip(*measured.columns.values(), strict=True)):
+        if limited[at]:
+            values = dict(zip(names, cells, strict=True))
+            where = f"analysis {values['analysis']}, measurement {values['number']},"
+            found.setdefault(measured.runs[at], []).append(stored_measurement(values, where))
+    return found
+
+
+def _measured(connection: Connection, chosen: Conditions) -> MeasuredRuns:
+    verdicts = {one.run: one for one in stored_verdicts(connection, chosen)}
+    rows = read_rows(connection, MeasurementRow, list(verdicts))
+    chains = {run: one.values["chain"] for run, one in verdicts.items() if not one.altered}
+    altered = {run: one.altered for run, one in verdicts.items() if one.altered}
+    altered |= altered_runs(connection, chains, [rows.of_runs(chains)])
+    latest = {one.analysis for run, one in verdicts.items() if run not in altered}
+    shown = [at for at, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
+    columns = {name: [cells[at] for at in shown] for name, cells in rows.columns.items()}
+    return MeasuredRuns([rows.runs[at] for at in shown], columns, altered)
 
 
 def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:
-    s, a = RunStateRow, AnalysisRow
-    ends = latest_of(connection, select(s.run, s.end, s.detail, s.time_s).order_by(s.number), chosen)
-    analyses = latest_of(connection, select(a.run, a.analysis, a.outcome, a.reason).order_by(a.analysis), chosen)
-    decisions = decisions_of(connection, chosen)
-    failed = _failed(connection, chosen)
     earlier = _earlier(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
-    query = select(*_COLUMNS).where(*chosen).order_by(RunRow.run)
-    return tuple(
-        _run(
-            row,
-            ends.get(row.run),
-            analysis := analyses.get(row.run),
-            None if analysis is None else decisions.get((row.run, analysis.analysis)),
-            () if analysis is None else tuple(failed.get(analysis.analysis, ())),
-            earlier.get(row.run, 0),
-            of_check=row.run in of_checks,
+    runs: list[ListedRun] = []
+    for page in verdict_pages(connection, chosen):  # not all at once: garbage is looked for among what is kept
+        failed, altered = _failed(connection, page)
+        runs += (
+            _run(
+                one,
+                altered.get(one.run, one.altered),
+                tuple(failed.get(one.analysis, ())),
+                earlier.get(one.run, 0),
+                of_check=one.run in of_checks,
+            )
+            for one in page
         )
-        for row in connection.execute(query.execution_options(yield_per=AT_ONCE))
-    )
+    return tuple(runs)
 
 
 def _run(
-    row: _Found,
-    end: _Found | None,
-    analysis: _Found | None,
-    decision: Decision | None,
-    failed: tuple[MetricKey, ...],
-    earlier: int,
-    *,
-    of_check: bool,
+    one: StoredVerdict, altered: str, failed: tuple[MetricKey, ...], earlier: int, *, of_check: bool
 ) -> ListedRun:
+    row = one.values
     return ListedRun(
-        run=row.run,
-        serial=row.serial,
-        batch=row.batch,
-        sensor_type=row.sensor_type,
-        station=row.station,
-        recipe=row.recipe,
-        operator=row.operator,
-        started_at=row.started_at,
-        end=EndReason.RUNNING if end is None else stored(EndReason, end.end, "run_states.end", f"run {row.run}"),
-        station_s=0.0 if end is None else end.time_s,
-        outcome=None if analysis is None else analysis_outcome(analysis),
-        reason="" if analysis is None else analysis.reason,
-        decision=decision,
+        run=row["run"],
+        serial=row["serial"],
+        batch=row["batch"],
+        sensor_type=row["sensor_type"],
+        station=row["station"],
+        recipe=row["recipe"],
+        operator=row["operator"],
+        started_at=row["started_at"],
+        end=one.end,
+        station_s=one.station_s,
+        outcome=None if altered else one.outcome,
+        reason=altered or one.reason,
+        decision=None if altered else one.decision,
         failed=failed,
         earlier=earlier,
         of_check=of_check,
-        simulated=bool(row.simulated),
-        end_detail="" if end is None else end.detail,
+        simulated=bool(row["simulated"]),
+        end_detail=one.end_detail,
+        chain=one.chain,
+        altered=altered,
     )
 
 
-def _of(query: Select[*tuple[Any, ...]], chosen: Conditions) -> Select[*tuple[Any, ...]]:
-    """Keep the rows of the chosen runs."""
-    return query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen))) if chosen else query
+def _failed(
+    connection: Connection, verdicts: Sequence[StoredVerdict]
+) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
+    """Return the metrics outside their limits, by analysis, and what is wrong with runs that were altered.
 
-
-def decisions_of(connection: Connection, chosen: Conditions) -> dict[tuple[str, str], Decision]:
-    """Return the latest override of each run and analysis."""
-    o = VerdictOverrideRow
-    query = _of(select(o.run, o.analysis, o.outcome, o.operator, o.why, o.override_id), chosen)
-    return {
-        (row.run, row.analysis): Decision(
-            stored(Outcome, row.outcome, "verdict_overrides.outcome", f"run {row.run}"), row.operator, row.why
-        )
-        for row in connection.execute(query.order_by(o.override_id))
-    }
-
-
-def _failed(connection: Connection, chosen: Conditions) -> dict[str, dict[MetricKey, None]]:
-    """Return the metrics outside their limits, by analysis: only of those that failed, as one such metric decides."""
-    m, a = MeasurementRow, AnalysisRow
-    analyses = _of(select(a.analysis, a.run).where(a.outcome == str(Outcome.FAIL)), chosen).subquery()
-    query = select(m.analysis, m.name, m.phase, m.qualifier).where(
-        m.analysis.in_(select(analyses.c.analysis)), m.outcome == str(Outcome.FAIL)
-    )
+    Only of analyses that failed, as one such metric decides.
+    """
+    chains = {one.run: one.values["chain"] for one in verdicts if one.outcome is Outcome.FAIL}
+    latest = {one.analysis for one in verdicts if one.run in chains}
+    if not chains:
+        return {}, {}
+    rows = read_rows(connection, MeasurementRow, list(chains))
+    altered = altered_runs(connection, chains, [rows])
     found: dict[str, dict[MetricKey, None]] = {}
-    for analysis, *key in connection.execute(query.order_by(m.analysis, m.number)):
-        found.setdefault(analysis, {})[MetricKey(*key)] = None
-    return found
+    cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
+    for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
+        if outcome == Outcome.FAIL and analysis in latest and run not in altered:
+            found.setdefault(analysis, {})[MetricKey(*key)] = None
+    return found, altered
 
 
 def _earlier(connection: Connection, chosen: Conditions) -> dict[str, int]:

@@ -16,7 +16,7 @@ from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, 
 from cbsr_qa.store.chain import KEY_OPTION
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
-from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
+from cbsr_qa.store.listed import judged_measurements, listed_runs, measured_runs, run_count, run_names
 from cbsr_qa.store.results import (
     Reanalysis,
     analyses as analysed,
@@ -161,7 +161,8 @@ class Repository:
     run_count = _of_engine(run_count)
     run_names = _of_engine(run_names)
     judged_measurements = _of_engine(judged_measurements)
-    measurement_rows = _of_engine(measurement_rows)
+    measured_runs = _of_engine(measured_runs)
+    altered_records = _of_engine(changed.altered_records)
     changes = _of_engine(changed.all_changes)
     overrides = _of_engine(changed.overrides)
     calibrations = _of_engine(issued.calibrations_of)
@@ -183,6 +184,7 @@ class Repository:
     order_problems = _of_engine(soundness.order_problems)
     misplaced_rows = _of_engine(soundness.misplaced_rows)
     check_stored_run = _of_engine(soundness.check_stored_run)
+    seal_problems = _of_engine(soundness.seal_problems)
     ring_problems = _of_engine(soundness.ring_problems)
 
     save_release = _of_engine(releases.save_release)

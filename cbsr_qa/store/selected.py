@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, time
 from functools import partial
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Engine, Row, Select, select
+from sqlalchemy import ColumnElement, Connection, Engine, select
 from sqlalchemy.exc import OperationalError
 
 from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.store.chain import AT_ONCE, check_run, unreadable
+from cbsr_qa.store.chain import check_run, unreadable
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.tables import RunRow, StationCheckRow
 
@@ -104,12 +104,3 @@ def conditions(selection: RunSelection) -> Conditions:
         latest = select(RunRow.run).where(*chosen).order_by(RunRow.run.desc()).limit(selection.latest)
         chosen.append(RunRow.run.in_(latest))
     return chosen
-
-
-def latest_of(
-    connection: Connection, query: Select[*tuple[Any, ...]], chosen: Conditions
-) -> dict[str, Row[*tuple[Any, ...]]]:
-    """Keep the last row of each run, of rows in order."""
-    if chosen:
-        query = query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen)))
-    return {row.run: row for row in connection.execute(query.execution_options(yield_per=AT_ONCE))}

@@ -10,8 +10,16 @@ from cbsr_qa.store.chain import PLAIN, check_run, new_chain, signing_key
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import begun, runs
+from cbsr_qa.store.seals import check_seal
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables import Base, CalibrationRow, RunRow, SensorRow, StationCheckFramesRow
+from cbsr_qa.store.tables import (
+    Base,
+    CalibrationRow,
+    RunRow,
+    SensorRow,
+    StationCheckFramesRow,
+    StationCheckRow,
+)
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -115,6 +123,16 @@ def check_stored_run(engine: Engine, run: str, *, frames: bool) -> ChainState:
     for calibration in issued:
         calibrations.calibration_file(engine, calibration)
     return chain
+
+
+def seal_problems(engine: Engine) -> Iterator[str]:
+    """Yield which checks of stations do not match their seals."""
+    row = StationCheckRow
+    with reading(engine) as connection:
+        for check, seal in connection.execute(select(row.check_id, row.seal).order_by(row.check_id)).all():
+            _, problem = check_seal(connection, check, seal)
+            if problem:
+                yield problem
 
 
 def ring_problems(engine: Engine) -> Iterator[str]:

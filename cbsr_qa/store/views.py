@@ -2,6 +2,8 @@
 
 They are no part of a schema version: they are dropped before a migration, which may change the tables below them, and
 created again at the latest version. The program itself reads tables.
+
+A view compares nothing with the chains of the runs: it says so in the database, where people look at it.
 """
 
 from typing import Final
@@ -57,6 +59,12 @@ WHERE NOT EXISTS (
 )
 """
 
+#: What a view says of itself: in its definition on SQLite, as its comment on PostgreSQL.
+UNCHECKED: Final = (
+    "Unchecked: rows as they are, not compared with the chains of the runs. Anyone who can write the tables can"
+    " change what is shown here; cbsr-qa runs, export, report and db check notice it."
+)
+
 #: Name of each view and its query, the same on SQLite and PostgreSQL; a view may read those before it.
 VIEWS: Final = {"v_runs": _RUNS, "v_measurements": _MEASUREMENTS, "v_calibrations": _CALIBRATIONS}
 
@@ -64,7 +72,9 @@ VIEWS: Final = {"v_runs": _RUNS, "v_measurements": _MEASUREMENTS, "v_calibration
 def create_views(connection: Connection) -> None:
     """Create all views, which must not exist."""
     for name, query in VIEWS.items():
-        connection.execute(text(f"CREATE VIEW {name} AS {query.strip()}"))
+        connection.execute(text(f"CREATE VIEW {name} AS /* {UNCHECKED} */ {query.strip()}"))
+        if connection.dialect.name == "postgresql":
+            connection.execute(text(f"COMMENT ON VIEW {name} IS '{UNCHECKED}'"))
 
 
 def drop_views(connection: Connection) -> None:

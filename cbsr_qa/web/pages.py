@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cbsr_qa.domain.results import EndReason, ListedRun
+from cbsr_qa.domain.results import ALTERED, EndReason, ListedRun
 from cbsr_qa.store.runs import RunLook
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
@@ -29,6 +29,7 @@ SIGNS: Final = {
     "not_measured": "unknown",
     "not_judged": "unknown",
     "none": "unknown",
+    "altered": "warn",
     "aborted": "stop",
     "broken": "warn",
     "ready": "ready",
@@ -77,6 +78,8 @@ def verdict_kind(snapshot: Snapshot) -> str:
     look = snapshot.look
     if look is None:
         return "none"
+    if look.altered:
+        return ALTERED
     if look.end is EndReason.RUNNING:
         return "interrupted"
     if look.end in (EndReason.ABORTED, EndReason.BROKEN):
@@ -88,6 +91,8 @@ def listed_kind(run: ListedRun, in_progress: frozenset[str]) -> str:
     """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
     if run.run in in_progress:
         return "running"
+    if run.altered:
+        return ALTERED
     if not run.finished:
         return "interrupted" if run.end is EndReason.RUNNING else str(run.end)
     return "none" if run.verdict is None else str(run.verdict).replace(" ", "_")

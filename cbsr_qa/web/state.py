@@ -115,7 +115,7 @@ class Snapshot:
     def resumable(self) -> bool:
         """Whether the latest run can be continued."""
         look = self.look
-        if look is None or self.mode.runs:
+        if look is None or self.mode.runs or look.altered:
             return False
         return look.end is not EndReason.FINISHED or look.outcome is None
 
@@ -136,7 +136,7 @@ def mode_of(
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
     if held or starting:
-        unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None
+        unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None and not look.altered
         if unjudged or control is not None or (starting and begun):
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD

@@ -5,11 +5,16 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from altered_runs import another_value, change
+from sqlalchemy import select
 from stored_runs import frames, identity, journalled, short_run
 
 from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings, StationCheck, worst_check
-from cbsr_qa.store import open_store, writing
+from cbsr_qa.store import open_store, reading, writing
+from cbsr_qa.store.chain import covered
+from cbsr_qa.store.seals import new_seal
+from cbsr_qa.store.tables import Base, StationCheckLineRow, StationCheckRow
 
 AT = datetime(2026, 11, 22, 6, 30, tzinfo=UTC)
 LINES = (
@@ -66,6 +71,57 @@ def test_frames_of_a_ring_that_were_changed_are_refused(repository):
         connection.exec_driver_sql("UPDATE station_check_frames SET current_a = 5e-4")
     with pytest.raises(StoreError, match=f"station check {told.check} are not what was measured"):
         repository.station_check_ring(told.check)
+
+
+CHANGES = {
+    **{
+        f"{table}.{column.name}": f"UPDATE {table} SET {column.name} = {another_value(column)}"
+        for table in ("station_checks", "station_check_lines", "station_check_frames")
+        for column in covered(Base.metadata.tables[table])
+        if column.name not in ("check_id", "station", "checked_at")  # it is another check then
+    },
+    "a line less": "DELETE FROM station_check_lines WHERE number = 1",
+    "a line more": "INSERT INTO station_check_lines SELECT check_id, 9, subject, name, 'ok', value, unit, allowed,"
+    " said, remedy FROM station_check_lines WHERE number = 0",
+    "no ring": "DELETE FROM station_check_frames",
+    "another seal": "UPDATE station_checks SET seal = 'sha256:' || substr(seal, -64)",
+}
+
+
+@pytest.mark.parametrize("key", ["", "a key of twenty-two let"], ids=["not signed", "signed"])
+@pytest.mark.parametrize("statement", CHANGES.values(), ids=CHANGES)
+def test_a_check_that_was_altered_has_failed_and_says_why(tmp_path, monkeypatch, statement, key):
+    if key:
+        monkeypatch.setenv("CBSR_QA_SIGNING_KEY", key)
+    elif "seal" in statement:
+        pytest.skip("it is that seal")
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        run = store.new_id()
+        journalled(store, short_run(run))
+        name = store.new_id()
+        store.save_station_check(check(name, golden_run=run), RingReadings(frames(0.0, 2), (1000.0,) * 16))
+        assert store.latest_golden_check("bench-α").sealed == ("signed" if key else "digest")
+        assert [*store.seal_problems()] == []
+        change(tmp_path / "runs.db", statement)
+        for found in (store.latest_station_check("bench-α"), store.latest_golden_check("bench-α")):
+            assert found.outcome is CheckOutcome.FAILED
+            assert f"station check {name} was altered" in found.results[0].said
+        assert len([*store.seal_problems()]) == 1
+
+
+def test_a_seal_that_was_computed_again_without_the_key_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_SIGNING_KEY", "a key of twenty-two let")
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        store.save_station_check(check(store.new_id()))
+        change(tmp_path / "runs.db", "UPDATE station_checks SET operator = 'Mallory'")
+        tables = StationCheckRow, StationCheckLineRow
+        with reading(store._engine) as connection:
+            rows = [(one, row) for one in tables for row in connection.execute(select(one.__table__)).mappings()]
+            forged = new_seal(connection, "another check", rows)  # signed, but for another
+        change(tmp_path / "runs.db", "UPDATE station_checks SET seal = ?", forged)
+        assert "was not signed with key" in store.latest_station_check("bench-α").altered
+        change(tmp_path / "runs.db", "UPDATE station_checks SET seal = NULL")  # as of before: the gate asks for more
+        assert store.latest_station_check("bench-α").sealed == "none"
 
 
 def test_a_check_of_a_golden_run_that_is_not_stored_leaves_nothing_behind(repository):

@@ -52,7 +52,7 @@ def test_a_damaged_run_of_one_station_hides_no_other_station(url, tmp_path, watc
     watcher, (first, second) = watched("first", "second")
     until(lambda: second.snapshot, "the second station")
     assert (second.snapshot.serial, second.snapshot.trouble) == ("S-2", "")
-    assert "melted" in first.snapshot.trouble
+    assert "run_states (number 0) was changed" in first.snapshot.look.altered
     assert watcher.trouble == ""
 
 

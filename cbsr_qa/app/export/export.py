@@ -1,8 +1,9 @@
 """``cbsr-qa export``: what to write of which runs, in which format."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -14,18 +15,20 @@ from cbsr_qa.app.export.frames import as_recording, joined_samples, run_frames
 from cbsr_qa.app.export.junit import suite, suites
 from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
 from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
+from cbsr_qa.app.run import check_listed
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import RefusedError, did_you_mean
+from cbsr_qa.domain import RefusedError, StoreError, did_you_mean
 from cbsr_qa.domain.results import CommandOutcome, ListedRun, Outcome, RunSelection
 from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import answer, plural
 from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.shift import ListRequest, RunPage, run_pages
+from cbsr_qa.studies.shift import ListRequest, RunPage, exit_code, run_pages, trust_counts, trust_notes
 from cbsr_qa.system import writing, written_whole
 
 #: Progress is shown so many times at most.
 _STEPS: Final = 10
+_ALTERED: Final = "restore the database from a copy; nothing was written (a table, CSV or Parquet, marks such runs)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,7 @@ class Exported:
     runs : how many of them the file is about.
     run : the only run, where the file is about one that was named; else null.
     table, rows : what a row is, and how many; null unless the file is a table.
+    altered : runs that do not match their chains: they are marked in a table, and no other file is written of them.
     frames, loads, overrides : frames and presses of the run, and overrides of its verdict; null and empty unless the
         file holds frames.
     """
@@ -72,6 +76,7 @@ class Exported:
     run: str | None = None
     table: ExportTable | None = None
     rows: int | None = None
+    altered: tuple[str, ...] = ()
     frames: int | None = None
     loads: int | None = None
     overrides: tuple[VerdictOverride, ...] = field(default=())
@@ -92,7 +97,7 @@ def export_data(
         If the options do not go together, no run is selected, the file exists and is not to be replaced, cannot be
         written, or its format lacks a library or cannot hold the run.
     StoreError
-        If there is no such run, or it is damaged.
+        If there is no such run, or it is damaged; if one was altered, unless the file is a table.
     """
     kind = format_of(request.to, request.format)
     table = _table(request, kind)
@@ -142,13 +147,21 @@ def _export_frames(
         write_recording(to, recording)
         frames = len(recording.frames)
     else:
-        (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
+        listed = _sound_run(store, run)
         frames = _write_frames(record, phases, listed, to, kind)
     loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
     size_bytes = to.stat().st_size
     exported = Exported(to, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
     words = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
     return _outcome(exported, words, (("Run", record.identity.words),))
+
+
+def _sound_run(store: Repository, run: str) -> ListedRun:
+    """Return a run as it is listed. StoreError if it was altered."""
+    (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
+    if listed.altered:
+        raise StoreError(listed.altered, remedy=_ALTERED)
+    return listed
 
 
 def _write_frames(
@@ -201,44 +214,63 @@ def _export_runs(
     of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
     pages = run_pages(store, of_run or chosen, AT_ONCE)
     runs = rows = 0
+    altered, trusted = list[str](), Counter[str]()
     with writing(to), written_whole(to) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
-                rows += write(page.runs)
-                runs += len(page.runs)
+                written, marked = write(page.runs)
+                rows, runs = rows + written, runs + len(page.runs)
+                altered += marked
+                trusted += trust_counts(page.runs)
                 _tell(page, tell)
         if not runs:
             raise RefusedError(
                 "no run is selected: there is nothing to export",
                 remedy="cbsr-qa runs with the same options lists what they select",
             )
-    of_table = (table, rows) if kind.of_table else (None, None)
-    exported = Exported(to, kind, to.stat().st_size, runs, run, *of_table)
+    exported = Exported(
+        to,
+        kind,
+        to.stat().st_size,
+        runs,
+        run,
+        table if kind.of_table else None,
+        rows if kind.of_table else None,
+        tuple(altered),
+    )
     words = plural(runs, "run")
-    return _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
+    outcome = _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
+    trusted["altered"] = len(altered)
+    page_of_file = replace(outcome.page, warnings=trust_notes(store, trusted))
+    return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered)))
 
 
 @contextmanager
 def _writer(
     store: Repository, file: BinaryIO, kind: ExportFormat, table: ExportTable
-) -> Iterator[Callable[[Sequence[ListedRun]], int]]:
-    """Yield what writes some runs and returns the number of its rows."""
+) -> Iterator[Callable[[Sequence[ListedRun]], tuple[int, tuple[str, ...]]]]:
+    """Yield what writes some runs, and returns the number of its rows and the runs that are marked as altered."""
     if kind is ExportFormat.JUNIT:
 
-        def add_suites(runs: Sequence[ListedRun]) -> int:
+        def add_suites(runs: Sequence[ListedRun]) -> tuple[int, tuple[str, ...]]:
+            for run in runs:
+                if run.altered:
+                    raise StoreError(run.altered, remedy=_ALTERED)
             judged = store.judged_measurements([run.run for run in runs])
-            file.writelines(suite(run, judged.get(run.run, ())) for run in runs)
-            return len(runs)
+            for run in runs:
+                check_listed(run, judged.get(run.run, ()))
+                file.write(suite(run, judged.get(run.run, ())))
+            return len(runs), ()
 
         with suites(file):
             yield add_suites
         return
     with table_writer(file, kind, table) as writer:
 
-        def add_rows(runs: Sequence[ListedRun]) -> int:
-            rows = rows_of(store, table, runs)
+        def add_rows(runs: Sequence[ListedRun]) -> tuple[int, tuple[str, ...]]:
+            rows, altered = rows_of(store, table, runs)
             writer.write(rows)
-            return len(rows)
+            return len(rows), altered
 
         yield add_rows
 

@@ -4,12 +4,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from importlib import import_module
-from operator import itemgetter
 from typing import Any, BinaryIO, Final, Protocol, TypeAlias
 
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import ListedRun
+from cbsr_qa.domain.results import ALTERED, ListedRun
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.shift import ListRequest, RunEntry, run_pages, table_cell
 from cbsr_qa.system import csv_text
@@ -40,6 +39,7 @@ _RUN: Final[dict[str, type]] = {
     "number": int,
     "of_check": bool,
     "simulated": bool,
+    "chain": str,
 }
 #: Columns of a measurement that tell which run it is of.
 _OF_RUN: Final = ("run", "serial", "batch", "station", "recipe", "started_at")
@@ -75,23 +75,34 @@ class TableWriter(Protocol):
     def write(self, rows: Rows) -> None: ...
 
 
-def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> Rows:
-    """Return the rows of some runs. StoreError if a cell of one is damaged; the message names the run."""
+def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> tuple[Rows, tuple[str, ...]]:
+    """Return the rows of some runs, and which of the runs were altered: their rows say so.
+
+    StoreError if a cell of one is damaged; the message names the run.
+    """
     if table is ExportTable.RUNS:
         entries = map(RunEntry.of, runs)
-        return [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
+        rows = [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
+        return rows, tuple(run.run for run in runs if run.altered)
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
-    measured = store.measurement_rows([*of_run])
-    # By position: a row is looked up by name ten times slower, and there are millions of cells.
-    pick = itemgetter(*(measured[0]._fields.index(name) for name in _MEASURED)) if measured else tuple
-    return [(*of_run[row.run], *pick(row)) for row in measured]
+    measured = store.measured_runs([*of_run])
+    cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
+    rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
+    marked = [_altered_row(of_run[run], problem) for run, problem in measured.altered.items()]
+    return rows + marked, tuple(measured.altered)
+
+
+def _altered_row(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
+    """Return the row that a run has in place of its measurements if it was altered."""
+    said = {"outcome": ALTERED, "how": problem}
+    return (*of_run, *(said.get(name) for name in _MEASURED))
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:
     """Return columns with their types, and all rows, of the selected runs. Raises as :func:`rows_of`."""
     rows: Rows = []
     for page in run_pages(store, request, AT_ONCE):
-        rows += rows_of(store, table, page.runs)
+        rows += rows_of(store, table, page.runs)[0]
     return _COLUMNS[table], rows
 
 

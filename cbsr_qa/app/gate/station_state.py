@@ -5,7 +5,7 @@ from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.config import FileContent, configured_files
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck, worst_check
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, CheckSeal, StationCheck, worst_check
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts import charts_after
 
@@ -24,8 +24,10 @@ def golden_measured(asked: Asked) -> Finding:
         return Finding(False, f"no golden sensor was ever measured on station {station}", *remedy)
     at = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
     outcome = worst_check(_golden_lines(check))
-    if outcome not in (CheckOutcome.OK, CheckOutcome.WARNING):
-        return Finding(False, f"{at} did not pass: {outcome} (check {check.check})", *remedy)
+    unsigned = asked.store.key_id is not None and check.sealed in (CheckSeal.NONE, CheckSeal.DIGEST)
+    if unsigned or outcome not in (CheckOutcome.OK, CheckOutcome.WARNING):
+        why = f"did not pass: {outcome}" if not unsigned else "is not signed, and a signing key is set"
+        return Finding(False, f"{at} {check.altered or why} (check {check.check})", *remedy)
     age, hours = asked.now - check.checked_at, asked.settings.golden_hours
     if age < -_CLOCKS:
         return Finding(False, f"{at} is later than this computer's clock", "set the clock, then measure it again")

@@ -108,6 +108,9 @@ class _Session:
 
     def _job(self, line: RunLine) -> Job | None:
         """Return the job of a run; None if it is stored already, or the run cannot be analysed."""
+        if line.altered:
+            self._cannot(line, line.altered)
+            return None
         if not line.finished:
             self._cannot(line, f"it has not finished ({line.end})")
             return None
@@ -177,7 +180,7 @@ class _Session:
     def conclude(self, computed: int, where: str) -> Reanalysed:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
         changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
-        decided = {override.analysis: override.outcome for override in self._store.overrides()}
+        decided = {line.run: line.overridden_to for line in self._store.run_lines(self._request.selection)}
         left: list[NamedRun] = []
         unchanged = adopted = 0
         progress = _Progress("comparing", len(self.stored), self._tell)
@@ -192,7 +195,7 @@ class _Session:
             before = () if valid is None else valid.measurements
             changes.add(line, before, new.measurements)
             warnings.update(set(new.warnings).difference(() if valid is None else valid.warnings))
-            overridden = None if valid is None else decided.get(valid.analysis)
+            overridden = None if valid is None else decided.get(line.run)
             if valid is None or valid.verdict.outcome is not new.verdict.outcome:
                 flips.append(_flip(line, analyses, new, overridden))
             unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)

@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING
 from cbsr_qa.lazy import door
 
 if TYPE_CHECKING:
-    from .decided_again import check_decided as check_decided, judging_recipe as judging_recipe
+    from .decided_again import (
+        check_decided as check_decided,
+        check_listed as check_listed,
+        judging_recipe as judging_recipe,
+    )
     from .material_output import material_of as material_of, why_no_material as why_no_material
     from .outcome import RunOutcome as RunOutcome, run_outcome as run_outcome
     from .outputs import report_sections as report_sections

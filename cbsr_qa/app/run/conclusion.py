@@ -95,6 +95,7 @@ def _concluded(
             *left_running(threads),
             *(charts.warnings() if charts else ()),
             *unexplained(history.of(run)),
+            *history.warnings,
             *record.chain.warnings,
             *earlier.warnings,
         ),

@@ -1,7 +1,7 @@
 """Checks that a stored verdict follows from its stored measurements, by the recipe that judged them."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Final
@@ -10,7 +10,7 @@ from cbsr_qa.analysis import judge
 from cbsr_qa.config import load_recipe, restore
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.plan import Recipe
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, Verdict, decide
+from cbsr_qa.domain.results import EndReason, Limit, ListedRun, Measurement, Outcome, Verdict, decide
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
@@ -49,16 +49,36 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
         raise _refused(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
 
 
+def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
+    """Decide the outcome of a listed run again from its measurements with a limit, judged by these limits.
+
+    Raises
+    ------
+    StoreError
+        If an outcome does not follow; it names the measurement.
+    """
+    for was, now in zip(judged, _by_own_limits(judged), strict=True):
+        if was.outcome is not now.outcome:
+            raise StoreError(f"run {run.run}: {_named(was)} {_difference(was, now)}", remedy=_REMEDY)
+    if not run.finished or run.outcome in (None, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
+        return
+    if decide(tuple(judged)).outcome is not run.outcome:
+        said = f"the verdict states {run.outcome}; its measurements say {decide(tuple(judged)).outcome}"
+        raise StoreError(f"run {run.run}: {said}", remedy=_REMEDY)
+
+
+def _by_own_limits(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
+    bare = (replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in measurements)
+    return tuple(m if was.limit is None else m.judged(was.limit) for m, was in zip(bare, measurements, strict=True))
+
+
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
     """Judge measurements again by the limits of the configuration, or by their own if None."""
-    own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
-    if limits is not None:
-        again = judge(own, [replace(limit, version="") for limit in limits])
+    if limits is None:
+        again = _by_own_limits(stored.measurements)
     else:
-        again = tuple(
-            measurement if m.limit is None else measurement.judged(m.limit)
-            for measurement, m in zip(own, stored.measurements, strict=True)
-        )
+        own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
+        again = judge(own, [replace(limit, version="") for limit in limits])
     for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
         if (was.limit, was.outcome) != (now.limit, now.outcome):
             raise _refused(stored, f"measurement {number} ({_named(was)}) {_difference(was, now)}")

@@ -183,7 +183,13 @@ def rebuilt(
         compute_s=stored.compute_s,
         warnings=tuple(
             dict.fromkeys(
-                (*_adopted(analyses, recipe.name), *_warnings(stored, why), *record.chain.warnings, *earlier.changed)
+                (
+                    *_adopted(analyses, recipe.name),
+                    *_warnings(stored, why),
+                    *record.chain.warnings,
+                    *earlier.changed,
+                    *history.warnings,
+                )
             )
         ),
         limits_version=recipe.limits_version,

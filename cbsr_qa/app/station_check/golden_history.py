@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Bound, EndReason, Measurement, metric_words
 from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
@@ -81,6 +82,8 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
     for other in reversed(store.find_runs(identity.sensor.serial)):
         if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
             continue
+        if other.altered:
+            raise StoreError(other.altered, remedy="restore the database from a copy")
         analyses = store.analyses(other.run)
         adoption = analyses[0].adoption if analyses else None
         measuring = measuring_digest(store.configuration(other.run), "" if adoption is None else adoption.recipe)

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
         PlaceTemplates as PlaceTemplates,
     )
     from .learned_quantity import LearnedQuantity as LearnedQuantity, QuantityScales as QuantityScales
-    from .listed import Decision as Decision, ListedRun as ListedRun
+    from .listed import ALTERED as ALTERED, Decision as Decision, ListedRun as ListedRun
     from .measurement import (
         SEVERITY as SEVERITY,
         Bound as Bound,

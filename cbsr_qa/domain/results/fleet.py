@@ -99,6 +99,7 @@ class RunLine:
     simulated : in words; empty for a real bench.
     of_check : whether it is a golden sensor's, made to check its station.
     overridden_to : of the latest override of that analysis; None without one.
+    altered : what does not match the chain; the run has no outcome then. Empty where nothing does.
     """
 
     run: str
@@ -117,6 +118,7 @@ class RunLine:
     operator: str = ""
     reason: str = ""
     overridden_to: Outcome | None = None
+    altered: str = ""
 
     @property
     def verdict(self) -> Outcome | None:

@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Final
 
 from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.results.measurement import EndReason, Outcome
+from cbsr_qa.domain.run import UNCHAINED, ChainState
+
+#: In place of a verdict, where a run does not match its chain.
+ALTERED: Final = "altered"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +38,9 @@ class ListedRun:
     of_check : whether it is a golden sensor's, made to check its station.
     simulated : whether anything was simulated.
     end_detail : by whom it was aborted, or what broke it.
+    chain : state of its chain.
+    altered : what does not match the chain, also its ``reason`` then; it has no outcome and no verdict. Empty where
+        nothing does.
     """
 
     run: str
@@ -53,6 +61,8 @@ class ListedRun:
     of_check: bool
     simulated: bool
     end_detail: str = ""
+    chain: ChainState = UNCHAINED
+    altered: str = ""
 
     @property
     def finished(self) -> bool:
@@ -60,8 +70,8 @@ class ListedRun:
 
     @property
     def verdict(self) -> Outcome | None:
-        """What counts: the override if there is one, else the outcome; None for a run that did not finish."""
-        if not self.finished:
+        """What counts: the override if there is one, else the outcome; None if it did not finish, or was altered."""
+        if not self.finished or self.altered:
             return None
         return self.outcome if self.decision is None else self.decision.outcome
 

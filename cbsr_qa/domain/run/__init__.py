@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         LoadRecord as LoadRecord,
     )
     from .run import (
+        UNCHAINED as UNCHAINED,
         ChainState as ChainState,
         FramesTaken as FramesTaken,
         InstrumentIdentity as InstrumentIdentity,
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
         ChartSettings as ChartSettings,
         CheckOutcome as CheckOutcome,
         CheckResult as CheckResult,
+        CheckSeal as CheckSeal,
         RingReadings as RingReadings,
         StandingSignal as StandingSignal,
         StationCharts as StationCharts,

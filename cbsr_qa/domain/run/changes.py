@@ -228,10 +228,16 @@ class ChangeHistory:
     accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty without one, and
         ``changes`` are then all there are.
     changes : oldest first; those of the run itself among them.
+    altered : what is wrong with runs whose changes are left out, because they do not match their chains.
     """
 
     accepted_run: str = ""
     changes: tuple[ConfigurationChange, ...] = ()
+    altered: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(f"changes of files noted with an earlier run are not shown: {one}" for one in self.altered)
 
     def of(self, run: str) -> tuple[ConfigurationChange, ...]:
         return tuple(change for change in self.changes if change.run == run)

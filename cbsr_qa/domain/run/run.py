@@ -50,9 +50,19 @@ class ChainState:
         return f"chained by digests; signatures not checked: key {self.key_id} is not set here"
 
     @property
+    def label(self) -> str:
+        """The state in a list: ``unchained``, ``chained``, ``signed`` or ``signature not checked``."""
+        signed = {"none": self.state, "checked": "signed", "not checked": "signature not checked"}
+        return signed[self.signature]
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the run: rows without verification."""
         return () if self.chained else (f"rows of this run: {self.words}",)
+
+
+#: Of a run from before chains, or whose chain was removed.
+UNCHAINED: Final = ChainState()
 
 
 @dataclass(frozen=True, slots=True)

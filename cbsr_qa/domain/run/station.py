@@ -1,7 +1,7 @@
 """Checks and control charts of a station: check results, chart references and standing signals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import StrEnum
 
@@ -54,6 +54,15 @@ class CheckResult:
             raise RefusedError(f"check {self.name}: {self.value} is not a finite number")
 
 
+class CheckSeal(StrEnum):
+    """Whether a stored check can be told from one that was altered."""
+
+    NONE = "none"  #: nothing would tell
+    DIGEST = "digest"
+    SIGNED = "signed"
+    NOT_CHECKED = "signature not checked"  #: with another key than the one that is set, if one is
+
+
 @dataclass(frozen=True, slots=True)
 class StationCheck:
     """One check of a station.
@@ -68,6 +77,9 @@ class StationCheck:
     software : distribution name → version.
     instruments : those that answered, as they identified themselves.
     golden_run : of the golden sensor, where one was measured.
+    sealed : state of its seal.
+    altered : what does not match the seal; the check has one line then, which says so, and has failed. Empty where
+        nothing does.
     """
 
     check: str
@@ -80,6 +92,8 @@ class StationCheck:
     instruments: tuple[InstrumentIdentity, ...]
     results: tuple[CheckResult, ...]
     golden_run: str | None = None
+    sealed: CheckSeal = field(default=CheckSeal.NONE, compare=False)
+    altered: str = ""
 
     @property
     def outcome(self) -> CheckOutcome:

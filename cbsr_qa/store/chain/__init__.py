@@ -8,7 +8,9 @@ if TYPE_CHECKING:
     from .check import (
         ALL_KINDS as ALL_KINDS,
         IDENTITY as IDENTITY,
+        RESTORE as RESTORE,
         RESULTS as RESULTS,
+        chain_state as chain_state,
         check_run as check_run,
         data_digest as data_digest,
         of_run as of_run,
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
         add_rows as add_rows,
         chain_head as chain_head,
         checking_key as checking_key,
+        few_links as few_links,
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
@@ -42,14 +45,22 @@ if TYPE_CHECKING:
         keys_of as keys_of,
         row_texts as row_texts,
     )
+    from .many_runs import (
+        RUNS_AT_ONCE as RUNS_AT_ONCE,
+        ReadRows as ReadRows,
+        altered_runs as altered_runs,
+        read_rows as read_rows,
+    )
     from .run_documents import (
         BETWEEN as BETWEEN,
         FIGURES as FIGURES,
         JOINED as JOINED,
         KEYS as KEYS,
         RUN_COLUMNS as RUN_COLUMNS,
+        covered as covered,
         documents as documents,
         facts as facts,
+        row_text as row_text,
         sha256 as sha256,
         shown as shown,
         stored_figures as stored_figures,

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
-from sqlalchemy import Boolean, Connection, Integer, Row, Table, select, type_coerce
+from sqlalchemy import Boolean, Connection, Integer, Row, Table, func, select, type_coerce
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
@@ -22,7 +22,7 @@ from cbsr_qa.store.chain.run_documents import (
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, RunRow
+from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, RunRow, RunStateRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -32,7 +32,8 @@ IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
 _CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
-_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
+#: Remedy for a run that was altered.
+RESTORE: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
 def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
@@ -101,9 +102,19 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     if not kinds:
         checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
+    if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
+        return _checked(connection, run, ())  # names the link
+    return chain_state(connection, row.chain)
+
+
+def chain_state(connection: Connection, chain: str | None) -> ChainState:
+    """Return the state of a chain that was checked, from column ``runs.chain``."""
+    if chain is None:
+        return ChainState()
+    key_id = key_id_of(chain)
     if not key_id:
         return ChainState("chained")
-    return ChainState("chained", "checked" if key is not None else "not checked", key_id)
+    return ChainState("chained", "checked" if checking_key(connection, chain) else "not checked", key_id)
 
 
 def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence[Row[*tuple[Any, ...]]]:
@@ -149,6 +160,22 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
             raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
 
 
+def runs_with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
+    """Return the runs that lack a link from their last state on, where their results are."""
+    link = LinkRow
+    of_states = select(link.run, func.max(link.number).label("number")).where(
+        link.run.in_(runs), link.kind == RunStateRow.__tablename__, few_links()
+    )
+    last = of_states.group_by(link.run).subquery()
+    query = (
+        select(link.run)
+        .join(last, (last.c.run == link.run) & (link.number >= last.c.number))
+        .group_by(link.run)
+        .having(func.count() != func.max(link.number) - func.min(link.number) + 1)
+    )
+    return set(connection.scalars(query))
+
+
 def stored_documents(
     connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
 ) -> Iterator[tuple[str, str, str]]:
@@ -179,4 +206,4 @@ def of_run(table: Table, run: str) -> Any:
 
 
 def _broken(run: str, what: str) -> StoreError:
-    return StoreError(f"run {run}: {what}", remedy=_REMEDY)
+    return StoreError(f"run {run}: {what}", remedy=RESTORE)

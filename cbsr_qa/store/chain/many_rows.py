@@ -69,4 +69,8 @@ def _texts(key: str, how: Callable[[Any], str], column: Sequence[Any]) -> Sequen
         if len(distinct) * _OFTEN <= len(column):
             written_once = {cell: key + how(cell) for cell in distinct}
             return list(map(written_once.__getitem__, column))
+    objects = {id(cell): cell for cell in column}  # JSON that many rows share is parsed once
+    if len(objects) * _OFTEN <= len(column):
+        texts = {one: "" if cell is None else key + how(cell) for one, cell in objects.items()}
+        return [texts[id(cell)] for cell in column]
     return ["" if cell is None else key + how(cell) for cell in column]

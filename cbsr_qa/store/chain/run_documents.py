@@ -26,7 +26,6 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     LargeBinary,
-    Row,
     RowMapping,
     Table,
     select,
@@ -100,6 +99,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
 }
 #: Columns that no digest covers: the chain that an end of a phase is in says of which run it is.
 _LEFT_OUT: Final = {("phase_ends", "run")}
+#: What is computed over the other columns.
+_SEALS: Final = {("station_checks", "seal")}
 #: What a comparison of fleets reads of an analysis, see fleet.py.
 FIGURES: Final = "figures"
 
@@ -158,10 +159,11 @@ def tables() -> Iterator[Table]:
 @cache
 def covered(table: Table) -> tuple[Column[Any], ...]:
     """Return the columns a digest covers. Bytes have their own digest in the same row."""
+    left_out = _LEFT_OUT | _SEALS
     return tuple(
         one
         for one in table.columns
-        if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LEFT_OUT
+        if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in left_out
     )
 
 
@@ -231,9 +233,9 @@ def words() -> ColumnElement[str]:
     return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
 
 
-def facts(run: Row[*tuple[Any, ...]], analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
-    """Return the identifying facts as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
-    of_run = run.run, run.serial, run.batch, run.material, run.station, run.recipe, run.operator
+def facts(run: Any, analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
+    """Return the identifying facts as text, from something with :data:`RUN_COLUMNS` and the run's analysis."""
+    of_run = run.run, run.serial, run.batch, run.material or None, run.station, run.recipe, run.operator
     when = run.started_at.astimezone(UTC).isoformat()
     return canonical([*of_run, when, run.simulated, analysis, outcome, software])
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .analyses import (
         StoredAnalysis as StoredAnalysis,
         analysis_outcome as analysis_outcome,
-        as_measurement as as_measurement,
+        stored_measurement as stored_measurement,
     )
     from .calibrations import check_files as check_files
     from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of

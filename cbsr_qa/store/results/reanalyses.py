@@ -1,7 +1,7 @@
 """Re-analyses of stored runs: on trial beside the valid analysis, until somebody adopts them."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
@@ -160,12 +160,12 @@ def adopt(engine: Engine, reanalysis: str, *, analysis: str, operator: str, why:
         add_rows(connection, row.run, AdoptionRow, [{"analysis": analysis, **adopted}])
 
 
-def adoptions(engine: Engine) -> tuple[AdoptedRuns, ...]:
-    """Return who adopted how many re-analyses, when and why, oldest first."""
+def adoptions(engine: Engine, without: Collection[str] = ()) -> tuple[AdoptedRuns, ...]:
+    """Return who adopted how many re-analyses, when and why, oldest first; ``without`` some runs."""
     a, r = AdoptionRow, ReanalysisRow
     first, last = func.min(a.adopted_at), func.max(a.adopted_at)
     query = select(a.operator, a.why, r.recipe, func.count(), first, last).join(r, r.reanalysis == a.reanalysis)
-    grouped = query.group_by(a.operator, a.why, r.recipe).order_by(first)
+    grouped = query.where(r.run.not_in(without)).group_by(a.operator, a.why, r.recipe).order_by(first)
     with reading(engine) as connection:
         return tuple(AdoptedRuns(*row) for row in connection.execute(grouped))
 

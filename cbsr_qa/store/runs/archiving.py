@@ -28,9 +28,10 @@ from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.engine import reading, sqlite_file, writing
 from cbsr_qa.store.locks import this_process, writing_alone
 from cbsr_qa.store.runs.codec import frame_block, frame_values
-from cbsr_qa.store.tables import AnalysisRow, ArchiveRow, FrameBlockRow, RunRow, RunStateRow, VerdictOverrideRow
+from cbsr_qa.store.tables import ArchiveRow, FrameBlockRow, RunRow, RunStateRow, VerdictOverrideRow
+from cbsr_qa.store.verdicts import verdict_of
 
-_PASSED = (str(Outcome.PASS), str(Outcome.MARGINAL))
+_PASSED = (Outcome.PASS, Outcome.MARGINAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +82,15 @@ def _passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
         return False
     if any(session.noted_at is not None and session.noted_at >= before for session in sessions):
         return False
-    verdicts = select(AnalysisRow.outcome).order_by(AnalysisRow.run.desc(), AnalysisRow.analysis.desc()).limit(1)
-    own = connection.scalar(verdicts.where(AnalysisRow.run == one.run))
-    of_sensor = connection.scalar(
-        verdicts.join(RunRow, RunRow.run == AnalysisRow.run).where(RunRow.serial == one.serial)
-    )
-    return own in _PASSED and of_sensor in _PASSED
+    own = verdict_of(connection, one.run)
+    if own is None or own.outcome not in _PASSED:
+        return False
+    of_sensor = select(RunRow.run).where(RunRow.serial == one.serial).order_by(RunRow.run.desc())
+    for run in connection.scalars(of_sensor).all():
+        found = verdict_of(connection, run)
+        if found is not None and (found.altered or found.outcome is not None):  # altered: what it was is not known
+            return found.outcome in _PASSED
+    return False
 
 
 def archive_folder(engine: Engine, to: Path | None) -> Path:

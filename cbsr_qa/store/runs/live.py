@@ -8,6 +8,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, Engine, func, select, tuple_
 from sqlalchemy.exc import SQLAlchemyError
 
+from cbsr_qa.domain import fitted
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
 from cbsr_qa.domain.results import Decision, EndReason, Outcome
@@ -16,11 +17,9 @@ from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import stored, translated
 from cbsr_qa.store.engine import reading, sqlite_file
 from cbsr_qa.store.mapping import of_row
-from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.codec import frame_block, sample_block
 from cbsr_qa.store.runs.rows import current_state, phases_of
 from cbsr_qa.store.tables import (
-    AnalysisRow,
     CalibrationRow,
     FrameBlockRow,
     LinkRow,
@@ -29,8 +28,8 @@ from cbsr_qa.store.tables import (
     RunStateRow,
     SampleBlockRow,
     UnloadedMarkRow,
-    VerdictOverrideRow,
 )
+from cbsr_qa.store.verdicts import verdict_of
 
 #: Most blocks of frames, and of samples, that one read returns: the latest ones.
 MOST_BLOCKS: Final = 400
@@ -121,6 +120,7 @@ class RunLook:
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     outcome, reason, calibrated : of its latest analysis; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
+    altered : what does not match the chain, also its ``reason`` then; it has no outcome. Empty where nothing does.
     """
 
     run: str
@@ -137,6 +137,7 @@ class RunLook:
     reason: str
     calibrated: bool
     decision: Decision | None
+    altered: str = ""
 
     @property
     def verdict(self) -> Outcome | None:
@@ -155,38 +156,26 @@ def look_at(engine: Engine, run: str) -> RunLook | None:
 
 
 def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
-    columns = [column for column in RunRow.__table__.columns if column.name not in ("setting", "configuration")]
-    a = AnalysisRow
     with reading(engine) as connection:
-        row = connection.execute(select(*columns).where(which).order_by(RunRow.run.desc()).limit(1)).one_or_none()
-        if row is None:
+        run = connection.scalar(select(RunRow.run).where(which).order_by(RunRow.run.desc()).limit(1))
+        found = None if run is None else verdict_of(connection, run)
+        if found is None:
             return None
-        state = current_state(connection, row.run)
-        begun = select(RunStateRow.noted_at).where(RunStateRow.run == row.run, RunStateRow.noted_at.is_not(None))
-        session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1)) or row.started_at
-        latest = select(a.analysis, a.analysed_at, a.outcome, a.reason).where(a.run == row.run)
-        found = connection.execute(latest.order_by(a.analysis.desc()).limit(1)).one_or_none()
-        issued = select(CalibrationRow.calibration).where(CalibrationRow.run == row.run).limit(1)
-        return of_row(
+        begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
+        session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
+        issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
+        return fitted(
             RunLook,
-            row,
-            worked_at=session_at if found is None else max(session_at, found.analysed_at),
-            end=EndReason(state.end),
-            detail=state.detail,
-            outcome=None if found is None else analysis_outcome(found),
-            reason="" if found is None else found.reason,
+            found.values,
+            worked_at=max(filter(None, (session_at or found.values["started_at"], found.analysed_at))),
+            end=found.end,
+            detail=found.end_detail,
+            outcome=found.outcome,
+            reason=found.altered or found.reason,
             calibrated=connection.scalar(issued) is not None,
-            decision=None if found is None else _decision(connection, row.run, found.analysis),
+            decision=found.decision,
+            altered=found.altered,
         )
-
-
-def _decision(connection: Connection, run: str, analysis: str) -> Decision | None:
-    o = VerdictOverrideRow
-    query = select(o.outcome, o.operator, o.why).where(o.run == run, o.analysis == analysis)
-    row = connection.execute(query.order_by(o.override_id.desc()).limit(1)).one_or_none()
-    if row is None:
-        return None
-    return Decision(stored(Outcome, row.outcome, "verdict_overrides.outcome", f"run {run}"), row.operator, row.why)
 
 
 class ChangeNotice:

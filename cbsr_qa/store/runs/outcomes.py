@@ -2,19 +2,19 @@
 
 import json
 from datetime import UTC, datetime
-from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, and_, exists, func, select
+from sqlalchemy import Connection, Engine, exists, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store.chain import check_run, unreadable
-from cbsr_qa.store.damage import shown, stored
+from cbsr_qa.store.chain import KEY_OPTION, SigningKey, unreadable
+from cbsr_qa.store.damage import shown
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, sqlite_file
-from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
+from cbsr_qa.store.tables import RunRow, StationCheckRow
 from cbsr_qa.store.types import made_at
+from cbsr_qa.store.verdicts import verdict_of
 
 
 def latest_outcome(url: str, run: str) -> Outcome | None:
@@ -23,7 +23,7 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     Raises
     ------
     StoreError
-        If the database does not exist or cannot be read.
+        If the database does not exist or cannot be read, or the run was altered.
     """
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
@@ -31,16 +31,11 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
         raise StoreError(f"{shown(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
-        with reading(engine) as connection:
-            query = select(AnalysisRow.outcome).where(AnalysisRow.run == run)
-            found = connection.execute(query.order_by(AnalysisRow.analysis.desc()).limit(1)).scalar()
+        with reading(engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})) as connection:
+            found = verdict_of(connection, run)
     finally:
         engine.dispose()
-    return None if found is None else stored(Outcome, found, "analyses.outcome", f"run {run}")
-
-
-#: Columns read of an earlier run.
-_READ: Final = frozenset(table.__tablename__ for table in (RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow))
+    return None if found is None else found.checked().outcome
 
 
 def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
@@ -53,40 +48,32 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
     if before:
         query = query.where(run.run < before)
     with reading(engine) as connection:
-        return tuple(_checked(connection, serial, *row) for row in connection.execute(query).all())
+        return tuple(_earlier(connection, serial, *row) for row in connection.execute(query).all())
 
 
-def _checked(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
+def _earlier(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
     try:
-        chained = check_run(connection, run, _READ).chained
-        return _earlier(_row(connection, run), of_check=of_check, chained=chained)
+        found = verdict_of(connection, run)
+        if found is None:
+            raise StoreError(f"run {run} is no longer there")
+        decision, values = found.checked().decision, found.values
     except (StoreError, ValueError, TypeError, AttributeError) as error:
         changed = (error if isinstance(error, StoreError) else unreadable(connection, run, error)).reason
         began = made_at(run) or datetime.fromtimestamp(0, UTC)
         sensor = SensorIdentity(serial, "", "")
         return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)
-
-
-def _row(connection: Connection, of: str) -> Any:
-    run, state, analysis, override = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
-    last_state = select(func.max(state.number)).where(state.run == run.run).correlate(run).scalar_subquery()
-    last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run).correlate(run)
-    last_override = select(func.max(override.override_id)).where(
-        override.run == run.run, override.analysis == analysis.analysis
+    return EarlierRun(
+        run=run,
+        started_at=values["started_at"],
+        sensor=SensorIdentity(values["serial"], values["batch"], values["sensor_type"]),
+        recipe=values["recipe"],
+        end=found.end,
+        outcome=found.outcome,
+        reason=found.reason,
+        overridden=None if decision is None else (decision.outcome, decision.operator),
+        of_check=of_check,
+        chained=found.chain.chained,
     )
-    query = (
-        select(
-            *(run.run, run.started_at, run.serial, run.batch, run.sensor_type, run.recipe),
-            *(state.end, analysis.outcome, analysis.reason),
-            override.outcome.label("decided"),
-            override.operator.label("by"),
-        )
-        .join(state, and_(state.run == run.run, state.number == last_state))
-        .outerjoin(analysis, analysis.analysis == last_analysis.scalar_subquery())
-        .outerjoin(override, override.override_id == last_override.correlate(run, analysis).scalar_subquery())
-        .where(run.run == of)
-    )
-    return connection.execute(query).one()
 
 
 def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
@@ -103,18 +90,3 @@ def _seed(configuration: str) -> int | None:
     except (ValueError, TypeError, AttributeError):
         return None
     return seed
-
-
-def _earlier(row: Any, *, of_check: bool, chained: bool) -> EarlierRun:
-    return EarlierRun(
-        run=row.run,
-        started_at=row.started_at,
-        sensor=SensorIdentity(row.serial, row.batch, row.sensor_type),
-        recipe=row.recipe,
-        end=EndReason(row.end),
-        outcome=None if row.outcome is None else Outcome(row.outcome),
-        reason=row.reason or "",
-        overridden=None if row.decided is None else (Outcome(row.decided), row.by),
-        of_check=of_check,
-        chained=chained,
-    )

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Result, Row, select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.domain import RefusedError, StoreError, fitted
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, Outcome
@@ -27,7 +27,6 @@ from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue
 from cbsr_qa.store.damage import address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
 from cbsr_qa.store.mapping import of_row
-from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.attendance import attendance_of
 from cbsr_qa.store.runs.codec import (
     decoded_indenter,
@@ -42,7 +41,6 @@ from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
 from cbsr_qa.store.tables import (
-    AnalysisRow,
     FrameBlockRow,
     LoadRow,
     PhaseEndRow,
@@ -51,6 +49,7 @@ from cbsr_qa.store.tables import (
     SampleBlockRow,
     UnloadedMarkRow,
 )
+from cbsr_qa.store.verdicts import stored_verdicts
 from cbsr_qa.system import on_tick
 
 
@@ -62,6 +61,7 @@ class RunSummary:
     ----------
     end : RUNNING if it was interrupted or is in progress.
     outcome, reason : of its latest analysis; None and empty without one.
+    altered : what does not match the chain; the run has no outcome then. Empty where nothing does.
     """
 
     run: str
@@ -73,6 +73,7 @@ class RunSummary:
     end: EndReason
     outcome: Outcome | None
     reason: str
+    altered: str = ""
 
 
 def load_run(engine: Engine, run: str) -> RunRecord:
@@ -205,12 +206,14 @@ def goes_on_at_s(engine: Engine, run: str) -> float:
 
 
 def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
-    """Return runs, the latest first: of one sensor, or all."""
+    """Return runs, the latest first: of one sensor, or all. Those that were altered are marked."""
+    chosen = [] if serial is None else [RunRow.serial == serial]
     with reading(engine) as connection:
-        query = select(*RunRow.__table__.columns).order_by(RunRow.run.desc())
-        if serial is not None:
-            query = query.where(RunRow.serial == serial)
-        return tuple(_summary(connection, row) for row in connection.execute(query).all())
+        found = list(stored_verdicts(connection, chosen))
+    return tuple(
+        fitted(RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered)
+        for one in reversed(found)
+    )
 
 
 def resolve(engine: Engine, run_or_serial: str) -> str:
@@ -239,18 +242,6 @@ def _known(connection: Connection, run: str) -> Row[Any]:
     if row is None:
         raise StoreError(f"there is no run {run[:64]!r} in this database")
     return row
-
-
-def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
-    latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
-    found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
-    return of_row(
-        RunSummary,
-        row,
-        end=EndReason(current_state(connection, row.run).end),
-        outcome=None if found is None else analysis_outcome(found),
-        reason="" if found is None else found.reason,
-    )
 
 
 def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:

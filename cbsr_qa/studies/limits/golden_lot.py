@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import canonical_json, validate_serial
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.results import EndReason, Outcome, RunLine, RunSelection
 from cbsr_qa.report import named
 from cbsr_qa.store import Repository
@@ -123,7 +123,8 @@ def read_serials(path: Path) -> tuple[str, ...]:
 def gather(store: Repository, choice: LotChoice) -> Lot:
     """Gather the runs of a lot and check that they belong together.
 
-    RefusedError if nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ.
+    RefusedError if nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ;
+    StoreError if a run was altered.
     """
     if not choice.words():
         raise RefusedError(
@@ -139,6 +140,9 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
             remedy="no stored run matches all of these choices together",
         )
     kept = [run for run in chosen if run.serial not in choice.without]
+    for line in kept:
+        if line.altered:
+            raise StoreError(line.altered, remedy="restore the database from a copy, or leave out the sensor")
     not_good = _not_good(kept, choice)
     runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _analysed(run)]
     if not runs:

@@ -17,9 +17,12 @@ if TYPE_CHECKING:
         list_sensors as list_sensors,
         run_pages as run_pages,
         sensor_runs as sensor_runs,
+        trust_counts as trust_counts,
+        trust_notes as trust_notes,
     )
     from .report import (
         counts_words as counts_words,
+        exit_code as exit_code,
         runs_csv as runs_csv,
         runs_outcome as runs_outcome,
         sensors_csv as sensors_csv,

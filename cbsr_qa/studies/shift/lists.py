@@ -1,21 +1,29 @@
 """Runs and sensors of a selection, and those of them that failed."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self, TypeAlias
 
 from cbsr_qa.domain import RefusedError, filled
-from cbsr_qa.domain.results import EndReason, ListedRun, Outcome, RunSelection
+from cbsr_qa.domain.results import ALTERED, EndReason, ListedRun, Outcome, RunSelection
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.selection import check_names, nearest
-from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, local_day, summarised
+from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, local_day, settled_runs, summarised
 
-#: Runs that are listed if nothing says which: reading 100 000 takes a quarter of a minute.
+Altered: TypeAlias = Literal["altered"]
+
+#: Runs that are listed if nothing says which: reading 100 000 takes half a minute.
 LATEST_RUNS: Final = 50
+#: What is said of runs that were altered, or of which nobody can tell.
+_TRUST: Final = {
+    "altered": "{count} altered since stored: no verdict, not counted, listed by --failed too; see cbsr-qa db check",
+    "unchained": "{count} without a chain: nothing tells whether it was altered",
+    "chained": "{count} not signed, although a signing key is set: digests alone can be computed again",
+}
 _LATEST: Final = (
     "the latest {shown} of {count} runs are listed and counted; --latest N takes more, --today or --since DAY others"
 )
@@ -76,12 +84,15 @@ class RunEntry:
 
     Parameters
     ----------
-    verdict : what counts, an override included; None if the run did not finish or has no result.
+    verdict : what counts, an override included; None if the run did not finish or has no result. ``altered`` if what
+        is stored of it does not match its chain: it has no outcome then, and ``reason`` says what does not match.
     outcome, reason : of its analysis.
     overridden_by, overridden_why : operator and reason of the override; None without one.
     failed_limits : for which it counts as failed, as recipes write them.
     number : of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
     of_check : whether it is a golden sensor's, made to check its station.
+    chain : ``unchained`` (nothing would tell if it was altered), ``chained``, ``signed``, ``signature not checked``
+        if it is signed with another key than the one that is set.
     """
 
     run: str
@@ -94,7 +105,7 @@ class RunEntry:
     started_at: datetime
     end: EndReason
     station_s: float
-    verdict: Outcome | None
+    verdict: Outcome | Altered | None
     outcome: Outcome | None
     reason: str
     overridden_by: str | None
@@ -103,17 +114,19 @@ class RunEntry:
     number: int
     of_check: bool
     simulated: bool
+    chain: str
 
     @classmethod
     def of(cls, run: ListedRun) -> Self:
         return filled(
             cls,
             run,
-            verdict=run.verdict,
+            verdict=ALTERED if run.altered else run.verdict,
             overridden_by=None if run.decision is None else run.decision.operator,
             overridden_why=None if run.decision is None else run.decision.why,
             failed_limits=tuple(key.label for key in failed_limits(run)),
             number=run.earlier + 1,
+            chain=run.chain.label,
         )
 
 
@@ -144,7 +157,8 @@ class SensorEntry:
     runs, tries : all runs of the selection, and those that finished.
     first, last : when the first and the last run began.
     station, operator, end, run : of the last run.
-    verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided.
+    verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided. ``altered`` if
+        a run after it, or it, does not match its chain; ``reason`` then says what does not.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
     """
 
@@ -159,7 +173,7 @@ class SensorEntry:
     station: str
     operator: str
     end: EndReason
-    verdict: Outcome | None
+    verdict: Outcome | Altered | None
     reason: str
     failed_limits: tuple[str, ...]
     first_pass: bool | None
@@ -188,7 +202,7 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
     runs = kept = _listed(store, request)
     if request.failed or request.limit:
         kept = [run for run in runs if _failed(run, request.limit)][-(request.latest or 0) :]
-    notes = _notes(request, runs, kept)
+    notes = (*_notes(request, runs, kept), *trust_notes(store, trust_counts(kept)))
     if kept is runs and request.latest is not None and (count := store.run_count(request.selection)) > len(kept):
         notes = (_LATEST.format(shown=len(kept), count=count), *notes)
     return RunList(summarised(kept), tuple(map(RunEntry.of, kept)), notes)
@@ -202,10 +216,11 @@ def list_sensors(store: Repository, request: ListRequest) -> SensorList:
         of.setdefault((run.serial, run.recipe), []).append(run)
     groups = sorted(of.values(), key=lambda own: own[-1].run)
     if request.failed or request.limit:
-        groups = [own for own in groups if any(_failed(run, request.limit) for run in _decided(own)[-1:])]
+        groups = [own for own in groups if any(_failed(run, request.limit) for run in settled_runs(own)[-1:])]
     groups = groups[-(request.latest or 0) :]
     kept = sorted((run for own in groups for run in own), key=lambda run: run.run)
-    return SensorList(summarised(kept), tuple(map(_state, groups)), _notes(request, runs, groups))
+    notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept)))
+    return SensorList(summarised(kept), tuple(map(_state, groups)), notes)
 
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
@@ -274,19 +289,29 @@ def _notes(request: ListRequest, runs: Sequence[ListedRun], kept: Sequence[objec
     return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {which}",)
 
 
+def trust_counts(runs: Sequence[ListedRun]) -> Counter[str]:
+    """Count runs that were altered, and others by the state of their chain."""
+    return Counter("altered" if run.altered else run.chain.label for run in runs)
+
+
+def trust_notes(store: Repository, counts: Counter[str]) -> tuple[str, ...]:
+    """Say how many runs were altered, and of how many nobody can tell; ``counts`` from :func:`trust_counts`."""
+    states = ("altered", "unchained", *(("chained",) if store.key_id else ()))
+    return tuple(_TRUST[state].format(count=plural(counts[state], "run")) for state in states if counts[state])
+
+
 def _failed(run: ListedRun, limit: str) -> bool:
+    """Whether a run failed, or may have: one that was altered must not be missing among those that failed."""
+    if run.altered:
+        return True
     keys = failed_limits(run)
     return run.verdict is Outcome.FAIL and (not limit or any(limit in (k.name, k.label, k.title) for k in keys))
 
 
-def _decided(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Return the runs that passed or failed."""
-    return [run for run in runs if run.passed or run.verdict is Outcome.FAIL]
-
-
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
-    last, decided = runs[-1], _decided(runs)
-    first = [run.passed for run in decided if not run.earlier]
+    last, settled = runs[-1], settled_runs(runs)
+    first = [run.passed for run in settled if not run.earlier and not run.altered]
+    verdicts: list[Outcome | Altered | None] = [ALTERED if run.altered else run.verdict for run in settled[-1:]]
     return filled(
         SensorEntry,
         last,
@@ -294,8 +319,8 @@ def _state(runs: Sequence[ListedRun]) -> SensorEntry:
         tries=sum(run.finished for run in runs),
         first=runs[0].started_at,
         last=last.started_at,
-        verdict=decided[-1].verdict if decided else None,
-        reason=decided[-1].reason if decided else "",
-        failed_limits=tuple(key.label for run in decided[-1:] for key in failed_limits(run)),
+        verdict=verdicts[0] if verdicts else None,
+        reason=settled[-1].reason if settled else "",
+        failed_limits=tuple(key.label for run in settled[-1:] for key in failed_limits(run)),
         first_pass=first[0] if first else None,
     )

@@ -5,10 +5,21 @@ from dataclasses import fields
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from cbsr_qa.domain.results import Banner, Block, Cell, CommandOutcome, EndReason, Outcome, Page, Section, Table
+from cbsr_qa.domain.results import (
+    ALTERED,
+    Banner,
+    Block,
+    Cell,
+    CommandOutcome,
+    EndReason,
+    Outcome,
+    Page,
+    Section,
+    Table,
+)
 from cbsr_qa.report import plural, text_table
 from cbsr_qa.stats import Yield
-from cbsr_qa.studies.shift.lists import RunEntry, RunList, SensorEntry, SensorList
+from cbsr_qa.studies.shift.lists import Altered, RunEntry, RunList, SensorEntry, SensorList
 from cbsr_qa.studies.shift.summary import ShiftSummary, Tally
 from cbsr_qa.system import csv_text
 
@@ -31,6 +42,7 @@ _OTHERS: Final = (
     ("not_judged", "not judged"),
     ("no_result", "without a result"),
     ("not_finished", "not finished"),
+    ("altered", "altered"),
 )
 
 
@@ -82,7 +94,12 @@ def _outcome(found: Any, kind: str, headline: str, table: Table) -> CommandOutco
     facts += [("Overridden", plural(total.overridden, "verdict"))] if total.overridden else []
     page = Page(kind, "", banner, tuple(facts) if total.decided else (), remarks=found.notes)
     sections = (Section(kind, (table,)), *_summary(summary)) if table.rows else ()
-    return CommandOutcome(found, page, sections)
+    return CommandOutcome(found, page, sections, exit_code(total.altered))
+
+
+def exit_code(altered: int) -> int:
+    """Return the exit code of a list or table with so many altered runs: 1 with any, as of ``cbsr-qa db check``."""
+    return 1 if altered else 0
 
 
 def _summary(summary: ShiftSummary) -> Iterator[Section]:
@@ -109,7 +126,7 @@ def _cut(caption: str, count: int) -> str:
 
 def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
     why = run.reason if run.overridden_by is None else f"overridden by {run.overridden_by}: {run.overridden_why}"
-    if run.end is not EndReason.FINISHED:
+    if run.end is not EndReason.FINISHED and run.verdict != ALTERED:
         why = ""
     return (
         _moment(run.started_at),
@@ -136,7 +153,9 @@ def _sensor_row(sensor: SensorEntry) -> tuple[str | Cell, ...]:
     )
 
 
-def _verdict(verdict: Outcome | None, end: EndReason) -> Cell:
+def _verdict(verdict: Outcome | Altered | None, end: EndReason) -> Cell:
+    if verdict == ALTERED:
+        return Cell(ALTERED, Outcome.NOT_MEASURED)
     if verdict is not None:
         return Cell(str(verdict), verdict)
     return Cell("no result" if end is EndReason.FINISHED else str(end), Outcome.NOT_MEASURED)

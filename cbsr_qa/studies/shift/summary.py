@@ -21,11 +21,12 @@ class Tally:
     Parameters
     ----------
     name : of the station or recipe; empty for all.
-    runs : passed + failed + not_measured + not_judged + no_result + not_finished.
+    runs : passed + failed + not_measured + not_judged + no_result + not_finished + altered.
     decided : passed + failed.
     passed : of these ``marginal`` only just.
     no_result : finished, without an analysis.
     not_finished : aborted, broken, cut off or in progress; a verdict of them does not count.
+    altered : what is stored of them does not match their chains; a sensor counts in no yield if its last run is one.
     sensors : serial numbers.
     test_yield : share of sensors that passed in their last decided run; a sensor counts once for each recipe. With
         Wilson's interval (95 %); None if nothing was decided.
@@ -43,6 +44,7 @@ class Tally:
     not_judged: int
     no_result: int
     not_finished: int
+    altered: int
     overridden: int
     sensors: int
     test_yield: Annotated[Yield | None, Field(serialization_alias="yield")]
@@ -106,6 +108,11 @@ def failed_limits(run: ListedRun) -> tuple[MetricKey, ...]:
     return run.failed if run.verdict is Outcome.FAIL else ()
 
 
+def settled_runs(runs: Sequence[ListedRun]) -> list[ListedRun]:
+    """Return the runs that passed or failed, or of which that is not known because they were altered."""
+    return [run for run in runs if run.altered or run.passed or run.verdict is Outcome.FAIL]
+
+
 def _by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tuple[Tally, ...]:
     groups: dict[str, list[ListedRun]] = {}
     for run in runs:
@@ -114,10 +121,12 @@ def _by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tuple[Ta
 
 
 def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
-    counts = Counter(run.verdict for run in runs if run.finished)
+    altered = sum(bool(run.altered) for run in runs)
+    counts = Counter(run.verdict for run in runs if run.finished and not run.altered)
     passed = counts[Outcome.PASS] + counts[Outcome.MARGINAL]
-    decided = [run for run in runs if run.passed or run.verdict is Outcome.FAIL]
-    last = {(run.serial, run.recipe): run for run in decided}
+    settled = settled_runs(runs)
+    decided = [run for run in settled if not run.altered]
+    last = {(run.serial, run.recipe): run for run in settled}
     first = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
     return Tally(
         name=name,
@@ -129,10 +138,11 @@ def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
         not_measured=counts[Outcome.NOT_MEASURED],
         not_judged=counts[Outcome.NOT_JUDGED],
         no_result=counts[None],
-        not_finished=len(runs) - counts.total(),
+        not_finished=len(runs) - counts.total() - altered,
+        altered=altered,
         overridden=sum(run.finished and run.decision is not None for run in runs),
         sensors=len({run.serial for run in runs}),
-        test_yield=_share(list(last.values())),
+        test_yield=_share([run for run in last.values() if not run.altered]),
         first_pass_yield=_share(first),
     )
 

@@ -1,0 +1,151 @@
+"""What holds of runs: how each ended, its latest result, and the override of that. Read here only, and checked.
+
+Rows of a run, its states, analyses and overrides are compared with their links before anybody sees a verdict.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import Connection, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import Decision, EndReason, Outcome
+from cbsr_qa.domain.run import ChainState
+from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, ReadRows, altered_runs, chain_state, read_rows
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.selected import Conditions
+from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, VerdictOverrideRow
+
+#: Columns of a run that are as long as all others together, and that nobody lists.
+_LONG: Final = ("configuration", "configuration_digest", "software")
+#: Columns of a state, an analysis and an override, in the order of what reads them.
+_STATE: Final = ("end", "detail", "time_s")
+_RESULT: Final = ("analysis", "analysed_at", "outcome", "reason", "software")
+_DECISION: Final = ("outcome", "operator", "why")
+_ENDS: Final = {str(end): end for end in EndReason}
+_OUTCOMES: Final = {str(outcome): outcome for outcome in Outcome}
+
+
+@dataclass(frozen=True, slots=True)
+class StoredVerdict:
+    """What holds of a run.
+
+    Parameters
+    ----------
+    values : columns of its row but the longest.
+    end, end_detail, station_s : of its last state; RUNNING, empty and 0 without one.
+    analysis, analysed_at, outcome, reason, software : of its latest analysis; empty and None without one.
+    decision : the latest override of that analysis; None without one.
+    altered : what does not match the chain; nothing else is then known but ``values`` and ``end`` as they stand, and
+        there is no result. Empty for a sound run, and for an unchained one, where nothing can be compared.
+    """
+
+    values: Mapping[str, Any]
+    chain: ChainState
+    end: EndReason
+    end_detail: str
+    station_s: float
+    analysis: str = ""
+    analysed_at: datetime | None = None
+    outcome: Outcome | None = None
+    reason: str = ""
+    software: tuple[tuple[str, str], ...] = ()
+    decision: Decision | None = None
+    altered: str = ""
+
+    @property
+    def run(self) -> str:
+        return str(self.values["run"])
+
+    def checked(self) -> "StoredVerdict":
+        """Return itself. StoreError if the run was altered."""
+        if self.altered:
+            raise StoreError(self.altered, remedy=RESTORE)
+        return self
+
+
+def verdict_pages(connection: Connection, chosen: Conditions) -> Iterator[list[StoredVerdict]]:
+    """Yield what holds of the selected runs, in the order they were made in, some at a time.
+
+    Raises
+    ------
+    StoreError
+        If an unchained run holds an unknown outcome or end.
+    TypeError, ValueError
+        If a cell holds a value of another type than its column.
+    """
+    runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
+    for first in range(0, len(runs), RUNS_AT_ONCE):
+        yield list(_verdicts(connection, runs[first : first + RUNS_AT_ONCE]))
+
+
+def stored_verdicts(connection: Connection, chosen: Conditions) -> Iterator[StoredVerdict]:
+    """Yield what holds of the selected runs, one by one, as :func:`verdict_pages`."""
+    for page in verdict_pages(connection, chosen):
+        yield from page
+
+
+def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
+    """Return what holds of a run; None if it is not stored. Raises as :func:`stored_verdicts`."""
+    return next(stored_verdicts(connection, [RunRow.run == run]), None)
+
+
+def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
+    tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
+    own, states, analyses, overrides = read = [read_rows(connection, table, runs) for table in tables]
+    chains = dict(zip(own.runs, own.columns["chain"], strict=True))
+    altered = altered_runs(connection, chains, read, ended=True)
+    known_chains = {chain: chain_state(connection, chain) for chain in set(chains.values())}
+    # Rows are sorted by run and key: the last one of a run holds.
+    state_of, analysis_of = _last_rows(states, _STATE), _last_rows(analyses, _RESULT)
+    places = zip(overrides.runs, overrides.columns["analysis"], strict=True)
+    decided = dict(zip(places, overrides.tuples(_DECISION), strict=True))
+    names = [name for name in own.columns if name not in _LONG]
+    for run, values in zip(own.runs, own.tuples(names), strict=True):
+        facts, chain = dict(zip(names, values, strict=True)), known_chains[chains[run]]
+        state, analysis = state_of.get(run), analysis_of.get(run)
+        if run in altered:
+            yield _altered(facts, chain, state, altered[run])
+            continue
+        found = StoredVerdict(facts, chain, *_ended(run, state))
+        yield found if analysis is None else _with_result(found, analysis, decided.get((run, analysis[0])))
+
+
+def _last_rows(rows: ReadRows, names: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+    return dict(zip(rows.runs, rows.tuples(names), strict=True))
+
+
+def _ended(run: str, state: tuple[Any, ...] | None) -> tuple[EndReason, str, float]:
+    end, detail, time_s = state or (EndReason.RUNNING, "", 0.0)
+    return _ENDS.get(end) or stored(EndReason, end, "run_states.end", f"run {run}"), detail, time_s
+
+
+def _with_result(found: StoredVerdict, analysis: tuple[Any, ...], override: tuple[Any, ...] | None) -> StoredVerdict:
+    name, analysed_at, outcome, reason, software = analysis
+    decision = None
+    if override is not None:
+        decided, operator, why = override
+        decided = stored(Outcome, decided, "verdict_overrides.outcome", f"run {found.run}")
+        decision = Decision(decided, operator, why)
+    return StoredVerdict(
+        found.values,
+        found.chain,
+        found.end,
+        found.end_detail,
+        found.station_s,
+        name,
+        analysed_at,
+        _OUTCOMES.get(outcome) or stored(Outcome, outcome, "analyses.outcome", f"analysis {name}"),
+        reason,
+        tuple((package, version) for package, version in software),
+        decision,
+    )
+
+
+def _altered(
+    values: Mapping[str, Any], chain: ChainState, state: tuple[Any, ...] | None, problem: str
+) -> StoredVerdict:
+    end = EndReason.RUNNING if state is None else _ENDS.get(state[0], EndReason.RUNNING)
+    return StoredVerdict(values, chain, end, "", 0.0, altered=problem)

@@ -1,0 +1,105 @@
+"""A database with something in every table of a run, and ways to alter it as one can who may write to it."""
+
+import hashlib
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+from calibration_samples import sample_force
+from sqlalchemy import JSON, Boolean, DateTime, Double, Integer, LargeBinary, create_engine, select
+from stored_runs import SETTING, calibration, short_run
+
+from cbsr_qa.calibration.file import stamped
+from cbsr_qa.domain.plan import GateCheck, GatePolicy
+from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
+from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.store import open_store
+from cbsr_qa.store.chain import KEYS, documents_in_columns, keys_of, link_digest, of_run
+from cbsr_qa.store.results import Reanalysis
+from cbsr_qa.store.tables import Base
+
+LIMIT = Limit("drift", "mm", None, 5.0)
+PASSED = (
+    Measurement("drift", 4.0, "mm", phase="nine locations").judged(LIMIT),
+    Measurement("noise", -0.0, "1", 0.1 + 0.2),
+)
+FAILED = (Measurement("drift", 6.0, "mm", phase="nine locations").judged(LIMIT), PASSED[1])
+ANSWER = GateAnswer(GateCheck.DISK, GatePolicy.REFUSE, GateOutcome.OVERRIDDEN, "1 GB free", "tidy up", "Zoë", "so")
+
+
+def fill(url):
+    """Store two runs of a sensor, and return the second one's name.
+
+    It has a re-analysis that was adopted, an analysis that failed, a calibration, and an override to a pass; its
+    recipe is not the one of the first run, which passed.
+    """
+    with open_store(url) as store:
+        first, second = store.new_id(), store.new_id()
+        _journal(store, first, '{"recipe":{"limits":[1]}}')
+        store.save_result(RunResult(store.load_run(first), None, PASSED, decide(PASSED), None, ""))
+        _journal(store, second, '{"recipe":{"limits":[2]}}', gate=[ANSWER])
+        record, software = store.load_run(second), (("cbsr-qa", "0.2.0"),)
+        issued = calibration(store.new_id(), second)
+        model = sample_force(int(issued.reconstruction.problem.used.sum()))
+        issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        again = Reanalysis(second, 64 * "0", "{}", software, decide(PASSED), PASSED, ("one",), "equal", None, ())
+        store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
+        store.save_result(RunResult(record, None, FAILED, decide(FAILED), issued, "", warnings=("one", "two")))
+        store.override_verdict(second, Outcome.PASS, operator="Zoë", why="seen")
+    return second
+
+
+def _journal(store, run, configuration, **options):
+    started, *events = short_run(run)
+    digest = hashlib.sha256(configuration.encode()).hexdigest()
+    started = replace(started, identity=replace(started.identity, configuration_digest=digest))
+    journal = store.journal(configuration=configuration, **SETTING, **options)
+    for event in (started, *events):
+        journal(event)
+
+
+def change(path, statement, *values):
+    """Change a SQLite file past the program, references unchecked; something must change."""
+    with closing(sqlite3.connect(path)) as database, database:
+        assert database.execute(statement, values).rowcount >= 1, statement
+
+
+def another_value(column):
+    """Return SQL for a value that a column can hold, and that it does not hold now."""
+    name, table = column.name, column.table
+    if (table.name, name) == ("run_states", "end"):
+        return "case end when 'aborted' then 'broken' else 'aborted' end"
+    if name == "outcome" and table.name != "gate_answers":
+        return "case outcome when 'pass' then 'fail' else 'pass' end"
+    for kind, other in (
+        (Boolean, f"1 - {name}"),
+        (JSON, """'[["altered","1"]]'"""),
+        (DateTime, "'2020-01-01 00:00:00.000000'"),
+        (Double, f"coalesce({name}, 0) + 1"),
+        (Integer, f"coalesce({name}, 0) + 1000"),
+        (LargeBinary, "zeroblob(32)"),
+    ):
+        if isinstance(getattr(column.type, "impl", column.type), kind):
+            return other
+    return f"coalesce({name}, '') || 'x'"
+
+
+def linked_again(path, run):
+    """Compute every digest and link of a run again, as one can who has no key: signatures stay as they were."""
+    engine = create_engine(f"sqlite:///{path}")
+    with engine.begin() as connection:
+        content = {}
+        for table in map(Base.metadata.tables.__getitem__, KEYS):
+            rows = connection.execute(select(table).where(of_run(table, run))).mappings().all()
+            if rows:
+                columns = {column.name: [row[column.name] for row in rows] for column in table.columns}
+                digests = documents_in_columns(table, columns, keys_of(table, columns))
+                content |= {(table.name, key): digest for key, digest in digests.items()}
+        links, before = Base.metadata.tables["run_links"], ""
+        of_links = select(links).where(links.c.run == run).order_by(links.c.number)
+        for link in connection.execute(of_links).mappings().all():
+            own = content.get((link["kind"], link["document"]), link["content_sha256"])
+            before = link_digest(before, link["kind"], link["document"], own)
+            changed = links.update().where(links.c.run == run, links.c.number == link["number"])
+            connection.execute(changed.values(content_sha256=own, sha256=before))
+    engine.dispose()
