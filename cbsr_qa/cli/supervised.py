@@ -244,7 +244,7 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
     if why:
         why = f"the process of the {'run' if judges else 'command'} {why}"
         if judges and run is not None:
-            why += f"; {_in_database(run, database)[1]}"
+            why += f"; {_in_database(run, database)[2]}"
     elif judges and not code:
         why = _unstored(run, database)
     if why:
@@ -263,7 +263,8 @@ def _broken(run: str | None, database: str | None, why: str, *, judges: bool) ->
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    on = f"cbsr-qa run --resume {run}{database_option(database)}"
+    has_result, _, _ = _in_database(run, database)  # only its files may be missing then
+    on = f"cbsr-qa {'report' if has_result else 'run --resume'} {run}{database_option(database)}"
     return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {on}")
 
 
@@ -285,18 +286,19 @@ def _unstored(run: str | None, database: str | None) -> str:
     """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
-    passed, held = _in_database(run, database)
+    _, passed, held = _in_database(run, database)
     return "" if passed else f"the process of the run reported success, and {held}"
 
 
-def _in_database(run: str, database: str | None) -> tuple[bool, str]:
-    """Return whether a run has passed according to the database, and its stored verdict in words."""
+def _in_database(run: str, database: str | None) -> tuple[bool, bool, str]:
+    """Return whether the database holds a run's result, whether the run passed, and its stored verdict in words."""
     from cbsr_qa.config import database_url
-    from cbsr_qa.store.runs import latest_outcome
+    from cbsr_qa.domain.results import ResultState
+    from cbsr_qa.store.runs import latest_result
 
     try:
-        outcome = latest_outcome(database_url(database), run)
+        result, outcome = latest_result(database_url(database), run)
     except CbsrError as error:
-        return False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
+        return False, False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
     held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
-    return outcome is not None and not outcome.exit_code, f"the database holds {held}"
+    return result is ResultState.STORED, outcome is not None and not outcome.exit_code, f"the database holds {held}"

@@ -25,7 +25,8 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
-from cbsr_qa.store.runs import current_state, run_row
+from cbsr_qa.store.runs import run_row
+from cbsr_qa.store.standing import standing_of, up_to_date
 from cbsr_qa.store.tables import AnalysisRow, ConfigurationChangeRow, RunRow, VerdictOverrideRow
 
 _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
@@ -77,7 +78,7 @@ def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
 def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
     """Return the changes of a run's files since its sensor type last passed its recipe, including its own."""
     # Overrides do not count: a run passed by hand shows that its recipe is not accepted yet.
-    latest = select(func.max(AnalysisRow.analysis)).group_by(AnalysisRow.run)
+    latest = select(func.max(AnalysisRow.analysis)).where(up_to_date()).group_by(AnalysisRow.run)
     accepted = (
         select(func.max(RunRow.run))
         .join(AnalysisRow, AnalysisRow.run == RunRow.run)
@@ -183,18 +184,17 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if run_row(connection, run) is None:
         raise StoreError(f"there is no run {run}", remedy="cbsr-qa report SERIAL names the latest run of a sensor")
     check_run(connection, run)
-    end = current_state(connection, run).end
-    if end != EndReason.FINISHED:
+    now = standing_of(connection, run)
+    if now.end is not EndReason.FINISHED:
         raise StoreError(
-            f"run {run} has not finished ({end}): there is no verdict to override",
+            f"run {run} has not finished ({now.end}): there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} continues it",
         )
-    latest = select(func.max(AnalysisRow.analysis)).where(AnalysisRow.run == run).scalar_subquery()
-    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == latest)
-    found = connection.execute(query).one_or_none()
-    if found is None:
+    if now.analysis is None:
         raise StoreError(
             f"run {run} has no result yet: there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} computes it",
         )
+    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == now.analysis)
+    found = connection.execute(query).one()
     return found.analysis, analysis_outcome(found)

@@ -36,6 +36,7 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.listed import decisions_of
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.selected import Conditions, latest_of, read_selected
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
 from cbsr_qa.store.types import made_at
 
@@ -82,7 +83,7 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
     """
     ends = latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
     a = AnalysisRow
-    analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).order_by(a.analysis)
+    analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).where(up_to_date()).order_by(a.analysis)
     analyses = latest_of(connection, analysed, chosen)
     decisions = decisions_of(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))

@@ -12,6 +12,7 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.results import analysis_outcome, as_measurement
 from cbsr_qa.store.selected import Conditions, conditions, latest_of, naming_runs
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import (
     AnalysisRow,
     MeasurementRow,
@@ -83,7 +84,7 @@ def measurement_rows(engine: Engine, runs: Sequence[str], *, limited: bool = Fal
 
     def read(connection: Connection, chosen: Conditions) -> Sequence[_Found]:
         ours = select(a.run, func.max(a.analysis).label("analysis")).join(RunRow, RunRow.run == a.run)
-        latest = ours.where(*chosen).group_by(a.run).subquery()
+        latest = ours.where(*chosen, up_to_date()).group_by(a.run).subquery()
         query = select(latest.c.run, *m.__table__.columns).join(m, m.analysis == latest.c.analysis)
         query = query.where(m.limited) if limited else query
         return connection.execute(query.order_by(latest.c.run, m.number)).all()
@@ -95,7 +96,8 @@ def measurement_rows(engine: Engine, runs: Sequence[str], *, limited: bool = Fal
 def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:
     s, a = RunStateRow, AnalysisRow
     ends = latest_of(connection, select(s.run, s.end, s.detail, s.time_s).order_by(s.number), chosen)
-    analyses = latest_of(connection, select(a.run, a.analysis, a.outcome, a.reason).order_by(a.analysis), chosen)
+    analysed = select(a.run, a.analysis, a.outcome, a.reason).where(up_to_date()).order_by(a.analysis)
+    analyses = latest_of(connection, analysed, chosen)
     decisions = decisions_of(connection, chosen)
     failed = _failed(connection, chosen)
     earlier = _earlier(connection, chosen)

@@ -86,6 +86,52 @@ def killed(folder, arguments, *, documents, after_s):
     return False
 
 
+def strike(folder, arguments, *, moment, after_s, number):
+    """Run a command in a fork that is sent a signal some time after a moment; returns exit code, stdout and stderr.
+
+    Moments are counted: documents of the journal, stages, and everything that is stored or written afterwards.
+    """
+    out = [Path(folder) / name for name in ("out", "err")]
+    given = (str(folder), list(arguments), out, moment, after_s, number)
+    process = command._forks().Process(target=_with_a_striker, args=given)
+    process.start()
+    process.join(timeout=300)
+    assert process.exitcode is not None, f"{arguments} has not ended after 300 s"
+    return process.exitcode, out[0].read_text(), out[1].read_text()
+
+
+def _with_a_striker(folder, arguments, out, moment, after_s, number):
+    from cbsr_qa.app.run import outputs
+    from cbsr_qa.store import Repository
+    from cbsr_qa.system import Stages
+
+    passed = 0
+
+    def pass_moment():
+        nonlocal passed
+        passed += 1
+        if passed == moment:
+            threading.Timer(after_s, os.kill, (os.getpid(), number)).start()
+
+    def counted(place, name):
+        act = getattr(place, name)
+
+        def acted(*given, **named):
+            pass_moment()
+            done = act(*given, **named)
+            pass_moment()
+            return done
+
+        setattr(place, name, acted)
+
+    counted(Journal, "__call__")
+    counted(Stages, "announce")
+    counted(Repository, "save_result")
+    counted(outputs, "write_calibration")
+    counted(outputs, "write_report")
+    forked.run(Path(folder), arguments, {"CBSR_QA_VAR": "var"}, *out)
+
+
 def _with_a_killer(folder, arguments, out, documents, after_s):
     count = 0
     stored = Journal.__call__

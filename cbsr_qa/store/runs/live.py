@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
-from cbsr_qa.domain.results import Decision, EndReason, Outcome
+from cbsr_qa.domain.results import Decision, EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import stored, translated
@@ -19,6 +19,7 @@ from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.codec import frame_block, sample_block
 from cbsr_qa.store.runs.rows import current_state
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import (
     AnalysisRow,
     CalibrationRow,
@@ -118,9 +119,9 @@ class RunLook:
 
     Parameters
     ----------
-    worked_at : when its latest session began, or its latest analysis was made, whichever is later.
+    worked_at : when its latest session began, or the analysis after it was made, whichever is later.
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
-    outcome, reason, calibrated : of its latest analysis; None and empty without one.
+    outcome, reason, calibrated : of the latest analysis after that session; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
     """
 
@@ -144,6 +145,10 @@ class RunLook:
         """What counts: the override if there is one, else the outcome; None without an analysis."""
         return self.outcome if self.decision is None else self.decision.outcome
 
+    @property
+    def result(self) -> ResultState:
+        return ResultState.of(self.end, analysed=self.outcome is not None)
+
 
 def latest_run_at(engine: Engine, station: str) -> RunLook | None:
     """Return the latest run of a station; None before its first."""
@@ -165,7 +170,7 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
         state = current_state(connection, row.run)
         begun = select(RunStateRow.noted_at).where(RunStateRow.run == row.run, RunStateRow.noted_at.is_not(None))
         session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1)) or row.started_at
-        latest = select(a.analysis, a.analysed_at, a.outcome, a.reason).where(a.run == row.run)
+        latest = select(a.analysis, a.analysed_at, a.outcome, a.reason).where(a.run == row.run, up_to_date())
         found = connection.execute(latest.order_by(a.analysis.desc()).limit(1)).one_or_none()
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == row.run).limit(1)
         return of_row(

@@ -7,23 +7,24 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, and_, exists, func, select
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.chain import check_run, unreadable
 from cbsr_qa.store.damage import shown, stored
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, sqlite_file
+from cbsr_qa.store.standing import standing_of, up_to_date
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.types import made_at
 
 
-def latest_outcome(url: str, run: str) -> Outcome | None:
-    """Return the outcome of a run's latest analysis, or None.
+def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
+    """Return what has come of a run, and the outcome of the latest analysis after its last session, or None.
 
     Raises
     ------
     StoreError
-        If the database does not exist or cannot be read.
+        If the database or the run does not exist, or it cannot be read.
     """
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
@@ -32,11 +33,13 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     engine = open_engine(parsed)
     try:
         with reading(engine) as connection:
-            query = select(AnalysisRow.outcome).where(AnalysisRow.run == run)
-            found = connection.execute(query.order_by(AnalysisRow.analysis.desc()).limit(1)).scalar()
+            standing = standing_of(connection, run)
+            query = select(AnalysisRow.outcome).where(AnalysisRow.analysis == standing.analysis)
+            outcome = connection.scalar(query)
     finally:
         engine.dispose()
-    return None if found is None else stored(Outcome, found, "analyses.outcome", f"run {run}")
+    judged = None if outcome is None else stored(Outcome, outcome, "analyses.outcome", f"run {run}")
+    return standing.result, judged
 
 
 #: Columns read of an earlier run.
@@ -70,7 +73,7 @@ def _checked(connection: Connection, serial: str, run: str, recipe: str, of_chec
 def _row(connection: Connection, of: str) -> Any:
     run, state, analysis, override = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
     last_state = select(func.max(state.number)).where(state.run == run.run).correlate(run).scalar_subquery()
-    last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run).correlate(run)
+    last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run, up_to_date()).correlate(run)
     last_override = select(func.max(override.override_id)).where(
         override.run == run.run, override.analysis == analysis.analysis
     )

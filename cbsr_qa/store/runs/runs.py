@@ -41,6 +41,7 @@ from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, run_row
 from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import (
     AnalysisRow,
     FrameBlockRow,
@@ -61,7 +62,7 @@ class RunSummary:
     Parameters
     ----------
     end : RUNNING if it was interrupted or is in progress.
-    outcome, reason : of its latest analysis; None and empty without one.
+    outcome, reason : of its latest analysis after that session; None and empty without one.
     """
 
     run: str
@@ -242,7 +243,8 @@ def _known(connection: Connection, run: str) -> Row[Any]:
 
 
 def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
-    latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
+    latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason)
+    latest = latest.where(AnalysisRow.run == row.run, up_to_date())
     found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
     return of_row(
         RunSummary,
