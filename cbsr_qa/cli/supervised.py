@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
+from cbsr_qa.system import end_copy
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -82,6 +83,7 @@ class _Child:
     """The process that runs plugin code."""
 
     report: ClassVar[int | None] = None
+    process: ClassVar[int]
     pipe: ClassVar[os.stat_result]
     printed: ClassVar[io.TextIOWrapper]
 
@@ -101,7 +103,7 @@ class _Child:
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int, live: bool) -> None:
         """Redirect output to the parent, and install signal handlers."""
         encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # for escaping what cannot be shown
-        cls.report, cls.pipe = report, os.fstat(report)
+        cls.report, cls.pipe, cls.process = report, os.fstat(report), os.getpid()
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(None if live else cls.printed)
         os.set_blocking(echo, False)
@@ -113,6 +115,7 @@ class _Child:
     def end(cls, code: int) -> None:
         if cls.report is None:
             return
+        end_copy(cls.process)
         try:
             signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
             _name_what_runs()

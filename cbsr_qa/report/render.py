@@ -17,7 +17,7 @@ from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Se
 from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import recording_page, run_page
-from cbsr_qa.system import side_by_side, writing, written_whole
+from cbsr_qa.system import come_back_once, side_by_side, writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -196,8 +196,9 @@ def _shown(
 def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:
     """Render one section; return a warning where it fails."""
     try:
-        content = section.render(result)
-        return None if content is None else _prepared(content, anchor)
+        with come_back_once():
+            content = section.render(result)
+            return None if content is None else _prepared(content, anchor)
     except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
         return f"The report section {type(section).__name__} failed and is left out: {failure(error)}"
 

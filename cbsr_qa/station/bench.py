@@ -1,5 +1,6 @@
 """The instruments of a station by role, made safe together even if one of them fails."""
 
+import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,7 +23,7 @@ from cbsr_qa.plugin import (
     SourceMeter,
     contained,
 )
-from cbsr_qa.system import RealClock
+from cbsr_qa.system import RealClock, come_back_once, end_copy
 
 #: How long one instrument may take before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
@@ -44,7 +45,8 @@ class _Call(threading.Thread):
 
     def run(self) -> None:
         try:
-            self._action()
+            with come_back_once():
+                self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
             self.why = f"{type(error).__name__}: {error}"
         finally:
@@ -121,6 +123,7 @@ class Bench:
     def __init__(
         self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S, after: Sequence[Action] = ()
     ) -> None:
+        self._process = os.getpid()
         self._stop_within_s = stop_within_s
         self._after = tuple(after)
         self.mounted = tuple(mounted)
@@ -167,6 +170,7 @@ class Bench:
         return self._tell_all([*((mounted.name, mounted.instrument.close) for mounted in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
+        end_copy(self._process)  # whatever brought it here: the instruments are not its own
         return stop_all(actions, deadline_s=self._stop_within_s)
 
 

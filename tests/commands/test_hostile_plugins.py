@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -14,6 +15,9 @@ import forked
 import killing
 import pytest
 from command import _forks, cbsr_qa, document, short_recipe
+from streamed import write_sensor
+
+from cbsr_qa.system import COPY_ENDED
 
 pytestmark = pytest.mark.rest
 
@@ -267,6 +271,61 @@ def test_a_thread_of_a_plugin_holds_no_command(bench, tmp_path):
     assert done.returncode == 0
     assert "hostile" in done.stdout
     assert "warning: thread 'lingering' of a plugin is still running" in done.stderr
+
+
+#: Forks, lets both processes go on, and says how the copy ended: the original waits for that.
+_FORKS = "c = os.fork(); c and os.write(2, b'copy: %d;' % (os.waitpid(c, 0)[1] >> 8))"
+#: The same whenever a method of a driver is called: its module, its class, and the method.
+_DRIVER_FORKS = (
+    "import: from cbsr_qa_plugins.hardware.{0} import {1} as Driver; own = Driver.{2}; "
+    f"Driver.{{2}} = lambda self, *given, code={_FORKS!r}: (own(self, *given), exec(code, dict(os=os)))[0]"
+)
+_SIMULATED = "simulated_bench", "SimulatedBench"
+
+
+def _counted(folder, table):
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        return database.execute(f"select count(*) from {table}").fetchone()[0]
+
+
+@pytest.mark.parametrize("place", ["import", "register", "factory", "measuring", "metric", "driver"])
+def test_a_copy_that_a_plugin_forks_neither_stores_nor_prints(place, bench, tmp_path):
+    done = _run(
+        bench, tmp_path, _DRIVER_FORKS.format(*_SIMULATED, "acquire") if place == "driver" else f"{place}: {_FORKS}"
+    )
+    assert (done.returncode, document(done)["outcome"], _verdicts(tmp_path)) == (0, "pass", ["pass"]), done.stderr
+    assert set(re.findall(r"copy: (\d+);", done.stderr)) == {str(COPY_ENDED)}
+    assert done.stderr.count("reading the run back") == done.stderr.count("rendering the report") == 1
+    assert _counted(tmp_path, "run_states") == 2
+
+
+def test_a_copy_forked_while_a_run_is_analysed_again_stores_nothing(bench, tmp_path):
+    _run(bench, tmp_path, "")
+    again = ("reanalyse", "--fresh", "--workers", "1", "--json")
+    done = _run(bench, tmp_path, f"metric: {_FORKS}", arguments=again)
+    assert done.returncode == 0, done.stderr
+    assert (document(done)["computed"], _counted(tmp_path, "reanalyses")) == (1, 1)
+    assert set(re.findall(r"copy: (\d+);", done.stderr)) == {str(COPY_ENDED)}
+
+
+def test_a_copy_forked_while_a_station_is_checked_stores_and_prints_nothing(bench, tmp_path):
+    forks = _DRIVER_FORKS.format(*_SIMULATED, "identity")
+    done = _run(bench, tmp_path, forks, arguments=("station", "check", "station.toml", "--json"))
+    assert document(done)["station"], done.stderr
+    assert _counted(tmp_path, "station_checks") == 1
+    assert set(re.findall(r"copy: (\d+);", done.stderr)) == {str(COPY_ENDED)}
+
+
+def test_a_copy_forked_by_the_driver_of_a_stream_sends_nothing(bench, tmp_path):
+    write_sensor(tmp_path, 12)
+    forks = _DRIVER_FORKS.format("replayed_recording", "ReplayedRecording", "acquire")
+    given = ("stream", "sensor.h5", "--station", "played.toml")
+    (tmp_path / "station.toml").rename(tmp_path / "played.toml")
+    done = _run(bench, tmp_path, forks, arguments=given)
+    assert done.returncode == 0, done.stderr
+    messages = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [one["sequence"] for one in messages] == list(range(14))
+    assert set(re.findall(r"copy: (\d+);", done.stderr)) == {str(COPY_ENDED)}
 
 
 def test_help_needs_no_second_process():
