@@ -59,7 +59,7 @@ def supervise(*, judges: bool, live: bool = False) -> int | None:
     report, alive, echo = os.pipe(), os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
-        for end in (report[0], alive[1], echo[0]):
+        for end in (report[0], alive[1]):  # echo stays open at both ends: its reader may be killed
             os.close(end)
         _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1], live=live)
         return None
@@ -89,15 +89,19 @@ class _Child:
 
     @classmethod
     def tell(cls, **message: Any) -> None:
-        """Report to the parent. OSError if a plugin closed the pipe, or its number now belongs to another file."""
+        """Report to the parent; nothing happens once it has gone, since this process is then about to be stopped.
+
+        OSError if a plugin closed the pipe, or its number now belongs to another file.
+        """
         if cls.report is None:
             return
         if not os.path.samestat(os.fstat(cls.report), cls.pipe):
             raise OSError(errno.EBADF, "the pipe to the parent was closed")
         line = f"{_mark(os.getpid())}{json.dumps(message)[1:]}".encode()
         left = b"\n" + line + b"\n"  # keeps anything a plugin wrote there on a separate line
-        while left:
-            left = left[os.write(cls.report, left) :]
+        with suppress(BrokenPipeError):
+            while left:
+                left = left[os.write(cls.report, left) :]
 
     @classmethod
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int, live: bool) -> None:
@@ -123,7 +127,8 @@ class _Child:
             with suppress(OSError):  # the parent notices a missing report
                 cls.tell(code=code, printed=cls.printed.read())
             if sys.stderr is not None:
-                sys.stderr.flush()
+                with suppress(OSError):
+                    sys.stderr.flush()
         finally:
             os._exit(code)  # does not wait for threads or exit hooks
 
@@ -143,10 +148,16 @@ def _name_what_runs() -> None:
 
 
 def _end_with_parent(alive: int) -> None:
-    """Stop in order once the parent has gone."""
+    """Stop once the parent has gone: as by SIGTERM, which a run hears and ends in order.
+
+    Where nothing hears it yet, as by Ctrl-C: it closes what is open, while SIGTERM would kill.
+    """
     with suppress(OSError):
         os.read(alive, 1)
-    os.kill(os.getpid(), signal.SIGTERM)
+    note("cbsr-qa: the process that watches over this one has gone: this one stops")
+    heard = signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    os.kill(os.getpid(), signal.SIGTERM if heard or ignored else signal.SIGINT)
 
 
 class _Parent:

@@ -14,7 +14,7 @@ from pathlib import Path
 import forked
 import killing
 import pytest
-from command import _forks, cbsr_qa, document, short_recipe
+from command import PROGRAM, _forks, cbsr_qa, document, short_recipe
 from streamed import write_sensor
 
 from cbsr_qa.system import COPY_ENDED
@@ -210,13 +210,62 @@ def test_a_run_that_is_suspended_shows_it_and_goes_on(bench, tmp_path):
     assert (process.exitcode, json.loads(out.read_text())["outcome"]) == (0, "pass")
 
 
-def test_a_run_whose_parent_is_killed_stops_in_order(bench, tmp_path):
-    process, _ = _job(bench, tmp_path, "measuring: import time; os.kill(os.getppid(), 9); time.sleep(1)")
+#: What kills the parent while the head is down, and says when the bench is made safe.
+_KILLS_WHILE_PRESSED = (
+    "import: import time; from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench as Bench; "
+    "press, safe = Bench.press, Bench.safe_state; "
+    "Bench.press = lambda self, *given: (press(self, *given), os.kill(os.getppid(), 9), time.sleep(1))[0]; "
+    "Bench.safe_state = lambda self: (os.write(2, b'made safe;'), safe(self))[1]"
+)
+_KILLS = "{}: import time; os.kill(os.getppid(), 9); time.sleep(1)"
+
+
+@pytest.mark.parametrize("hostile", [_KILLS.format("measuring"), _KILLS_WHILE_PRESSED], ids=["measuring", "pressed"])
+def test_a_run_whose_parent_is_killed_stops_in_order(hostile, bench, tmp_path):
+    process, (_, err) = _job(bench, tmp_path, hostile)
     process.join(timeout=100)
     assert process.exitcode == -signal.SIGKILL
-    _until(lambda: _verdicts(tmp_path) == ["not measured"])
+    _until(lambda: _verdicts(tmp_path) == ["not measured"] and not list((tmp_path / "var").glob("*.lock")))
     record = killing.came_of(tmp_path, killing.latest_run(tmp_path, "S-1")).record
     assert (record.end, record.end_detail[:18]) == ("aborted", "by signal SIGTERM,")
+    said = err.read_text()
+    assert said.count("the process that watches over this one has gone: this one stops\n") == 1
+    assert "Exception ignored" not in said
+    assert "Traceback" not in said
+    if hostile == _KILLS_WHILE_PRESSED:
+        assert "head down" in record.end_detail
+        assert "made safe;" in said.partition("this one stops")[2]
+
+
+def test_a_run_whose_parent_is_killed_before_it_began_closes_what_is_open(bench, tmp_path):
+    process, (_, err) = _job(bench, tmp_path, _KILLS.format("factory"))
+    process.join(timeout=100)
+    _until(lambda: "cbsr-qa: aborted" in err.read_text())
+    assert "Exception ignored" not in err.read_text()
+    assert _verdicts(tmp_path) == []
+
+
+def test_a_run_whose_parent_is_killed_while_it_is_computed_is_resumed(bench, tmp_path):
+    process, (_, err) = _job(bench, tmp_path, _KILLS.format("metric"))
+    process.join(timeout=100)
+    _until(lambda: "to continue: cbsr-qa run --resume" in err.read_text())
+    assert "Exception ignored" not in err.read_text()
+    run = killing.latest_run(tmp_path, "S-1")
+    done = cbsr_qa(tmp_path, "run", "--resume", run, "--json", PYTHONPATH=str(bench / "site"))
+    assert document(done)["outcome"] == "pass"
+
+
+def test_a_run_without_a_parent_and_without_readers_still_stores_its_end(bench, tmp_path):
+    for file in bench.glob("*.toml"):
+        shutil.copy(file, tmp_path)
+    environment = {"CBSR_QA_VAR": "var", "HOSTILE": _KILLS.format("measuring"), "PYTHONPATH": str(bench / "site")}
+    with subprocess.Popen(
+        [str(PROGRAM), *_arguments()],
+        cwd=tmp_path, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        process.stdout.close()
+        process.stderr.close()
+    _until(lambda: _verdicts(tmp_path) == ["not measured"])
 
 
 def _until(condition):
