@@ -1,38 +1,23 @@
 """A plugin that forks and lets the copy come back: the copy ends as it leaves the plugin, and cleans nothing up."""
 
 import os
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from copied import come_back, fork, fork_and_leave
 from simulated_setting import HEAD, material, scene, sensor_type
 from stored_runs import journalled, short_run
 
-from cbsr_qa.analysis.evaluate import measure_run
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.plan import Moment, PluginChoice, SceneSetting
 from cbsr_qa.plugin import Kind, Plugins, hookimpl
 from cbsr_qa.plugin.discovery import create_plugin
-from cbsr_qa.report.render import _section_shown
 from cbsr_qa.simulate import build_chain
-from cbsr_qa.station import schedule
-from cbsr_qa.station.bench import Bench, stop_all
-from cbsr_qa.station.event_sinks import Delivery
+from cbsr_qa.station import Bench, Delivery, schedule, stop_all
 from cbsr_qa.store import open_engine, open_store, parsed_url, reading
 from cbsr_qa.system import FileLock, VirtualClock, holder
 from cbsr_qa.testing import Script, example_plan, scripted_bench
-
-
-def _fork(*given, **named):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons, of threads
-        return os.fork()
-
-
-def _raise_in_the_copy(*given, **named):
-    if _fork() == 0:
-        raise SystemExit(0)
 
 
 class _Plugin:
@@ -47,7 +32,7 @@ class _Plugin:
     def act(self, *given, **named):
         self.code()
 
-    measure_run = render = deliver = apply = act
+    deliver = apply = act
 
     @hookimpl
     def cbsr_phase_finished(self, phase):
@@ -79,10 +64,6 @@ def _factory(code):
     create_plugin(plugins, Kind.METRIC, PluginChoice("theirs"), "[metrics]")
 
 
-def _metric(code):
-    measure_run(SimpleNamespace(loads=()), {"theirs": _Plugin(code)})
-
-
 def _sequence(code):
     plan = example_plan([])
     schedule(replace(plan, phases=(replace(plan.phases[0], sequence=_Plugin(code)),)))
@@ -104,10 +85,6 @@ def _safe_state(code):
     stop_all([("theirs", code)])
 
 
-def _section(code):
-    _section_shown(_Plugin(code), None, "1")
-
-
 def _sink(code):
     delivery = Delivery("theirs", _Plugin(code))
     delivery.put({})
@@ -115,29 +92,14 @@ def _sink(code):
     delivery.wait(10.0)
 
 
-_PLACES = (_tell, _factory, _metric, _sequence, _effect, _identity, _safe_state, _section, _sink)
+_PLACES = (_tell, _factory, _sequence, _effect, _identity, _safe_state, _sink)
 
 
-def _come_back(act):
-    """Carry something out in a child of this process, whatever it raises; return how many processes come back."""
-    out, into = os.pipe()
-    if (child := _fork()) == 0:
-        try:
-            act()
-        finally:
-            os.write(into, b"x")
-            os._exit(0)
-    os.close(into)
-    os.waitpid(child, 0)
-    with os.fdopen(out, "rb") as pipe:
-        return len(pipe.read())  # until every copy has ended
-
-
-@pytest.mark.parametrize("code", [_fork, _raise_in_the_copy], ids=["returns", "raises"])
+@pytest.mark.parametrize("code", [fork, fork_and_leave], ids=["returns", "raises"])
 @pytest.mark.parametrize("place", _PLACES)
 def test_one_process_comes_back_from_a_plugin(place, code):
-    assert _come_back(_fork) == 2, "the copies are not seen"
-    assert _come_back(lambda: place(code)) == 1
+    assert come_back(fork) == 2, "the copies are not seen"
+    assert come_back(lambda: place(code)) == 1
 
 
 def test_a_copy_neither_reads_nor_stores_and_leaves_the_original_its_database(database_url):
@@ -146,7 +108,7 @@ def test_a_copy_neither_reads_nor_stores_and_leaves_the_original_its_database(da
         begun, *events = short_run(run)
         journal = journalled(store, [begun])
         out, into = os.pipe()
-        if (copy := _fork()) == 0:
+        if (copy := fork()) == 0:
             said = []
             for act in (lambda: journal(events[0]), lambda: store.analyses(run)):
                 try:
@@ -171,7 +133,7 @@ def test_a_copy_that_opens_the_database_itself_may_read_it(database_url):
     with open_store(database_url) as store:
         journalled(store, short_run(store.new_id()))
     found = 0
-    if (copy := _fork()) == 0:
+    if (copy := fork()) == 0:
         try:
             engine = open_engine(parsed_url(database_url))
             with reading(engine) as connection:
@@ -183,7 +145,7 @@ def test_a_copy_that_opens_the_database_itself_may_read_it(database_url):
 
 def test_a_copy_releases_no_lock(tmp_path):
     lock = FileLock(tmp_path / "lock", b"Kim")
-    if (copy := _fork()) == 0:
+    if (copy := fork()) == 0:
         try:
             lock.release()
         finally:
@@ -197,7 +159,7 @@ def test_a_copy_releases_no_lock(tmp_path):
 def test_a_copy_drives_no_instrument():
     def close_twice():
         bench = scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
-        _fork()
+        fork()
         bench.close()
 
-    assert _come_back(close_twice) == 1
+    assert come_back(close_twice) == 1

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from copied import come_back, fork
 from recording_samples import sample_recording
 from report_samples import ended_early, sample_run
 
@@ -50,6 +51,17 @@ class Fails:
 
     def render(self, result):
         raise self._error
+
+
+class Forks:
+    """A section that forks and goes on in both processes."""
+
+    def render(self, result):
+        fork()
+
+
+def test_a_copy_that_a_section_forks_does_not_come_back(result):
+    assert come_back(lambda: render_run(result, [Forks()])) == 1
 
 
 class Structure(HTMLParser):
