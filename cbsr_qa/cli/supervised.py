@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
-from cbsr_qa.system import end_copy
+from cbsr_qa.system import be_watched, end_copy
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -110,6 +110,7 @@ class _Child:
         cls.report, cls.pipe, cls.process = report, os.fstat(report), os.getpid()
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(None if live else cls.printed)
+        be_watched()
         os.set_blocking(echo, False)
         signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
         threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()

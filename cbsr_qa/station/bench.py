@@ -1,5 +1,6 @@
 """The instruments of a station by role, made safe together even if one of them fails."""
 
+import _thread
 import os
 import re
 import threading
@@ -33,15 +34,21 @@ DEADLINE_S: Final = 10.0
 Action = tuple[str, Callable[[], object]]
 
 
-class _Call(threading.Thread):
+class _Call:
     """One action in its own thread, which is abandoned if it never returns."""
 
     def __init__(self, name: str, action: Callable[[], object]) -> None:
-        super().__init__(name=f"stop {name}", daemon=True)
         self.who = name
         self.done = threading.Event()
         self.why = ""
         self._action = action
+
+    def start(self) -> None:
+        """Begin the thread; RuntimeError or MemoryError where there can be none.
+
+        A ``threading.Thread`` would wait for the thread to say that it runs, which it never does without memory.
+        """
+        _thread.start_new_thread(self.run, ())
 
     def run(self) -> None:
         try:
@@ -67,7 +74,7 @@ def stop_all(
     for call in calls:
         try:
             call.start()
-        except RuntimeError:  # no more threads: call it directly
+        except (RuntimeError, MemoryError):  # no more threads: call it directly
             call.run()
         call.done.wait(patience_s)
     for call in calls:
