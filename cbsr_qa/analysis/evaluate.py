@@ -26,7 +26,7 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, create_plugin, failure
-from cbsr_qa.system import Stages
+from cbsr_qa.system import Stages, come_back_once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
     try:
-        with stages.stage("imaging"):
+        with stages.stage("imaging"), come_back_once():
             observation = observe_run(record, reconstruction, recipe.analysis)
     except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
         remedy = error.remedy if isinstance(error, CbsrError) else ""
@@ -184,7 +184,8 @@ def measure_run(
     failed: dict[str, str] = {}
     for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
-            taken[name] = ask(metrics[name], observation)
+            with come_back_once():
+                taken[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             failed[name] = f"metric {name} failed and measured nothing: {failure(error)}"
     measured = tuple(one for name in metrics for one in taken.get(name, ()))

@@ -18,6 +18,7 @@ from cbsr_qa.eit.inverse import changes, imaging_problem, scale_doubts, scale_of
 from cbsr_qa.plugin import Kind, Reconstruction, create_plugin, discover
 from cbsr_qa.report import plural
 from cbsr_qa.report.draw import ImagePanel, image_figure
+from cbsr_qa.system import come_back_once
 
 #: Most images that are drawn.
 _MOST_DRAWN: Final = 6
@@ -80,9 +81,11 @@ def image_frames(
     scale = scale_of(unloaded, problem)
     if getattr(method, "absolute", False):
         problem = imaging_problem(sensor_type, used=used, measured=unloaded / scale)
-    prepared: PreparedReconstruction = method.prepare(problem)
+    with come_back_once():
+        prepared: PreparedReconstruction = method.prepare(problem)
     tell(f"imaging {plural(len(frames), 'frame')}")
-    values = np.asarray(prepared.images(changes(frames.voltages, unloaded, problem, scale)), dtype=np.float64)
+    with come_back_once():
+        values = np.asarray(prepared.images(changes(frames.voltages, unloaded, problem, scale)), dtype=np.float64)
     if values.shape != (len(frames), len(problem.mesh.elements)) or not np.isfinite(values).all():
         raise NumericsError(f"{chosen.name} made images of shape {values.shape}, or of values that are not finite")
     return ImagedFrames(

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
+from cbsr_qa.system import be_watched, end_copy
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -58,7 +59,7 @@ def supervise(*, judges: bool, live: bool = False) -> int | None:
     report, alive, echo = os.pipe(), os.pipe(), os.pipe()
     child = os.fork()
     if child == 0:
-        for end in (report[0], alive[1], echo[0]):
+        for end in (report[0], alive[1]):  # echo stays open at both ends: its reader may be killed
             os.close(end)
         _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1], live=live)
         return None
@@ -82,28 +83,34 @@ class _Child:
     """The process that runs plugin code."""
 
     report: ClassVar[int | None] = None
+    process: ClassVar[int]
     pipe: ClassVar[os.stat_result]
     printed: ClassVar[io.TextIOWrapper]
 
     @classmethod
     def tell(cls, **message: Any) -> None:
-        """Report to the parent. OSError if a plugin closed the pipe, or its number now belongs to another file."""
+        """Report to the parent; nothing happens once it has gone, since this process is then about to be stopped.
+
+        OSError if a plugin closed the pipe, or its number now belongs to another file.
+        """
         if cls.report is None:
             return
         if not os.path.samestat(os.fstat(cls.report), cls.pipe):
             raise OSError(errno.EBADF, "the pipe to the parent was closed")
         line = f"{_mark(os.getpid())}{json.dumps(message)[1:]}".encode()
         left = b"\n" + line + b"\n"  # keeps anything a plugin wrote there on a separate line
-        while left:
-            left = left[os.write(cls.report, left) :]
+        with suppress(BrokenPipeError):
+            while left:
+                left = left[os.write(cls.report, left) :]
 
     @classmethod
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int, live: bool) -> None:
         """Redirect output to the parent, and install signal handlers."""
         encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # for escaping what cannot be shown
-        cls.report, cls.pipe = report, os.fstat(report)
+        cls.report, cls.pipe, cls.process = report, os.fstat(report), os.getpid()
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(None if live else cls.printed)
+        be_watched()
         os.set_blocking(echo, False)
         signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
         threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()
@@ -113,6 +120,7 @@ class _Child:
     def end(cls, code: int) -> None:
         if cls.report is None:
             return
+        end_copy(cls.process)
         try:
             signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
             _name_what_runs()
@@ -120,7 +128,8 @@ class _Child:
             with suppress(OSError):  # the parent notices a missing report
                 cls.tell(code=code, printed=cls.printed.read())
             if sys.stderr is not None:
-                sys.stderr.flush()
+                with suppress(OSError):
+                    sys.stderr.flush()
         finally:
             os._exit(code)  # does not wait for threads or exit hooks
 
@@ -140,10 +149,16 @@ def _name_what_runs() -> None:
 
 
 def _end_with_parent(alive: int) -> None:
-    """Stop in order once the parent has gone."""
+    """Stop once the parent has gone: as by SIGTERM, which a run hears and ends in order.
+
+    Where nothing hears it yet, as by Ctrl-C: it closes what is open, while SIGTERM would kill.
+    """
     with suppress(OSError):
         os.read(alive, 1)
-    os.kill(os.getpid(), signal.SIGTERM)
+    note("cbsr-qa: the process that watches over this one has gone: this one stops")
+    heard = signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    os.kill(os.getpid(), signal.SIGTERM if heard or ignored else signal.SIGINT)
 
 
 class _Parent:
@@ -244,7 +259,7 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
     if why:
         why = f"the process of the {'run' if judges else 'command'} {why}"
         if judges and run is not None:
-            why += f"; {_in_database(run, database)[1]}"
+            why += f"; {_in_database(run, database)[2]}"
     elif judges and not code:
         why = _unstored(run, database)
     if why:
@@ -263,7 +278,8 @@ def _broken(run: str | None, database: str | None, why: str, *, judges: bool) ->
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    on = f"cbsr-qa run --resume {run}{database_option(database)}"
+    has_result, _, _ = _in_database(run, database)  # only its files may be missing then
+    on = f"cbsr-qa {'report' if has_result else 'run --resume'} {run}{database_option(database)}"
     return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {on}")
 
 
@@ -285,18 +301,19 @@ def _unstored(run: str | None, database: str | None) -> str:
     """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
-    passed, held = _in_database(run, database)
+    _, passed, held = _in_database(run, database)
     return "" if passed else f"the process of the run reported success, and {held}"
 
 
-def _in_database(run: str, database: str | None) -> tuple[bool, str]:
-    """Return whether a run has passed according to the database, and its stored verdict in words."""
+def _in_database(run: str, database: str | None) -> tuple[bool, bool, str]:
+    """Return whether the database holds a run's result, whether the run passed, and its stored verdict in words."""
     from cbsr_qa.config import database_url
-    from cbsr_qa.store.runs import latest_outcome
+    from cbsr_qa.domain.results import ResultState
+    from cbsr_qa.store.runs import latest_result
 
     try:
-        outcome = latest_outcome(database_url(database), run)
+        result, outcome = latest_result(database_url(database), run)
     except CbsrError as error:
-        return False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
+        return False, False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
     held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
-    return outcome is not None and not outcome.exit_code, f"the database holds {held}"
+    return result is ResultState.STORED, outcome is not None and not outcome.exit_code, f"the database holds {held}"

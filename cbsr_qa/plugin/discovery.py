@@ -17,6 +17,7 @@ from cbsr_qa.plugin import hooks as hookspecs
 from cbsr_qa.plugin.failures import contained, failure, said
 from cbsr_qa.plugin.hooks import PROJECT, Example, Kind
 from cbsr_qa.plugin.options import options_of
+from cbsr_qa.system import come_back_once
 
 Factory = Callable[..., Any]
 
@@ -84,7 +85,8 @@ class Plugins:
             raise self.unknown(kind, name)
         module, _, attribute = registration.target.partition(":")
         try:
-            factory: Factory = getattr(importlib.import_module(module), attribute)
+            with come_back_once():
+                factory: Factory = getattr(importlib.import_module(module), attribute)
         except BaseException as error:
             raise PluginError(
                 f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {failure(error)}",
@@ -109,7 +111,8 @@ class Plugins:
         """
         for implementation in getattr(self.manager.hook, hook).get_hookimpls():
             try:
-                implementation.function(**{name: arguments[name] for name in implementation.argnames})
+                with come_back_once():
+                    implementation.function(**{name: arguments[name] for name in implementation.argnames})
             except BaseException as error:
                 if may_abort and isinstance(error, AbortedError):
                     raise
@@ -132,7 +135,8 @@ class Plugins:
         def call(number: int) -> None:
             one = implementations[number]
             try:
-                answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
+                with come_back_once():
+                    answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
                 answers[number] = None, said(error)
 
@@ -160,12 +164,14 @@ class Plugins:
             for implementation in self.manager.hook.cbsr_example.get_hookimpls()
             if implementation.plugin_name.startswith(f"{registration.distribution}:")
         )
-        return next((answer for answer in answers if answer is not None), None)
+        with come_back_once():
+            return next((answer for answer in answers if answer is not None), None)
 
     def load(self, point: EntryPoint, distribution: str, version: str) -> None:
         """Import the module of an entry point and take it in; a failure is kept."""
         try:
-            module = point.load()
+            with come_back_once():
+                module = point.load()
         except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
             self.failures.append(PluginFailure(distribution, point.name, failure(error)))
         else:
@@ -187,7 +193,8 @@ class Plugins:
             self.manager.register(plugin, name=f"{distribution}:{entry_point}")
             hook = getattr(plugin, "cbsr_register", None)
             if hook is not None:
-                hook(register)
+                with come_back_once():
+                    hook(register)
         except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
             if self.manager.is_registered(plugin):
                 self.manager.unregister(plugin)

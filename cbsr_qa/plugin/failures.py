@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from cbsr_qa.domain import CbsrError, PluginError
+from cbsr_qa.system import come_back_once
 
 #: Longer messages of plugins are cut [characters].
 _LONGEST: Final = 500
@@ -43,7 +44,7 @@ def said(error: BaseException) -> str:
 
 @contextmanager
 def contained(who: str) -> Iterator[None]:
-    """Blame a plugin for what its code raises.
+    """Blame a plugin for what its code raises; a copy of this process that it forked ends here.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def contained(who: str) -> Iterator[None]:
         Naming the plugin, for every error that is not of this package on purpose; those pass as they are.
     """
     try:
-        yield
+        with come_back_once():
+            yield
     except CbsrError:
         raise
     except BaseException as error:

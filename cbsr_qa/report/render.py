@@ -1,8 +1,8 @@
 """From a result and its sections to one self-contained HTML file."""
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence, Sized
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -11,13 +11,14 @@ from typing import Any, Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, with_type
 from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Section, Table
 from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import recording_page, run_page
-from cbsr_qa.system import side_by_side, writing, written_whole
+from cbsr_qa.report.section import limited_blocks
+from cbsr_qa.system import come_back_once, side_by_side, writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -196,8 +197,11 @@ def _shown(
 def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:
     """Render one section; return a warning where it fails."""
     try:
-        content = section.render(result)
-        return None if content is None else _prepared(content, anchor)
+        with come_back_once():
+            content = section.render(result)
+            if content is None:
+                return None
+            return _prepared(replace(content, blocks=limited_blocks(content.blocks)), anchor)
     except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
         return f"The report section {type(section).__name__} failed and is left out: {failure(error)}"
 
@@ -221,6 +225,8 @@ def _block(block: Block) -> tuple[str, Any]:
 
 
 def _check_table(table: Table) -> None:
+    if not isinstance(table.rows, Sized):
+        raise RefusedError(f"the rows of table {table.caption!r} are {with_type(table.rows)}; they must be a tuple")
     for number, row in enumerate(table.rows, start=1):
         if len(row) != len(table.columns):
             raise RefusedError(

@@ -2,10 +2,15 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar
+from itertools import islice
+from typing import ClassVar, Final
 
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import Block, RunObservation, RunResult, Section
+
+#: More paragraphs, tables and figures of one section are refused.
+MOST_BLOCKS: Final = 1_000
 
 
 class RunSection(ABC):
@@ -48,6 +53,14 @@ class RecordingSection(ABC):
         """Return the content, in reading order."""
 
 
+def limited_blocks(blocks: Iterable[Block]) -> tuple[Block, ...]:
+    """Return the blocks of a section. RefusedError for more than :data:`MOST_BLOCKS`: a generator may never end."""
+    content = tuple(islice(blocks, MOST_BLOCKS + 1))
+    if len(content) > MOST_BLOCKS:
+        raise RefusedError(f"it has more than {MOST_BLOCKS} blocks")
+    return content
+
+
 def _section(title: str, blocks: Iterable[Block]) -> Section | None:
-    content = tuple(blocks)
+    content = limited_blocks(blocks)
     return Section(title, content) if content else None

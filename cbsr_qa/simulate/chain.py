@@ -1,6 +1,7 @@
 """The effects of a scene as an ordered list of callables; a disabled effect is absent."""
 
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Final
@@ -20,6 +21,7 @@ from cbsr_qa.plugin import (
     options_of,
     shown,
 )
+from cbsr_qa.system import come_back_once, end_copy
 
 #: ``effect_factory(name)`` returns the factory of an effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -96,6 +98,7 @@ class Chain:
 
         PluginError if one fails, or leaves a value that is not finite.
         """
+        process = os.getpid()
         for name, effect in self._stages[stage]:
             try:  # not _blaming: this is the most frequent call
                 effect.apply(moment)
@@ -104,6 +107,8 @@ class Chain:
                 raise
             except BaseException as error:
                 raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
+            finally:
+                end_copy(process)
             if not finite:
                 what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
                 raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
@@ -143,7 +148,8 @@ def _all_finite(value: Any) -> bool:
 @contextmanager
 def _blaming(name: str) -> Iterator[None]:
     try:
-        yield
+        with come_back_once():
+            yield
     except CbsrError:
         raise
     except BaseException as error:
@@ -177,7 +183,8 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
 def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> AnyEffect:
     try:
         options_of(factory, handed=1).read(choice.options)
-        effect: AnyEffect = factory(setting, **choice.options)
+        with come_back_once():
+            effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except BaseException as error:

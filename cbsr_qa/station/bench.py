@@ -1,5 +1,7 @@
 """The instruments of a station by role, made safe together even if one of them fails."""
 
+import _thread
+import os
 import re
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,7 +24,7 @@ from cbsr_qa.plugin import (
     SourceMeter,
     contained,
 )
-from cbsr_qa.system import RealClock
+from cbsr_qa.system import RealClock, come_back_once, end_copy
 
 #: How long one instrument may take before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
@@ -32,19 +34,26 @@ DEADLINE_S: Final = 10.0
 Action = tuple[str, Callable[[], object]]
 
 
-class _Call(threading.Thread):
+class _Call:
     """One action in its own thread, which is abandoned if it never returns."""
 
     def __init__(self, name: str, action: Callable[[], object]) -> None:
-        super().__init__(name=f"stop {name}", daemon=True)
         self.who = name
         self.done = threading.Event()
         self.why = ""
         self._action = action
 
+    def start(self) -> None:
+        """Begin the thread; RuntimeError or MemoryError where there can be none.
+
+        A ``threading.Thread`` would wait for the thread to say that it runs, which it never does without memory.
+        """
+        _thread.start_new_thread(self.run, ())
+
     def run(self) -> None:
         try:
-            self._action()
+            with come_back_once():
+                self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
             self.why = f"{type(error).__name__}: {error}"
         finally:
@@ -65,7 +74,7 @@ def stop_all(
     for call in calls:
         try:
             call.start()
-        except RuntimeError:  # no more threads: call it directly
+        except (RuntimeError, MemoryError):  # no more threads: call it directly
             call.run()
         call.done.wait(patience_s)
     for call in calls:
@@ -121,6 +130,7 @@ class Bench:
     def __init__(
         self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S, after: Sequence[Action] = ()
     ) -> None:
+        self._process = os.getpid()
         self._stop_within_s = stop_within_s
         self._after = tuple(after)
         self.mounted = tuple(mounted)
@@ -167,6 +177,7 @@ class Bench:
         return self._tell_all([*((mounted.name, mounted.instrument.close) for mounted in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
+        end_copy(self._process)  # whatever brought it here: the instruments are not its own
         return stop_all(actions, deadline_s=self._stop_within_s)
 
 

@@ -12,6 +12,7 @@ from cbsr_qa.domain.plan import EventSinkSpec
 from cbsr_qa.domain.run import RunConcluded, RunEvent, RunIdentity, event_document, event_message
 from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
 from cbsr_qa.station.documents import Warn
+from cbsr_qa.system import come_back_once
 
 #: Events that wait for a sink at most; beyond it the oldest are lost.
 #: The recipe nine-locations has 2920 on the simulated bench.
@@ -133,7 +134,7 @@ class Delivery:
             else:
                 self._pause(pause_s)
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
-        with suppress(BaseException):  # a stranger's code may raise anything
+        with suppress(BaseException), come_back_once():  # a stranger's code may raise anything
             self._sink.close()
 
     def _next(self) -> list[Message]:
@@ -151,7 +152,8 @@ class Delivery:
         """Deliver, and keep why it failed; False if the batch is to be sent again."""
         why, dropped = "", 0
         try:
-            self._sink.deliver(batch)
+            with come_back_once():
+                self._sink.deliver(batch)
         except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
             why = said(error)
             if not (isinstance(error, DeliveryError) and error.final):

@@ -22,7 +22,7 @@ from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe, ends_re
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import BrokenInto, Watchdog
-from cbsr_qa.system import Clock
+from cbsr_qa.system import Clock, MemoryReserve
 
 #: Reason and detail.
 Ending = tuple[EndReason, str]
@@ -133,12 +133,18 @@ def execute(
     check_samplers(plan, bench.samplers)
     interlock = Interlock()
     prompt = ask if isinstance(ask, OperatorPrompt) else OperatorPrompt(ask)
+    reserve = MemoryReserve()
+
+    def make_safe() -> tuple[str, ...]:
+        reserve.give_back()
+        return bench.safe_state()
+
     with (
         Interrupts(tell) as interrupts,
         Watchdog(
             plan.safety.answer_s,
             break_in=interrupts.break_in,
-            make_safe=bench.safe_state,
+            make_safe=make_safe,
             tell=tell,
             excused=prompt.is_waiting,
         ) as watchdog,
@@ -148,7 +154,7 @@ def execute(
         documents = Documents(subscribers, interrupts, warn)
         run = UnderWay(plan, bench, clock, documents, interlock, interrupts, watchdog)
         performer = Performer(run, retries=retries, ask=None if ask is None else prompt)
-        execution = _Execution(dry, run, performer, prompt, desk or ControlDesk())
+        execution = _Execution(dry, run, performer, prompt, desk or ControlDesk(), reserve)
         end, detail = execution.to_its_end(identity)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
 
@@ -174,9 +180,15 @@ class _Execution:
     """Executes the scheduled steps, and keeps track of the current one."""
 
     def __init__(
-        self, dry: DryRun, run: UnderWay, performer: Performer, prompt: OperatorPrompt[Any], desk: ControlDesk
+        self,
+        dry: DryRun,
+        run: UnderWay,
+        performer: Performer,
+        prompt: OperatorPrompt[Any],
+        desk: ControlDesk,
+        reserve: MemoryReserve,
     ) -> None:
-        self._dry = dry
+        self._dry, self._reserve = dry, reserve
         self._clock, self._documents, self._interlock = run.clock, run.documents, run.interlock
         self._bench, self._interrupts, self._watchdog = run.bench, run.interrupts, run.watchdog
         self._performer = performer
@@ -194,9 +206,11 @@ class _Execution:
                 self._desk.open(_Brakes(interrupts, self._watchdog))
                 self._through_or_back(identity)
         except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
+            self._reserve.give_back()
             interrupts.mask()
             self._end = ending(error, self.where(), at_once=interrupts.urgent_by, before=self._end)
         finally:
+            self._reserve.give_back()
             interrupts.mask()
             self._desk.close()
             self._prompt.unheard()

@@ -1,6 +1,7 @@
 """The plan of a run and its schedule: what the dry run has checked is what moves."""
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from cbsr_qa.domain.plan import (
 from cbsr_qa.domain.run import Indenter, Load
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Sequence, SequenceContext, contained
-from cbsr_qa.system import Clock
+from cbsr_qa.system import Clock, end_copy
 
 #: A frame starts only if more than this share of it lies inside the hold; otherwise rounding of the clock would
 #: decide whether a hold of exactly 24 frames takes 24 or 25.
@@ -137,7 +138,10 @@ class PlannedPhase:
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the sequence's steps; PluginError if its code fails."""
         with contained(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
-            yield from self.sequence.steps(context)
+            process = os.getpid()
+            for step in self.sequence.steps(context):
+                end_copy(process)
+                yield step
 
 
 @dataclass(frozen=True, slots=True)

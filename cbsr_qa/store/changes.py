@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Engine, and_, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, and_, or_, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, Outcome
@@ -25,7 +25,8 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
-from cbsr_qa.store.runs import current_state, run_row
+from cbsr_qa.store.runs import run_row
+from cbsr_qa.store.standing import standing_of
 from cbsr_qa.store.tables import (
     AdoptionRow,
     AnalysisRow,
@@ -243,18 +244,17 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if run_row(connection, run) is None:
         raise StoreError(f"there is no run {run}", remedy="cbsr-qa report SERIAL names the latest run of a sensor")
     check_run(connection, run)
-    end = current_state(connection, run).end
-    if end != EndReason.FINISHED:
+    now = standing_of(connection, run)
+    if now.end is not EndReason.FINISHED:
         raise StoreError(
-            f"run {run} has not finished ({end}): there is no verdict to override",
+            f"run {run} has not finished ({now.end}): there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} continues it",
         )
-    latest = select(func.max(AnalysisRow.analysis)).where(AnalysisRow.run == run).scalar_subquery()
-    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == latest)
-    found = connection.execute(query).one_or_none()
-    if found is None:
+    if now.analysis is None:
         raise StoreError(
             f"run {run} has no result yet: there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} computes it",
         )
+    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == now.analysis)
+    found = connection.execute(query).one()
     return found.analysis, analysis_outcome(found)

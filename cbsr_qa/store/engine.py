@@ -97,6 +97,7 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
         raise StoreError(
             f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"
         ) from error
+    event.listen(engine, "begin", partial(_refuse_copy, os.getpid()))
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", partial(_set_up_sqlite, synchronous="FULL" if durable else "NORMAL"))
         if (file := sqlite_file(url)) is not None:
@@ -265,6 +266,16 @@ def _which_file(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_dev, found.st_ino
+
+
+def _refuse_copy(process: int, connection: Connection) -> None:
+    """Refuse a forked copy of the process that opened the database: both would write over one connection."""
+    if os.getpid() != process:
+        raise StoreError(
+            f"{shown(connection.engine.url)} was opened by process {process}, of which process {os.getpid()} is a"
+            " forked copy: it can neither read nor store",
+            remedy="open the database again in the process that forks, or let a plugin that forks end its copy",
+        )
 
 
 def _refuse_lost_file(path: Path, connection: Connection) -> None:

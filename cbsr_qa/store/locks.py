@@ -171,6 +171,7 @@ class _ServerLocks:
 
     def __init__(self, url: URL) -> None:
         self._url = url
+        self._process = os.getpid()
         self._connection: Connection | None = None
         self._held: dict[int, str] = {}
         self._alone = Lock()
@@ -204,8 +205,8 @@ class _ServerLocks:
 
     def _release(self, connection: Connection, number: int) -> None:
         with self._alone:
-            if self._connection is not connection:
-                return  # it was lost
+            if self._connection is not connection or os.getpid() != self._process:
+                return  # it was lost, or this is a forked copy of the process that holds it
             del self._held[number]
             with suppress(SQLAlchemyError):
                 connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})

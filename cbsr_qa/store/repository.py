@@ -25,6 +25,7 @@ from cbsr_qa.store.results import (
     reanalyses,
 )
 from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
+from cbsr_qa.store.standing import result_state
 from cbsr_qa.store.sync import backlog
 from cbsr_qa.store.types import IdSource, made_at
 
@@ -130,6 +131,7 @@ class Repository:
     finished_loads = _of_engine(runs.finished_loads)
     ended_phases = _of_engine(runs.ended_phases)
     state_of = _of_engine(runs.state_of)
+    result_state = _of_engine(result_state)
     goes_on_at_s = _of_engine(runs.goes_on_at_s)
     prompts_shown = _of_engine(attendance.prompts_shown)
     incomplete_runs = _of_engine(sessions.incomplete_runs)

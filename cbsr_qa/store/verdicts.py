@@ -11,11 +11,12 @@ from typing import Any, Final
 from sqlalchemy import Connection, select
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Decision, EndReason, Outcome
+from cbsr_qa.domain.results import Decision, EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, ReadRows, altered_runs, chain_state, read_rows
+from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, altered_runs, chain_state, read_rows
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.selected import Conditions
+from cbsr_qa.store.standing import outdated_analyses
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, VerdictOverrideRow
 
 #: Columns of a run that are as long as all others together, and that nobody lists.
@@ -36,7 +37,8 @@ class StoredVerdict:
     ----------
     values : columns of its row but the longest.
     end, end_detail, station_s : of its last state; RUNNING, empty and 0 without one.
-    analysis, analysed_at, outcome, reason, software : of its latest analysis; empty and None without one.
+    analysis, analysed_at, outcome, reason, software : of the latest analysis after its last session; empty and None
+        without one.
     decision : the latest override of that analysis; None without one.
     altered : what does not match the chain; nothing else is then known but ``values`` and ``end`` as they stand, and
         there is no result. Empty for a sound run, and for an unchained one, where nothing can be compared.
@@ -58,6 +60,10 @@ class StoredVerdict:
     @property
     def run(self) -> str:
         return str(self.values["run"])
+
+    @property
+    def result(self) -> ResultState:
+        return ResultState.of(self.end, analysed=bool(self.analysis))
 
     def checked(self) -> "StoredVerdict":
         """Return itself. StoreError if the run was altered."""
@@ -99,7 +105,12 @@ def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVer
     altered = altered_runs(connection, chains, read, ended=True)
     known_chains = {chain: chain_state(connection, chain) for chain in set(chains.values())}
     # Rows are sorted by run and key: the last one of a run holds.
-    state_of, analysis_of = _last_rows(states, _STATE), _last_rows(analyses, _RESULT)
+    numbers = zip(states.runs, states.columns["number"], strict=True)
+    resumed = {run for run, number in numbers if run not in altered and number > 1}
+    outdated = outdated_analyses(connection, resumed)
+    results = zip(analyses.runs, analyses.tuples(_RESULT), strict=True)
+    state_of = dict(zip(states.runs, states.tuples(_STATE), strict=True))
+    analysis_of = {run: analysis for run, analysis in results if analysis[0] not in outdated}
     places = zip(overrides.runs, overrides.columns["analysis"], strict=True)
     decided = dict(zip(places, overrides.tuples(_DECISION), strict=True))
     names = [name for name in own.columns if name not in _LONG]
@@ -111,10 +122,6 @@ def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVer
             continue
         found = StoredVerdict(facts, chain, *_ended(run, state))
         yield found if analysis is None else _with_result(found, analysis, decided.get((run, analysis[0])))
-
-
-def _last_rows(rows: ReadRows, names: Sequence[str]) -> dict[str, tuple[Any, ...]]:
-    return dict(zip(rows.runs, rows.tuples(names), strict=True))
 
 
 def _ended(run: str, state: tuple[Any, ...] | None) -> tuple[EndReason, str, float]:

@@ -10,7 +10,9 @@ from typing import Final
 
 from sqlalchemy import Connection, inspect, text
 
-_RUNS: Final = """
+from cbsr_qa.store.standing import up_to_date_sql
+
+_RUNS: Final = f"""
 SELECT
     r.run, r.serial, r.batch, r.sensor_type, r.station, r.recipe, r.operator, r.started_at,
     COALESCE(s."end", 'running') AS state,
@@ -27,14 +29,16 @@ FROM runs AS r
 LEFT JOIN run_states AS s
     ON s.run = r.run AND s.number = (SELECT max(x.number) FROM run_states AS x WHERE x.run = r.run)
 LEFT JOIN analyses AS a
-    ON a.run = r.run AND a.analysis = (SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run)
+    ON a.run = r.run AND a.analysis = (
+        SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run AND {up_to_date_sql("x")}
+    )
 LEFT JOIN verdict_overrides AS o
     ON o.run = r.run AND o.override_id = (
         SELECT max(x.override_id) FROM verdict_overrides AS x WHERE x.run = r.run AND x.analysis = a.analysis
     )
 """
 
-_MEASUREMENTS: Final = """
+_MEASUREMENTS: Final = f"""
 SELECT
     r.run, r.serial, r.batch, r.station, r.recipe, r.started_at, a.analysis,
     m.number, m.name, m.value, m.unit, m.uncertainty, m.bound,
@@ -42,7 +46,9 @@ SELECT
     m.outcome, m.lower_limit, m.upper_limit, m.marginal, m.how
 FROM runs AS r
 JOIN analyses AS a
-    ON a.run = r.run AND a.analysis = (SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run)
+    ON a.run = r.run AND a.analysis = (
+        SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run AND {up_to_date_sql("x")}
+    )
 JOIN measurements AS m
     ON m.analysis = a.analysis
 """

@@ -12,10 +12,12 @@ if TYPE_CHECKING:
         RealClock as RealClock,
         Stages as Stages,
         VirtualClock as VirtualClock,
+        WallWatch as WallWatch,
         in_ticks as in_ticks,
         on_tick as on_tick,
         passing as passing,
     )
+    from .copies import COPY_ENDED as COPY_ENDED, come_back_once as come_back_once, end_copy as end_copy
     from .files import (
         FileLock as FileLock,
         HeldError as HeldError,
@@ -31,7 +33,9 @@ if TYPE_CHECKING:
         pin_matches as pin_matches,
     )
     from .redelivery import Redelivery as Redelivery
+    from .reserve import MemoryReserve as MemoryReserve
     from .secret import secret_of as secret_of
+    from .stubborn import be_watched as be_watched, end_later as end_later
     from .untrusted import (
         CONTAINED as CONTAINED,
         largest_content as largest_content,

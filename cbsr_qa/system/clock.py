@@ -65,6 +65,21 @@ class RealClock:
             time.sleep(max(duration_s, TICK_S))
 
 
+class WallWatch:
+    """Notices that the computer's clock was set, which says nothing itself."""
+
+    def __init__(self) -> None:
+        self._wall, self._since_s = datetime.now(UTC), time.monotonic()
+
+    def moved(self) -> timedelta:
+        """Return how far date and time were set since this was made; positive: forward.
+
+        A computer that slept looks as if its clock had been set forward.
+        """
+        passed = timedelta(seconds=time.monotonic() - self._since_s)
+        return datetime.now(UTC) - self._wall - passed
+
+
 class VirtualClock:
     """Time that advances only by sleeping: hours of station time cost no waiting.
 

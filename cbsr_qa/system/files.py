@@ -61,6 +61,7 @@ class FileLock:
 
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
         self._path = path
+        self._process = os.getpid()
         self._file: int | None = None
         begun_s = time.monotonic()
         for _ in range(_TRIES):
@@ -83,9 +84,9 @@ class FileLock:
             raise
 
     def release(self) -> None:
-        """Remove the file and release the lock; may be called more than once."""
+        """Remove the file and release the lock; may be called more than once, and does nothing in a forked copy."""
         file, self._file = self._file, None
-        if file is None:
+        if file is None or os.getpid() != self._process:
             return
         try:
             with suppress(OSError):

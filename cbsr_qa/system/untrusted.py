@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 from cbsr_qa.domain import RefusedError, errors
+from cbsr_qa.system.copies import come_back_once
 
 Result = TypeVar("Result")
 
@@ -200,7 +201,8 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
     """Encode the result of reading: a pickled head, and the arrays' bytes."""
     arrays: list[pickle.PickleBuffer] = []
     try:
-        outcome: tuple[Any, ...] = ("read", read())
+        with come_back_once():  # a format may be a plugin
+            outcome: tuple[Any, ...] = ("read", read())
     except MemoryError:
         outcome = ("memory",)
     except Exception as error:  # noqa: BLE001 - the parent says it

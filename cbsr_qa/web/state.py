@@ -6,7 +6,7 @@ from enum import StrEnum
 from time import monotonic
 from typing import Any
 
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import EndReason, ResultState
 from cbsr_qa.store.runs import RunLook
 from cbsr_qa.web.live_run import LiveView
 
@@ -117,7 +117,7 @@ class Snapshot:
         look = self.look
         if look is None or self.mode.runs or look.altered:
             return False
-        return look.end is not EndReason.FINISHED or look.outcome is None
+        return look.result is not ResultState.STORED
 
 
 def mode_of(
@@ -136,7 +136,7 @@ def mode_of(
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
     if held or starting:
-        unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None and not look.altered
+        unjudged = look is not None and look.result is ResultState.MISSING and not look.altered
         if unjudged or control is not None or (starting and begun):
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from copied import come_back, fork, fork_and_leave
 from hypothesis import given, strategies as st
 
 from cbsr_qa.analysis.evaluate import judge, judge_again, measure_run
@@ -123,6 +124,12 @@ def test_a_metric_that_raises_takes_nothing_else_down():
     assert [m.name for m in measured] == ["whole"]
     assert "metric broken failed" in warnings[0]
     assert "nothing was pressed" in warnings[0]
+
+
+@pytest.mark.parametrize("code", [fork, fork_and_leave])
+def test_a_copy_that_a_metric_forks_does_not_come_back(code):
+    metric = SimpleNamespace(measure_run=code)
+    assert come_back(lambda: measure_run(SimpleNamespace(loads=()), {"forks": metric})) == 1
 
 
 def test_a_failed_run_says_how_many_limits_fail():

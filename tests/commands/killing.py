@@ -44,13 +44,39 @@ hold_s = 20.0
 rest_s = 15.7
 initial_rest_s = 30.0
 """
+#: A run of five loads in two phases, which takes two seconds with its result.
+BRIEF = """
+[recipe]
+name = "brief"
+calibrate_phases = ["two places"]
+
+[[phases]]
+name = "noise figure"
+sequence = "noise-figure"
+rest_s = 12.0
+frames = 16
+strain_percent = 20.0
+hold_s = 10.0
+trials = 1
+recovery_s = 12.0
+
+[[phases]]
+name = "two places"
+sequence = "location-grid"
+strains_percent = [20.0]
+trials = 2
+locations_mm = [[0.0, 0.0], [20.0, 0.0]]
+hold_s = 10.0
+rest_s = 12.0
+initial_rest_s = 10.0
+"""
 METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-noise", "applied-force", "zero-return",
            "repeatability", "load-assignment", "contact-resistance", "creep")  # fmt: skip
 #: Effects of the shipped scene without those that remember earlier presses.
 STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise", "load-cell-noise")
 
 
-def write_files(folder, *, memory=False):
+def write_files(folder, *, memory=False, recipe=RECIPE):
     """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
     from cbsr_qa.config import DocumentKind, open_document
 
@@ -64,7 +90,7 @@ def write_files(folder, *, memory=False):
     middle = shipped[shipped.index("[reconstruction]") : shipped.index("[metrics]")]
     metrics = "[metrics]\n" + "".join(f"{name} = {{}}\n" for name in METRICS)
     limit = '\n[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
-    (folder / "recipe.toml").write_text(RECIPE + middle + metrics + command.FEW_SECTIONS + limit)
+    (folder / "recipe.toml").write_text(recipe + middle + metrics + command.FEW_SECTIONS + limit)
 
 
 BEGIN = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--seed", "5", "--json")
@@ -84,6 +110,74 @@ def killed(folder, arguments, *, documents, after_s):
         return True
     assert process.exitcode in (0, 1), (process.exitcode, said)
     return False
+
+
+def strike(folder, arguments, *, at, number, after_s=0.0):
+    """Run a command in a fork that is sent a signal some time after a moment; returns what became of it.
+
+    Parameters
+    ----------
+    at : the moment: how many before it, or its name. Moments are documents of the journal, stages by their names, and
+        whatever is stored and written after them (:data:`WRITTEN`), each as it begins and as it ends.
+    number : of the signal.
+    """
+    out = [Path(folder) / name for name in ("out", "err")]
+    process = command._forks().Process(
+        target=_with_a_striker, args=(str(folder), list(arguments), out, at, number, after_s)
+    )
+    process.start()
+    process.join(timeout=300)
+    assert process.exitcode is not None, f"{arguments} has not ended after 300 s"
+    return Struck(process.exitcode, out[1].read_text())
+
+
+@dataclass(frozen=True)
+class Struck:
+    """How a command ended that was struck, and what it said."""
+
+    code: int
+    said: str
+
+    @property
+    def done(self):
+        """Whether the run has its result: it passed or failed, or an earlier command had stored its result."""
+        return self.code in (0, 1) or (self.code == 2 and "is finished, and has its result" in self.said)
+
+
+#: What is stored and written after a run was computed.
+WRITTEN = ("save_result", "write_calibration", "write_report")
+
+
+def _with_a_striker(folder, arguments, out, at, number, after_s):
+    from cbsr_qa.app.run import outputs
+    from cbsr_qa.store import Repository
+    from cbsr_qa.system import Stages
+
+    passed, told = 0, os.open(f"{folder}/moments", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+
+    def pass_moment(name):
+        nonlocal passed
+        os.write(told, b".")
+        if at in (passed, name):
+            threading.Timer(after_s, os.kill, (os.getpid(), number)).start()
+        passed += 1
+
+    def watch(place, name):
+        act = getattr(place, name)
+
+        def acted(*given, **named):
+            pass_moment(given[1] if name == "announce" else name)
+            done = act(*given, **named)
+            pass_moment(f"{name} done")
+            return done
+
+        setattr(place, name, acted)
+
+    for place, name in zip((Repository, outputs, outputs), WRITTEN, strict=True):
+        watch(place, name)
+    watch(Journal, "__call__")
+    watch(Stages, "announce")
+    forked.run(Path(folder), arguments, {"CBSR_QA_VAR": "var"}, *out)
 
 
 def _with_a_killer(folder, arguments, out, documents, after_s):
@@ -197,3 +291,56 @@ def trial(folder, serial, whole, random, *, kills=2):
     assert_nothing_lost(folder, run)
     assert_same(whole, came)
     return came
+
+
+def left_alone(folder):
+    """Make a brief run that nobody interrupts; return what came of it, and how many moments it has."""
+    write_files(folder, recipe=BRIEF)
+    assert strike(folder, [*BEGIN, "--serial", "whole"], at=-1, number=0).code == 0
+    return came_of(folder, latest_run(folder, "whole")), (folder / "moments").stat().st_size
+
+
+#: Where a run is struck half of the time: where its result is computed, stored and written.
+_CONCLUDING = ("reading the run back", "imaging", "metrics", "writing the calibration file", "rendering the report",
+               *WRITTEN, *(f"{name} done" for name in WRITTEN))  # fmt: skip
+
+
+def interrupted(folder, whole, moments, random):
+    """Strike a brief run, and what resumes it, at random moments; resume it until it has its result.
+
+    Returns
+    -------
+    How many processes were struck in all.
+    """
+    write_files(folder, recipe=BRIEF)
+    arguments, struck = [*BEGIN, "--serial", "S-1"], 0
+    for _ in range(random.randint(1, 4)):
+        at = random.choice((random.randrange(moments), random.choice(_CONCLUDING)))
+        number = random.choice((signal.SIGKILL, signal.SIGTERM))
+        came = strike(
+            folder, arguments, at=at, number=number, after_s=random.choice((0.0, random.uniform(0.0, 0.05)))
+        )
+        if came.done:
+            break
+        assert came.code == 3, came
+        struck += 1
+        if (run := latest_run(folder, "S-1")) is not None:
+            arguments = ["run", "--resume", run, "--json"]
+    while not came.done:
+        came = strike(folder, arguments, at=-1, number=0)
+        assert came.done, came
+    run = latest_run(folder, "S-1")
+    command.cbsr_qa(folder, "report", run)
+    check_come_through(folder, run, whole)
+    return struck
+
+
+def check_come_through(folder, run, whole):
+    """A run has the result of one that was left alone, its files, and nothing is left to do."""
+    came = came_of(folder, run)
+    assert_same(whole, came)
+    status = command.document(command.cbsr_qa(folder, "db", "status", "--json"))
+    assert [status[key] for key in ("incomplete", "stopped", "without_result")] == [[], [], []]
+    assert len(list((Path(folder) / "var" / "calibrations").glob(f"*{run}.h5"))) == 1
+    (listed,) = command.document(command.cbsr_qa(folder, "runs", "--json"))["runs"]
+    assert (listed["verdict"], listed["reason"]) == whole.verdict

@@ -2,20 +2,18 @@
 
 import json
 import os
-import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import forked
-import killing
 import pytest
-from command import _forks, cbsr_qa, document, short_recipe
+from command import cbsr_qa, document
+from hostile import FILES, arguments_of, install, run_hostile, start, until, verdicts
 
 pytestmark = pytest.mark.rest
+
 
 _THREAD = (
     "import threading, time; threading.Thread(target=time.sleep, args=(60,), name='lingering').start()"
@@ -26,43 +24,12 @@ _THREAD = (
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """A folder with the plugin installed beside us, and a short recipe that names its metric."""
-    folder = tmp_path_factory.mktemp("hostile")
-    information = folder / "site" / "hostile-1.0.dist-info"
-    information.mkdir(parents=True)
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text("[cbsr_qa]\nhostile = hostile_plugin\n")
-    shutil.copy(Path(__file__).with_name("hostile_plugin.py"), folder / "site")
-    killing.write_files(folder)  # a scene that is quickly simulated
-    short_recipe(folder, metrics=("centre-of-mass-error", "hostile"))
-    short_recipe(folder, "without.toml", metrics=("centre-of-mass-error",))
-    return folder
-
-
-_FILES = ("--station", "station.toml", "--serial", "S-1", "--seed", "5")
-
-
-def _arguments(recipe="short.toml"):
-    return ["run", *_FILES, "--recipe", recipe, "--json"]
-
-
-def _run(bench, folder, hostile, *, recipe="short.toml", arguments=(), **options):
-    for file in bench.glob("*.toml"):
-        shutil.copy(file, folder)
-    given = arguments or _arguments(recipe)
-    return cbsr_qa(folder, *given, check=False, HOSTILE=hostile, PYTHONPATH=str(bench / "site"), **options)
-
-
-def _verdicts(folder):
-    file = folder / "var" / "cbsr-qa.db"
-    if not file.exists():
-        return []
-    with sqlite3.connect(file) as database:
-        return [outcome for (outcome,) in database.execute("select outcome from analyses")]
+    return install(tmp_path_factory.mktemp("hostile"))
 
 
 def test_a_plugin_that_behaves_passes(bench, tmp_path):
-    done = _run(bench, tmp_path, "")
-    assert (done.returncode, document(done)["outcome"], _verdicts(tmp_path)) == (0, "pass", ["pass"])
+    done = run_hostile(bench, tmp_path, "")
+    assert (done.returncode, document(done)["outcome"], verdicts(tmp_path)) == (0, "pass", ["pass"])
     assert not any("plugin" in warning for warning in document(done)["warnings"])
 
 
@@ -87,26 +54,28 @@ _LEAVES = {
 def test_no_run_passes_without_a_stored_verdict(case, bench, tmp_path):
     hostile, code, said = _LEAVES[case]
     begun_s = time.monotonic()
-    done = _run(bench, tmp_path, hostile)
+    done = run_hostile(bench, tmp_path, hostile)
     assert time.monotonic() - begun_s < 30
     assert done.returncode == code, done.stderr
     found = document(done)
     assert said in done.stdout + done.stderr
-    assert _verdicts(tmp_path) == (["pass"] if code == 0 else [])
+    assert verdicts(tmp_path) == (["pass"] if code == 0 else [])
     assert found.get("outcome") == ("pass" if code == 0 else "not measured" if "run" in found else None)
 
 
 @pytest.mark.parametrize("place", ["import", "register"])
 @pytest.mark.parametrize("error", ["SystemExit(0)", "ImportError('no gcc')"])
 def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench, tmp_path):
-    done = _run(bench, tmp_path, f"{place}: raise {error}", recipe="without.toml")
+    done = run_hostile(bench, tmp_path, f"{place}: raise {error}", recipe="without.toml")
     said = "plugin distribution hostile (hostile) could not be loaded: "
     (warning,) = [one for one in document(done)["warnings"] if one.startswith(said)]
     assert error.partition("(")[0] in warning
     assert warning in (tmp_path / document(done)["report"]).read_text().replace("&#39;", "'")
-    dry = _run(bench, tmp_path, f"{place}: raise {error}", arguments=(*_arguments("without.toml"), "--dry-run"))
+    dry = run_hostile(
+        bench, tmp_path, f"{place}: raise {error}", arguments=(*arguments_of("without.toml"), "--dry-run")
+    )
     assert warning in document(dry)["warnings"]
-    refused = _run(bench, tmp_path, f"{place}: raise {error}")
+    refused = run_hostile(bench, tmp_path, f"{place}: raise {error}")
     assert refused.returncode == 2
     assert "metrics.hostile is no installed metric plugin" in document(refused)["refused"]["reason"]
     assert "hostile failed to load: " in document(refused)["refused"]["reason"]
@@ -114,42 +83,30 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
 
 def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp_path):
     forged = "metric: from cbsr_qa.store.results import analyses; analyses.save_result = lambda *given, **named: None"
-    done = _run(bench, tmp_path, forged)
+    done = run_hostile(bench, tmp_path, forged)
     assert done.returncode == 3
     assert "reported success, and the database holds no verdict" in document(done)["reason"]
 
 
 @pytest.mark.parametrize("place", ["import", "measuring", "metric"])
 def test_a_plugin_that_closes_all_files_ends_no_run_with_success(place, bench, tmp_path):
-    done = _run(bench, tmp_path, f"{place}: os.closerange(3, 256)")
+    done = run_hostile(bench, tmp_path, f"{place}: os.closerange(3, 256)")
     assert done.returncode == 3, done.stderr
     assert "ended without a report" in done.stdout
 
 
 @pytest.mark.parametrize("text", [b"5\n", b"[1]\n", b'{"pid": 1}\n', b"\xff{"])
 def test_what_a_plugin_writes_to_the_parent_is_no_report(text, bench, tmp_path):
-    done = _run(
+    done = run_hostile(
         bench, tmp_path, f"metric: from cbsr_qa.cli import supervised; os.write(supervised._Child.report, {text})"
     )
-    assert (done.returncode, document(done)["outcome"], _verdicts(tmp_path)) == (0, "pass", ["pass"])
+    assert (done.returncode, document(done)["outcome"], verdicts(tmp_path)) == (0, "pass", ["pass"])
 
 
 def test_a_run_that_was_cut_off_goes_on_by_its_name(bench, tmp_path):
-    cut = document(_run(bench, tmp_path, "measuring: os._exit(0)"))
+    cut = document(run_hostile(bench, tmp_path, "measuring: os._exit(0)"))
     done = cbsr_qa(tmp_path, "run", "--resume", cut["run"], "--json", PYTHONPATH=str(bench / "site"))
     assert document(done)["outcome"] == "pass"
-
-
-def _job(bench, folder, hostile, *, ignored=(), arguments=()):
-    """Start a run in a process group of its own; return the process and where its output goes."""
-    for file in bench.glob("*.toml"):
-        shutil.copy(file, folder)
-    written = folder / "out", folder / "err"
-    environment = {"CBSR_QA_VAR": "var", "HOSTILE": hostile, "PYTHONPATH": str(bench / "site")}
-    given = (ignored, folder, arguments or _arguments(), environment, *written)
-    process = _forks().Process(target=forked.run_as_a_job, args=given)
-    process.start()
-    return process, written
 
 
 #: Who is sent which signal in the middle of a measurement, and how the run then says it ended.
@@ -168,7 +125,7 @@ _SIGNALS = {
 @pytest.mark.parametrize("case", _SIGNALS)
 def test_a_signal_reaches_the_run_once(case, bench, tmp_path):
     sends, said = _SIGNALS[case]
-    process, (out, err) = _job(bench, tmp_path, f"measuring: import time; {sends}; time.sleep(1)")
+    process, (out, err) = start(bench, tmp_path, f"measuring: import time; {sends}; time.sleep(1)")
     process.join(timeout=100)
     assert process.exitcode == 3, err.read_text()
     found = json.loads(out.read_text())
@@ -186,40 +143,24 @@ def test_a_signal_reaches_the_run_once(case, bench, tmp_path):
 )
 def test_a_signal_ends_any_command_with_a_document(sends, key, said, bench, tmp_path):
     hostile = f"import: import time; {sends}; time.sleep(20)"
-    process, (out, err) = _job(bench, tmp_path, hostile, arguments=["plugins", "list", "--json"])
+    process, (out, err) = start(bench, tmp_path, hostile, arguments=["plugins", "list", "--json"])
     process.join(timeout=15)
     assert process.exitcode == 3, err.read_text()
     assert json.loads(out.read_text())[key]["reason"] == said
 
 
 def test_a_signal_that_was_ignored_stays_ignored(bench, tmp_path):
-    process, (out, err) = _job(bench, tmp_path, "measuring: os.kill(0, 2)", ignored=(signal.SIGINT,))
+    process, (out, err) = start(bench, tmp_path, "measuring: os.kill(0, 2)", ignored=(signal.SIGINT,))
     process.join(timeout=100)
     assert (process.exitcode, json.loads(out.read_text())["end"]) == (0, "finished"), err.read_text()
 
 
 def test_a_run_that_is_suspended_shows_it_and_goes_on(bench, tmp_path):
-    process, (out, _) = _job(bench, tmp_path, "metric: os.kill(0, 20)")
-    _until(lambda: _state(process.pid) == "T")
+    process, (out, _) = start(bench, tmp_path, "metric: os.kill(0, 20)")
+    until(lambda: _state(process.pid) == "T")
     os.kill(process.pid, signal.SIGCONT)  # as a shell's fg, but to the parent alone
     process.join(timeout=100)
     assert (process.exitcode, json.loads(out.read_text())["outcome"]) == (0, "pass")
-
-
-def test_a_run_whose_parent_is_killed_stops_in_order(bench, tmp_path):
-    process, _ = _job(bench, tmp_path, "measuring: import time; os.kill(os.getppid(), 9); time.sleep(1)")
-    process.join(timeout=100)
-    assert process.exitcode == -signal.SIGKILL
-    _until(lambda: _verdicts(tmp_path) == ["not measured"])
-    record = killing.came_of(tmp_path, killing.latest_run(tmp_path, "S-1")).record
-    assert (record.end, record.end_detail[:18]) == ("aborted", "by signal SIGTERM,")
-
-
-def _until(condition):
-    until_s = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
 
 
 def _state(pid):
@@ -233,7 +174,7 @@ def test_what_a_plugin_prints_spoils_no_commands_document(bench, tmp_path):
     assert done.stderr.count("hello") == 3
 
 
-_RUN = ("run", *_FILES, "--recipe", "short.toml")
+_RUN = ("run", *FILES, "--recipe", "short.toml")
 
 
 @pytest.mark.parametrize(
@@ -251,7 +192,7 @@ _RUN = ("run", *_FILES, "--recipe", "short.toml")
     ids=" ".join,
 )
 def test_no_command_that_a_plugin_ends_is_silent(arguments, bench, tmp_path):
-    done = _run(bench, tmp_path, "import: os._exit(0)", arguments=arguments)
+    done = run_hostile(bench, tmp_path, "import: os._exit(0)", arguments=arguments)
     assert done.returncode == 3, done.stderr
     assert "ended without a report, with exit code 0: a plugin may have ended it" in done.stderr
     if "--json" in arguments:
@@ -262,7 +203,7 @@ def test_no_command_that_a_plugin_ends_is_silent(arguments, bench, tmp_path):
 
 def test_a_thread_of_a_plugin_holds_no_command(bench, tmp_path):
     begun_s = time.monotonic()
-    done = _run(bench, tmp_path, _THREAD.replace("import", "import: import", 1), arguments=("plugins", "list"))
+    done = run_hostile(bench, tmp_path, _THREAD.replace("import", "import: import", 1), arguments=("plugins", "list"))
     assert time.monotonic() - begun_s < 30
     assert done.returncode == 0
     assert "hostile" in done.stdout

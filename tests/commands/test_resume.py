@@ -14,7 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import cbsr_qa, document, refused
-from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
+from killing import (
+    BEGIN,
+    BRIEF,
+    assert_same,
+    came_of,
+    check_come_through,
+    interrupted,
+    killed,
+    latest_run,
+    left_alone,
+    strike,
+    trial,
+    write_files,
+)
 from made_once import made_once
 from pages import HOW_TO, commands, typed
 
@@ -329,3 +342,49 @@ def test_a_second_program_is_told_who_writes_the_run(cut_off):
         assert "is being written by Alex on" in refused(folder, "run", "--resume", run)
         status = document(cbsr_qa(folder, "db", "status", "--json"))
     assert status["incomplete"][0]["state"].startswith("under way: Alex on")
+
+
+@pytest.fixture(scope="module")
+def brief(tmp_path_factory):
+    """What came of a brief run that was left alone, and its number of moments."""
+    return left_alone(tmp_path_factory.mktemp("brief"))
+
+
+@pytest.mark.rest
+def test_a_run_that_was_stopped_resumed_and_killed_while_it_was_computed_gets_its_result(brief, tmp_path):
+    write_files(tmp_path, recipe=BRIEF)
+    assert strike(tmp_path, [*BEGIN, "--serial", "S-1"], at=60, number=signal.SIGTERM).code == 3
+    run = latest_run(tmp_path, "S-1")
+    resume = ["run", "--resume", run, "--json"]
+    killed_there = strike(tmp_path, resume, at="imaging", number=signal.SIGKILL)
+    assert "the database holds no verdict" in killed_there.said
+    assert f"continue with: cbsr-qa run --resume {run}" in killed_there.said
+    (missing,) = document(cbsr_qa(tmp_path, "db", "status", "--json"))["without_result"]
+    assert missing == {"run": run, "serial": "S-1"}
+    listed = " ".join(cbsr_qa(tmp_path, "runs").stdout.split())
+    assert "no result" in listed
+    assert f"cbsr-qa run --resume {run}" in listed
+    (warning,) = [
+        one for one in document(cbsr_qa(tmp_path, "report", run, "--json"))["warnings"] if "no analysis" in one
+    ]
+    assert f"cbsr-qa run --resume {run} computes and stores its result" in warning
+    refused(tmp_path, "verdict", "override", run, "--outcome", "pass", "--by", "Kim", "--why", "as I say")
+    assert strike(tmp_path, resume, at=-1, number=0).code == 0
+    check_come_through(tmp_path, run, brief[0])
+
+
+@pytest.mark.rest
+def test_a_run_killed_once_its_result_is_stored_is_told_to_write_its_files(brief, tmp_path):
+    write_files(tmp_path, recipe=BRIEF)
+    cut = strike(tmp_path, [*BEGIN, "--serial", "S-1"], at="save_result done", number=signal.SIGKILL)
+    run = latest_run(tmp_path, "S-1")
+    assert cut.code == 3
+    assert f"continue with: cbsr-qa report {run}" in cut.said
+    cbsr_qa(tmp_path, "report", run)
+    check_come_through(tmp_path, run, brief[0])
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_struck_at_random_is_resumed_until_it_has_its_result(brief, tmp_path, seed):
+    assert interrupted(tmp_path, *brief, random.Random(seed)) > 0

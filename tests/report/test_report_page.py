@@ -3,9 +3,12 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import repeat
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from copied import come_back, fork
 from recording_samples import sample_recording
 from report_samples import ended_early, sample_run
 
@@ -50,6 +53,31 @@ class Fails:
 
     def render(self, result):
         raise self._error
+
+
+class Forks:
+    """A section that forks and goes on in both processes."""
+
+    def render(self, result):
+        fork()
+
+
+@pytest.mark.parametrize(
+    ("blocks", "why"),
+    [
+        (repeat(Paragraph("again")), "it has more than 1000 blocks"),
+        ([Table("endless", ("a",), repeat(("x",)))], "the rows of table 'endless' are"),
+    ],
+)
+def test_a_section_that_never_ends_is_left_out(result, blocks, why):
+    endless = SimpleNamespace(render=lambda _: Section("Endless", blocks))
+    page = Structure(render_run(result, [endless]))
+    assert "is left out" in page.words()
+    assert why in page.words()
+
+
+def test_a_copy_that_a_section_forks_does_not_come_back(result):
+    assert come_back(lambda: render_run(result, [Forks()])) == 1
 
 
 class Structure(HTMLParser):

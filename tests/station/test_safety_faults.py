@@ -1,5 +1,6 @@
 """Safety: whatever fails, every instrument is told to reach its safe state, and the run says what happened."""
 
+import _thread
 import threading
 
 import pytest
@@ -100,14 +101,29 @@ def test_a_safe_state_that_hangs_keeps_nobody_from_theirs():
     assert documents[-1] is ended
 
 
-def test_everybody_is_called_even_without_threads(monkeypatch):
-    def no_thread(self):
-        raise RuntimeError("can't start new thread")
+@pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
+def test_everybody_is_called_even_without_threads(error, monkeypatch):
+    def no_thread(*given):
+        raise error
 
-    monkeypatch.setattr(threading.Thread, "start", no_thread)
+    monkeypatch.setattr(_thread, "start_new_thread", no_thread)
     called = []
     assert stop_all([("a", lambda: called.append("a")), ("b", raising(OSError("x")))]) == ("b: OSError: x",)
     assert called == ["a"]
+
+
+def test_a_thread_that_never_says_that_it_runs_keeps_nobody_from_their_safe_state(monkeypatch):
+    """As where no memory is left: a new thread then ends before it can say anything."""
+    begin = _thread.start_new_thread
+
+    def lost(run, given):
+        return 0 if run.__self__.who == "lost" else begin(run, given)
+
+    monkeypatch.setattr(_thread, "start_new_thread", lost)
+    called = []
+    actions = [("lost", lambda: called.append("lost")), ("found", lambda: called.append("found"))]
+    assert stop_all(actions, patience_s=0.01, deadline_s=0.1) == ("lost did not answer within 0.1 s",)
+    assert called == ["found"]
 
 
 def test_a_run_outside_the_main_thread_is_safe_too():

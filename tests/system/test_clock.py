@@ -5,7 +5,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.system.clock import TICK_S, RealClock, VirtualClock, in_ticks, on_tick
+from cbsr_qa.system import clock as clocks
+from cbsr_qa.system.clock import TICK_S, RealClock, VirtualClock, WallWatch, in_ticks, on_tick
 
 
 def test_virtual_time_passes_by_sleeping_alone():
@@ -60,3 +61,15 @@ def test_real_times_are_ticks_too():
     for _ in range(20):
         assert clock.now() % TICK_S == 0
         clock.sleep(1e-12)
+
+
+@pytest.mark.parametrize("hours", [-20_000.0, -1.0, 0.0, 2.0, 80_000.0])
+def test_a_clock_that_is_set_is_noticed(hours, monkeypatch):
+    class Set(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime.now(tz) + timedelta(hours=hours)
+
+    watch = WallWatch()
+    monkeypatch.setattr(clocks, "datetime", Set)
+    assert watch.moved() / timedelta(hours=1) == pytest.approx(hours, abs=0.01)

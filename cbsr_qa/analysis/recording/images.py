@@ -18,6 +18,7 @@ from cbsr_qa.analysis.recording.places import Place
 from cbsr_qa.domain import Array, CbsrError, Goodness, NumericsError, PluginError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
 from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.system import come_back_once
 
 #: Receives each step, in words.
 Tell = Callable[[str], None]
@@ -209,7 +210,8 @@ def _with_measured(
 def _by_name(where: str) -> Iterator[None]:
     """Turn any exception of a plugin's method into one clear refusal."""
     try:
-        yield
+        with come_back_once():
+            yield
     except CbsrError as error:
         raise NumericsError(f"{where}: {error.reason}", remedy=error.remedy or _REMEDY) from error
     except Exception as error:

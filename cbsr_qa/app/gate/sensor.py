@@ -39,6 +39,8 @@ def retest_allowed(asked: Asked) -> Finding:
         return Finding(False, words, "take the next sensor")
     most = asked.settings.retest_runs
     count = f"{len(finished)} finished run{'' if len(finished) == 1 else 's'} of {serial} with {recipe}"
+    if missing := [one.run for one in finished if not one.changed and _decided(one) is None]:
+        count += f", run {missing[-1]} without a result yet (cbsr-qa run --resume {missing[-1]} computes it)"
     if most is None:
         return Finding(True, f"{count}, none of them passed" if finished else count)
     if len(finished) < most:

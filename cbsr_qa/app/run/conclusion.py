@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Final
 
 from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
@@ -21,6 +22,9 @@ from cbsr_qa.report import duration
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts import charts_after
 from cbsr_qa.system import RealClock, Stages
+
+#: How long what computes a result may take to stop; beyond numerical libraries, which hear nothing in a call [s].
+_STOPS_WITHIN_S: Final = 30.0
 
 
 def concluded(
@@ -54,7 +58,7 @@ def concluded(
 def concluding(run: str, store: Repository) -> Iterator[None]:
     """Let a signal or the keyboard stop what follows a run. UnconcludedError, with the next command, if it did."""
     try:
-        with stoppable():
+        with stoppable(within_s=_STOPS_WITHIN_S):
             yield
     except AbortedError as error:
         following = report_command(run, store) if store.analyses(run) else resume_command(run, store)

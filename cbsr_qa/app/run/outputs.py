@@ -12,7 +12,7 @@ from cbsr_qa.domain.results import Calibration, RunResult
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.plugin import Kind, Plugins, ReportSection, failure
 from cbsr_qa.report import render_run, report_name, write_report
-from cbsr_qa.system import Stages
+from cbsr_qa.system import Stages, come_back_once
 
 _AGAIN = "cbsr-qa report writes it again once there is room"
 
@@ -93,7 +93,8 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
     missing: list[str] = []
     for name in names or plugins.in_order(Kind.SECTION):
         try:
-            sections.append(plugins.factory(Kind.SECTION, name)())
+            with come_back_once():
+                sections.append(plugins.factory(Kind.SECTION, name)())
         except BaseException as error:  # noqa: BLE001 - a stranger's constructor may raise anything
             missing.append(f"The report section {name} is left out: {failure(error)}")
     return sections, missing

@@ -151,7 +151,8 @@ def rebuilt(
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
-    stored frames and configuration. A run that was never analysed is analysed here, without storing the result.
+    stored frames and configuration. A run that was not analysed since its last session is analysed here, without
+    storing the result.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def rebuilt(
     history = store.change_history(record)
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
-        now = _analysed_now(record, recipe, plugins)
+        now = _analysed_now(record, recipe, plugins, resume_command(run, store))
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
     observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
@@ -246,7 +247,8 @@ def _calibration(
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 
-def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:
+def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins, resume: str) -> RunResult:
+    follows = "computes and stores its result" if record.end is EndReason.FINISHED else "continues it"
     evaluated = evaluate_run(record, recipe, plugins, Stages())
     return filled(
         RunResult,
@@ -258,7 +260,7 @@ def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunRes
         warnings=(
             *evaluated.warnings,
             *record.chain.warnings,
-            "this run was analysed for this report alone; no analysis of it is stored",
+            f"this run was analysed for this report alone; no analysis of it is stored: {resume} {follows}",
         ),
     )
 

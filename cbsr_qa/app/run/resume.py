@@ -24,7 +24,7 @@ from cbsr_qa.config import (
 )
 from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, ConfigError, StoreError
 from cbsr_qa.domain.plan import Press
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import ResultState
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import describe, plan_of, schedule
@@ -122,12 +122,13 @@ def _resumed(
     stored, now = store.identity(run), RealClock().wall()
     identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
     changed = changed_software(stored, identity)
-    if store.state_of(run).end is EndReason.FINISHED:
-        if store.analyses(run):
-            raise StoreError(
-                f"run {run} is finished, and has its result",
-                remedy=f"{report_command(run, store)} writes its report and calibration file again",
-            )
+    result = store.result_state(run)
+    if result is ResultState.STORED:
+        raise StoreError(
+            f"run {run} is finished, and has its result",
+            remedy=f"{report_command(run, store)} writes its report and calibration file again",
+        )
+    if result is ResultState.MISSING:
         check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
         outcome = concluded(run, store, configuration, plugins, Stages(tell), changed)
         deliver_verdict(outcome, identity, configuration, plugins)

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from datetime import timedelta
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.conclusion import concluded, concluding
@@ -28,6 +29,7 @@ from cbsr_qa.domain.run import (
     gate_warnings,
 )
 from cbsr_qa.plugin import Plugins
+from cbsr_qa.report import duration
 from cbsr_qa.station import (
     DryRun,
     EventSinks,
@@ -44,9 +46,12 @@ from cbsr_qa.station import (
 )
 from cbsr_qa.station.control import RunStatus
 from cbsr_qa.store import Repository
-from cbsr_qa.system import Stages
+from cbsr_qa.system import Stages, WallWatch
 
 Ask = Callable[[str], str]
+
+#: What the clock may be set by without a word: networks correct it by seconds.
+_CLOCK_MOVED: Final = timedelta(minutes=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +172,10 @@ class Session:
         self.warnings += filter(None, [store.from_the_future()])
         self.warnings += gate_warnings(self.gate)
         self._stages.announce("running the station")  # which takes the station's time, and none of the result's
+        watch = WallWatch()
         ended = self._drive(identity, store)
         _refuse_unstored(identity.run, ended, store)
+        self.warnings += filter(None, [clock_warning(watch.moved())])
         outcome = concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
         deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
         return outcome
@@ -234,6 +241,17 @@ class Session:
                     tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.phase])
 
         return plugin_hooks
+
+
+def clock_warning(moved: timedelta) -> str:
+    """Return a warning if the computer's clock was set while a run was measured; else empty."""
+    if abs(moved) < _CLOCK_MOVED:
+        return ""
+    which, by = "forward" if moved > timedelta() else "back", duration(abs(moved).total_seconds())
+    return (
+        f"this computer's clock was set {which} by {by} while the run was measured, or the computer slept:"
+        " check the dates of what follows; times within the run, and the order of runs, are by other clocks"
+    )
 
 
 def deliver_verdict(

@@ -28,7 +28,7 @@ from cbsr_qa.station import (
     opener,
     stop_all,
 )
-from cbsr_qa.system import Clock
+from cbsr_qa.system import Clock, come_back_once
 
 #: Called with a request, returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
@@ -169,7 +169,9 @@ class _Look:
             self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=mounted.spec.role))
             return
         try:
-            for line in mounted.instrument.self_test():
+            with come_back_once():
+                tested = tuple(mounted.instrument.self_test())
+            for line in tested:
                 self._add(replace(line, subject=mounted.spec.role))
         except Exception as error:  # noqa: BLE001 - as above
             self._add(_failed(mounted.spec.role, "self-test", error))
@@ -206,7 +208,9 @@ class _Look:
         for mounted in self._mounted:
             if isinstance(mounted.instrument, Sampler):
                 try:
-                    self._add(_sampled(mounted.spec, mounted.instrument, begun_s, stale_s))
+                    with come_back_once():
+                        sampled = _sampled(mounted.spec, mounted.instrument, begun_s, stale_s)
+                    self._add(sampled)
                 except Exception as error:  # noqa: BLE001 - as above
                     self._add(_failed(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
 
@@ -225,7 +229,8 @@ class _Look:
             return self._add(_no_ring(why, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
-            frames = self._bench.frame_source.acquire(ring.frames)
+            with come_back_once():
+                frames = self._bench.frame_source.acquire(ring.frames)
         except Exception as error:  # noqa: BLE001 - as above
             return self._add(_failed(RING, "readings", error))
         self.found.ring = RingReadings(frames, resistances_ohm)

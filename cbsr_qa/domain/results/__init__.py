@@ -119,5 +119,6 @@ if TYPE_CHECKING:
         Table as Table,
     )
     from .signature import Signature as Signature, fingerprint as fingerprint
+    from .standing import ResultState as ResultState
 
 door(__name__, __file__)

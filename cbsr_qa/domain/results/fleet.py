@@ -94,8 +94,8 @@ class RunLine:
     started_at : by the station's clock, which may have been wrong.
     made_at : when the identifier was made; None if it has none.
     end : RUNNING if it was interrupted or is in progress.
-    outcome, reason, software : of its latest analysis; None and empty where it has none. Software as (distribution,
-        version) pairs.
+    outcome, reason, software : of its latest analysis after its last session; None and empty where it has none.
+        Software as (distribution, version) pairs.
     simulated : in words; empty for a real bench.
     of_check : whether it is a golden sensor's, made to check its station.
     overridden_to : of the latest override of that analysis; None without one.

@@ -31,7 +31,7 @@ class ListedRun:
     started_at : by the station's clock.
     end : RUNNING if it was cut off or is in progress.
     station_s : station time until its last session began or ended [s].
-    outcome, reason : of its latest analysis; None and empty where it has none.
+    outcome, reason : of its latest analysis after its last session; None and empty where it has none.
     decision : the latest override of that analysis; None where there is none.
     failed : metrics outside their limits in that analysis, each once, in the order they were measured.
     earlier : finished runs of the sensor and recipe made before this one, checks of stations not counted.

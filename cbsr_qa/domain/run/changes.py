@@ -21,7 +21,7 @@ class EarlierRun:
 
     Parameters
     ----------
-    outcome, reason : of its latest analysis; None and empty where it has none.
+    outcome, reason : of its latest analysis after its last session; None and empty where it has none.
     overridden : outcome of an override, and its operator; or None.
     of_check : whether it belongs to a check of a station.
     changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.

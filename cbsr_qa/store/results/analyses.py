@@ -14,6 +14,7 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import (
     AdoptionRow,
     AnalysisRow,
@@ -125,11 +126,14 @@ def add_analysis(
 
 
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
-    """Return every analysis of a run, the latest first. StoreError if stored rows were changed."""
+    """Return the analyses of a run that were stored after its last session, the latest first.
+
+    StoreError if stored rows were changed.
+    """
     with reading(engine) as connection:
         if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
             check_run(connection, run, RESULTS)
-        query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run)
+        query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run, up_to_date())
         rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
         return tuple(_analysis(connection, row) for row in rows)
 

@@ -11,7 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from cbsr_qa.domain import fitted
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
-from cbsr_qa.domain.results import Decision, EndReason, Outcome
+from cbsr_qa.domain.results import Decision, EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import stored, translated
@@ -116,9 +116,9 @@ class RunLook:
 
     Parameters
     ----------
-    worked_at : when its latest session began, or its latest analysis was made, whichever is later.
+    worked_at : when its latest session began, or the analysis after it was made, whichever is later.
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
-    outcome, reason, calibrated : of its latest analysis; None and empty without one.
+    outcome, reason, calibrated : of the latest analysis after that session; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
     altered : what does not match the chain, also its ``reason`` then; it has no outcome. Empty where nothing does.
     """
@@ -143,6 +143,10 @@ class RunLook:
     def verdict(self) -> Outcome | None:
         """What counts: the override if there is one, else the outcome; None without an analysis."""
         return self.outcome if self.decision is None else self.decision.outcome
+
+    @property
+    def result(self) -> ResultState:
+        return ResultState.of(self.end, analysed=self.outcome is not None)
 
 
 def latest_run_at(engine: Engine, station: str) -> RunLook | None:

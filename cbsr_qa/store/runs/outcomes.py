@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import Connection, Engine, exists, select
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.chain import KEY_OPTION, SigningKey, unreadable
@@ -17,13 +17,13 @@ from cbsr_qa.store.types import made_at
 from cbsr_qa.store.verdicts import verdict_of
 
 
-def latest_outcome(url: str, run: str) -> Outcome | None:
-    """Return the outcome of a run's latest analysis, or None.
+def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
+    """Return what has come of a run, and the outcome of the latest analysis after its last session, or None.
 
     Raises
     ------
     StoreError
-        If the database does not exist or cannot be read, or the run was altered.
+        If the database or the run does not exist, it cannot be read, or the run was altered.
     """
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
@@ -35,7 +35,9 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
             found = verdict_of(connection, run)
     finally:
         engine.dispose()
-    return None if found is None else found.checked().outcome
+    if found is None:
+        raise StoreError(f"there is no run {run} in {shown(parsed)}")
+    return found.checked().result, found.outcome
 
 
 def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:

@@ -60,7 +60,7 @@ class RunSummary:
     Parameters
     ----------
     end : RUNNING if it was interrupted or is in progress.
-    outcome, reason : of its latest analysis; None and empty without one.
+    outcome, reason : of its latest analysis after that session; None and empty without one.
     altered : what does not match the chain; the run has no outcome then. Empty where nothing does.
     """
 

@@ -18,6 +18,7 @@ from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import writer_of
 from cbsr_qa.store.runs.rows import phases_of
+from cbsr_qa.store.standing import up_to_date
 from cbsr_qa.store.tables import (
     AnalysisRow,
     CalibrationRow,
@@ -149,10 +150,10 @@ def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
 
 
 def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
-    """Return (run, serial) of finished runs without a stored result, oldest first."""
+    """Return (run, serial) of finished runs that were not analysed since, oldest first."""
     finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
     query = select(RunRow.run, RunRow.serial).where(
-        RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run)
+        RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run, up_to_date())
     )
     with reading(engine) as connection:
         return tuple((run, serial) for run, serial in connection.execute(query.order_by(RunRow.run)))

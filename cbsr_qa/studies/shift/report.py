@@ -33,6 +33,7 @@ _YIELD: Final = "{passed} of {count}, {share:.0f} % ({low:.0f} to {high:.0f} %)"
 _CUT: Final = "The latest {shown} of {count}; --csv FILE and --json have all."
 _RUNS: Final = "Oldest first; times are UTC."
 _SENSORS: Final = "Each with the verdict of its last decided run, the last tested at the end; times are UTC."
+_NO_RESULT: Final = "no result yet: cbsr-qa run --resume {run} computes it"
 _REASONS: Final = "Sensors and runs that failed a limit; one run may fail several."
 _PARTS: Final = "Yield: sensors that passed in their last decided run. First pass: in their first finished run."
 
@@ -126,8 +127,8 @@ def _cut(caption: str, count: int) -> str:
 
 def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
     why = run.reason if run.overridden_by is None else f"overridden by {run.overridden_by}: {run.overridden_why}"
-    if run.end is not EndReason.FINISHED and run.verdict != ALTERED:
-        why = ""
+    if run.verdict is None:
+        why = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
     return (
         _moment(run.started_at),
         run.serial,

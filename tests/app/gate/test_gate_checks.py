@@ -143,6 +143,16 @@ def test_finished_runs_of_sensor_and_recipe_count_and_no_others(ask, store):
     assert ask("retest", retest_runs=1, asked={"golden": True}).outcome is GateOutcome.OFF
 
 
+def test_a_finished_run_without_a_result_counts_and_is_named(ask, store):
+    run = store.new_id()
+    journalled(store, short_run(run))
+    count = (
+        f"1 finished run of S-1 with short, run {run} without a result yet (cbsr-qa run --resume {run} computes it)"
+    )
+    assert ask("retest", retest_runs=2).words == f"{count}, at most 2 allowed"
+    assert ask("retest", retest_runs=1).outcome is GateOutcome.REFUSED
+
+
 def test_an_instrument_is_in_time_until_the_end_of_its_day(ask, merged):
     today = datetime.now(UTC).date()
     for days, outcome in ((0, GateOutcome.PASSED), (-1, GateOutcome.WARNED)):
