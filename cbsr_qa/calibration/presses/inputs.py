@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 from scipy.special import fdtrc
 
+from cbsr_qa.calibration.presses.number_tables import read_table
 from cbsr_qa.calibration.presses.pairs import DistinctPairs
-from cbsr_qa.calibration.presses.tables import PressTable, read_table
+from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain import Array, Indices, Mask, RecordingError
 from cbsr_qa.domain.results import SheetRegistration
 from cbsr_qa.domain.sensor import SensorType
