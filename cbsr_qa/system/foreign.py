@@ -76,5 +76,5 @@ def _regular(path: Path, status: os.stat_result) -> os.stat_result:
 
 
 def _too_large(path: Path, most_bytes: int) -> UnfitFileError:
-    allowed = f"{most_bytes / 2**20:.3g} MiB" if most_bytes >= 2**20 else f"{most_bytes} bytes"
+    allowed = f"{most_bytes >> 20} MiB" if most_bytes >= 2**20 else f"{most_bytes} bytes"
     return UnfitFileError(errno.EFBIG, f"it is too large: at most {allowed} are read", str(path))
