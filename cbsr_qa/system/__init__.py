@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         written_whole as written_whole,
     )
     from .foreign import (
+        LARGEST_FILE as LARGEST_FILE,
         UnfitFileError as UnfitFileError,
         check_regular as check_regular,
         open_foreign as open_foreign,

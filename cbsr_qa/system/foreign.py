@@ -44,8 +44,9 @@ def open_foreign(path: Path, most_bytes: int = LARGEST_FILE) -> BufferedReader:
     check_regular(path)  # opening some devices does something: a tape is rewound
     file = os.open(path, _FLAGS)
     try:
-        size_bytes = _regular(path, os.fstat(file)).st_size
-        if size_bytes > most_bytes:
+        status = os.fstat(file)
+        check_status(path, status)
+        if status.st_size > most_bytes:
             raise _too_large(path, most_bytes)
         return os.fdopen(file, "rb")
     except BaseException:
@@ -64,15 +65,15 @@ def read_foreign(path: Path, most_bytes: int) -> bytes:
 
 def check_regular(path: Path) -> None:
     """Check what a library will open by its name; OSError as :func:`open_foreign`, also without a file."""
-    _regular(path, path.stat())
+    check_status(path, path.stat())
 
 
-def _regular(path: Path, status: os.stat_result) -> os.stat_result:
+def check_status(path: Path, status: os.stat_result) -> None:
+    """Check the status of an open file. UnfitFileError if it is a pipe, device, socket or folder."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         found = _KINDS.get(kind, "not content")
         raise UnfitFileError(errno.EINVAL, f"it is {found}, not a file", str(path))
-    return status
 
 
 def _too_large(path: Path, most_bytes: int) -> UnfitFileError:

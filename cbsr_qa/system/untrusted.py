@@ -57,7 +57,18 @@ _BUSY: Final = "the computer may be busy: try again when it is idle; if it fails
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
 #: Python imports these on first use, and a child may open no other file.
-_CODECS: Final = ("ascii", "latin-1", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252")
+_CODECS: Final = (
+    "ascii",
+    "cp437",
+    "latin-1",
+    "utf-8",
+    "utf-8-sig",
+    "utf-16",
+    "utf-16-le",
+    "utf-16-be",
+    "utf-32",
+    "cp1252",
+)
 
 #: Needed by numpy, besides dataclasses, to unpickle arrays and numbers.
 _NUMPY: Final = {

@@ -19,6 +19,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.system import check_regular, read_foreign
 from cbsr_qa.web.application import make_application
 from cbsr_qa.web.guard import LOG, Access
 from cbsr_qa.web.line import MOST_VIEWERS, Line
@@ -32,6 +33,7 @@ _HEAD_S: Final = 10
 _MOST_CONNECTIONS: Final = MOST_VIEWERS + 128
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
+_LARGEST_TOKEN: Final = 2**12
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,8 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
     if request.certificate is None or request.key is None:
         raise ConfigError("--certificate and --key belong together", remedy="give both")
     try:
+        for file in (request.certificate, request.key):
+            check_regular(file)
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(request.certificate, request.key)
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(
@@ -174,7 +178,7 @@ def _token(request: ServeRequest) -> str:
             file.touch(mode=0o600)
             file.write_text(secrets.token_urlsafe(24), encoding="ascii")
     try:
-        token = file.read_text(encoding="ascii").strip()
+        token = read_foreign(file, _LARGEST_TOKEN).decode("ascii").strip()
     except (OSError, UnicodeError) as error:
         raise ConfigError(f"the token cannot be read from {file}: {error}") from error
     if len(token) < _SHORTEST or not all(one.isalnum() or one in "-_" for one in token):

@@ -39,7 +39,7 @@ from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature, with_signature
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
-from cbsr_qa.system import read_untrusted, writing, written_whole
+from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
 
 _Kind = TypeVar("_Kind", bound=Issued)
 
@@ -283,17 +283,11 @@ def file_bytes(path: Path) -> bytes:
     CalibrationError if it does not exist, is not a file, cannot be read, or is too large for a calibration.
     """
     try:
-        if not path.exists():
-            raise CalibrationError("there is no such file", remedy="check its name and folder")
-        if not path.is_file():
-            raise CalibrationError("a folder or a device, not a file")
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_BYTES + 1)
+        return read_foreign(path, _LARGEST_BYTES)
+    except FileNotFoundError as error:
+        raise CalibrationError("there is no such file", remedy="check its name and folder") from error
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
-    if len(data) > _LARGEST_BYTES:
-        raise CalibrationError(f"larger than {_LARGEST_BYTES >> 20} MiB: too large for a calibration")
-    return data
 
 
 def printable(text: str) -> str:

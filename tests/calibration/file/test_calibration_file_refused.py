@@ -111,7 +111,7 @@ def test_an_unsound_file_is_refused(issued, what):
             r"JSON, not HDF5.*\n.*calibration export X\.json --output X\.h5",
         ),
         ("absent.h5", None, "no such file"),
-        ("", None, "a folder or a device"),
+        ("", None, "it is a folder, not a file"),
         ("x" * 300, None, "cannot be read: File name too long"),
     ],
 )
