@@ -48,6 +48,8 @@ _LONGEST: Final = {
     "baseline_conductance/location": _MOST_LOADS,
     "presses/left_out/row": _MOST_LOADS,
 }
+#: Most values of an entry.
+_LARGEST_TABLES: Final = {"force/node": _MOST_NODES, "reference/voltages": 4 * _MOST_READINGS}
 _RELAXATION: Final = "relaxation/"
 
 
@@ -70,9 +72,13 @@ def _counted(entries: Mapping[str, Entry]) -> Iterator[tuple[str, int, int]]:
     if isinstance(pairs, np.ndarray) and pairs.ndim == 2 and pairs.shape[1] == 4:
         for columns in (pairs[:, :2], pairs[:, 2:]):
             yield "readings/pairs, of different electrodes", len(np.unique(columns, axis=0)), _MOST_PAIRS
-    node = entries["force/node"].value if "force/node" in entries else None
-    if isinstance(node, np.ndarray):
-        yield "force/node", node.size, _MOST_NODES
+    used = entries["reconstruction/used"].value if "reconstruction/used" in entries else None
+    if isinstance(used, np.ndarray) and used.dtype == np.bool_:
+        yield "reconstruction/used, readings", int(used.sum()), _MOST_READINGS
+    for path, most in _LARGEST_TABLES.items():
+        table = entries[path].value if path in entries else None
+        if isinstance(table, np.ndarray):
+            yield path, table.size, most
     signals = {path.split("/")[1] for path in entries if path.startswith(_RELAXATION)}
     yield "relaxation, signals", len(signals), _MOST_SIGNALS
     for signal in sorted(signals):

@@ -58,6 +58,14 @@ def _pairs(entries):
     entries["sensor_type/pattern/drive"] = Entry("index", np.tile([[0, 1]], (100_000, 1)))
 
 
+def _readings(entries):
+    entries["reference/voltages"] = Entry("V", np.ones((600, 600)))
+
+
+def _used(entries):
+    entries["reconstruction/used"] = Entry("flag", np.ones((300, 300), dtype=np.bool_))
+
+
 def _relaxations(entries):
     for path in [path for path in entries if path.startswith("relaxation/conductance/")]:
         del entries[path]
@@ -112,6 +120,8 @@ def _forged(path, calibration, change):
         (_head, "indenter/outline: 120000 is too many; a calibration has at most 1000"),
         (_electrodes, "sensor_type/electrodes/count: 1000000000 is too many; a calibration has at most 256"),
         (_pairs, "sensor_type/pattern/drive: 100000 is too many"),
+        (_readings, "reference/voltages: 360000 is too many; a calibration has at most 262144"),
+        (_used, "reconstruction/used, readings: 90000 is too many; a calibration has at most 65536"),
         (_signals, "relaxation, signals: 32 is too many; a calibration has at most 20"),
         (_places, "baseline_conductance/location: 20001 is too many"),
         (_lattice, "force/node: 1440000 is too many"),
