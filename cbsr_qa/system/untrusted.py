@@ -90,6 +90,7 @@ class Limits:
 
     seconds: float
     memory_bytes: int
+    open_files: int = _OPEN_FILES
 
     @property
     def clock_s(self) -> float:
@@ -97,11 +98,11 @@ class Limits:
         return _CLOCK * self.seconds
 
     @classmethod
-    def of(cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB) -> "Limits":
+    def of(cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES) -> "Limits":
         """Limits for a file size; larger files may take more of both."""
         half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
-        return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes)
+        return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes, open_files)
 
 
 def largest_content(size_bytes: int) -> int:
@@ -115,6 +116,7 @@ def read_untrusted(
     *,
     refusal: type[RefusedError],
     seconds_per_mb: float = _SECONDS_PER_MB,
+    open_files: int = _OPEN_FILES,
 ) -> Result:
     """Call a function that reads a file in a child process, and return its result.
 
@@ -129,6 +131,7 @@ def read_untrusted(
         it can write none.
     refusal : what is raised where the child dies.
     seconds_per_mb : of processor time, in addition to what any file may take.
+    open_files : that ``read`` may have at once, if its library opens the file twice.
     """
     size_bytes = _size(path, refusal)
     if not CONTAINED:
@@ -139,7 +142,7 @@ def read_untrusted(
             raise _refused(type(error).__name__, error.reason, error.remedy, problems) from error
     for codec in _CODECS:
         codecs.lookup(codec)
-    limits = Limits.of(size_bytes, seconds_per_mb)
+    limits = Limits.of(size_bytes, seconds_per_mb, open_files)
     deadline = time.monotonic() + limits.clock_s
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
@@ -207,7 +210,7 @@ def _confined(outgoing: int, limits: Limits) -> int:
     lowered = {
         resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
         resource.RLIMIT_CPU: int(limits.seconds) + 1,
-        resource.RLIMIT_NOFILE: 4 + _OPEN_FILES,
+        resource.RLIMIT_NOFILE: 4 + limits.open_files,
         resource.RLIMIT_FSIZE: 0,
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NPROC: 0,

@@ -64,7 +64,10 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         :func:`~cbsr_qa.system.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
     meshio = None if path.suffix == ".npz" else _meshio(path.suffix)
-    return read_untrusted(path, lambda: _read(path, meshio, electrodes, fix=fix), refusal=NumericsError)
+    files = 1 if meshio is None else 2  # numpy.fromfile duplicates the one that meshio has open
+    return read_untrusted(
+        path, lambda: _read(path, meshio, electrodes, fix=fix), refusal=NumericsError, open_files=files
+    )
 
 
 def _read(path: Path, meshio: Any, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
