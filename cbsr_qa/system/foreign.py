@@ -72,8 +72,8 @@ def check_status(path: Path, status: os.stat_result) -> None:
     """Check the status of an open file. UnfitFileError if it is a pipe, device, socket or folder."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
-        found = _KINDS.get(kind, "not content")
-        raise UnfitFileError(errno.EINVAL, f"it is {found}, not a file", str(path))
+        what = _KINDS.get(kind, "something else")
+        raise UnfitFileError(errno.EINVAL, f"it is {what}, not a file", str(path))
 
 
 def _too_large(path: Path, most_bytes: int) -> UnfitFileError:

@@ -69,15 +69,19 @@ class NumberTable:
 
     def refuse(self, problems: Sequence[str], remedy: str = _CORRECT, *, more: int = 0) -> None:
         """Raise RecordingError with the problems of the table, if any, and how many more there are."""
-        if problems:
-            more += max(len(problems) - _MOST_LISTED, 0)
-            others = f"; and {more} more" if more else ""
-            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{others}", remedy=remedy)
+        _refuse(self.path, problems, remedy, more)
 
     def _described(self, row: int, column: int) -> str:
         value = self.values[row, column]
         why = f"{value:g}; at most {_LARGEST:g} is allowed" if np.isfinite(value) else self.odd_cells[row, column]
         return f"row {row + 1}, column {self.columns[column]}: {why}"
+
+
+def _refuse(path: Path, problems: Sequence[str], remedy: str, more: int = 0) -> None:
+    if problems:
+        more += max(len(problems) - _MOST_LISTED, 0)
+        others = f"; and {more} more" if more else ""
+        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{others}", remedy=remedy)
 
 
 def read_table(path: Path) -> NumberTable:
@@ -118,13 +122,15 @@ def _csv(path: Path, file: BinaryIO) -> _Content:
     header, *rows = lines
     _check_header(path, header)
     _check_columns(path, header, len(rows))
+    uneven = [
+        f"row {number}: {len(row)} cells, the header has {len(header)}"
+        + (" (is a comma a decimal point there?)" if len(row) > len(header) else "")
+        for number, row in enumerate(rows, 1)
+        if len(row) != len(header)
+    ]
+    _refuse(path, uneven, _CORRECT)
     numbers = _Numbers(len(header))
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(header):
-            comma = " (is a comma a decimal point there?)" if len(row) > len(header) else ""
-            raise RecordingError(
-                f"{path}: row {number}: {len(row)} cells, the header has {len(header)}{comma}", remedy=_CORRECT
-            )
+    for row in rows:
         numbers.add(row)
     return numbers.content(header)
 
