@@ -5,7 +5,7 @@ adds the name of the file.
 """
 
 import json
-from typing import Annotated, Any, Final, Literal, NoReturn, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import h5py
 import numpy as np
@@ -15,6 +15,7 @@ from cbsr_qa.calibration.file import attribute
 from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.plugin import CheckedTable, check, printable, shown
+from cbsr_qa.system import parsed_json
 
 #: Most characters of a text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000
@@ -85,15 +86,11 @@ def json_of(item: h5py.Group, name: str) -> Any:
     """Return the JSON value of an attribute. RefusedError if invalid, or with NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
-        value = json.loads(text, parse_constant=_no_constant)
+        value = parsed_json(text)
         json.dumps(value, ensure_ascii=False).encode()  # JSON can encode lone surrogates, which are not text
-    except (ValueError, RecursionError) as error:
-        raise RefusedError(f"attribute {name} of {item.name} is not JSON") from error
+    except ValueError as error:
+        raise RefusedError(f"attribute {name} of {item.name} is not JSON: {error}") from error
     return value
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(name)
 
 
 _Kind = Literal["pin", "arc"]

@@ -32,7 +32,7 @@ from cbsr_qa.domain import Array, CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Load, LoadRecord
 from cbsr_qa.plugin import echo
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system import open_foreign, writing, written_whole
 
 FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
@@ -106,7 +106,7 @@ def read_recording(path: Path) -> Recording:
     """
     try:
         # By its bytes: HDF5 shares a file that the program has open, even where that descriptor is closed.
-        with path.open("rb") as data, h5py.File(data, "r") as file:
+        with open_foreign(path) as data, h5py.File(data, "r") as file:
             _check(path, file)
             return _read(path, file)
     except RecordingError:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
-from cbsr_qa.system import be_watched, end_copy
+from cbsr_qa.system import be_watched, end_copy, parsed_json
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -179,7 +179,7 @@ class _Parent:
         mark, reported = _mark(self._child).encode(), dict[str, Any]()
         for line in self._received.splitlines():
             with suppress(ValueError):
-                reported |= json.loads(line) if line.startswith(mark) else {}
+                reported |= parsed_json(bytes(line)) if line.startswith(mark) else {}
         return reported
 
     def wait(self) -> int:

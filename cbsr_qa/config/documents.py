@@ -13,6 +13,7 @@ from typing import Any
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.plugin import echo, printable
+from cbsr_qa.system import UnfitFileError, read_foreign
 
 #: Larger than any configuration; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000
@@ -140,9 +141,9 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _is_folder(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
-        return path.is_dir()
+        return path.exists()
     except (OSError, ValueError):
         return False
 
@@ -160,17 +161,18 @@ def _unknown(kind: DocumentKind, name: str) -> ConfigError:
 
 
 def _read(kind: DocumentKind, path: Path) -> str:
-    if not _is_file(path):
-        found = "is a folder" if _is_folder(path) else "does not exist"
+    if not _exists(path):
         shipped = f"; or give a shipped name: {names}" if (names := ", ".join(shipped_names(kind))) else ""
         raise ConfigError(
-            f"{kind.noun} file {echo(str(path), 200)} {found}", remedy=f"check its name and folder{shipped}"
+            f"{kind.noun} file {echo(str(path), 200)} does not exist", remedy=f"check its name and folder{shipped}"
         )
     label = printable(str(path))
     try:
-        if (size := path.stat().st_size) > LARGEST_FILE_BYTES:
-            raise ConfigError(f"{label} has {size} bytes; a {kind.noun} file has at most {LARGEST_FILE_BYTES}")
-        return path.read_bytes().decode("utf-8-sig")
+        return read_foreign(path, LARGEST_FILE_BYTES).decode("utf-8-sig")
+    except UnfitFileError as error:
+        raise ConfigError(
+            f"{kind.noun} file {label} cannot be read: {error.strerror}", remedy=f"give the {kind.noun}'s TOML file"
+        ) from error
     except UnicodeDecodeError as error:
         raise ConfigError(
             f"{label} is not a text file: byte {error.start} is not UTF-8",

@@ -18,7 +18,7 @@ from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import recording_page, run_page
 from cbsr_qa.report.section import limited_blocks
-from cbsr_qa.system import come_back_once, side_by_side, writing, written_whole
+from cbsr_qa.system import come_back_once, open_foreign, side_by_side, writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -123,7 +123,7 @@ def check_replaceable(path: Path) -> None:
         return
     with writing(path):
         if path.is_file():
-            with path.open("rb") as file:
+            with open_foreign(path) as file:
                 begins = file.read(len(_PAGE)).decode("latin-1")
             if begins.lower() in ("", _PAGE.lower()):
                 return

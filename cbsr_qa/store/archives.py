@@ -19,7 +19,7 @@ from sqlalchemy import Connection, Engine, Row, select
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.store.tables import ArchiveRow
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
@@ -27,15 +27,21 @@ ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
 ROOT_VARIABLE: Final = "CBSR_QA_ARCHIVE"
 _NAME_ROOT: Final = f"set {ROOT_VARIABLE} to the folder of the archives, as this computer reaches it"
 _UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
+#: Of a run of a day at 100 frames a second; a whole archive is in memory.
+_LARGEST_BYTES: Final = 2**32
 _FORMAT: Final = "cbsr-qa archive"
 _KINDS: Final = {"flags": np.uint8}
+#: gzip, byte shuffle and checksum.
+_FILTERS: Final = frozenset({1, 2, 3})
 
 
 def archive_root(engine: Engine) -> Path | None:
     """Return the folder that places of archives start at: of a SQLite file, else as CBSR_QA_ARCHIVE says, or None."""
     database = sqlite_file(engine.url)
-    if database is not None:
-        return database.resolve().parent
+    return _named_folder() if database is None else database.resolve().parent
+
+
+def _named_folder() -> Path | None:
     named = os.environ.get(ROOT_VARIABLE)
     return Path(named).resolve() if named else None
 
@@ -46,31 +52,44 @@ def place_of(engine: Engine, file: Path) -> str:
     Raises
     ------
     StoreError
-        If a server's archives have no root, or the file is not below it: other computers would not find it.
+        If a server's archives have no root, or the file is in no folder of archives: it would not be read again.
     """
     root, full = archive_root(engine), file.resolve()
     if root is None:
         raise StoreError("a PostgreSQL database has no folder", remedy=_NAME_ROOT)
-    if sqlite_file(engine.url) is None and not full.is_relative_to(root):
-        raise StoreError(
-            f"{file} is not below {root}, the folder of archives: other computers would not find it",
-            remedy=f"choose a folder below it, or name another one with {ROOT_VARIABLE}",
-        )
+    _check_inside(root, full)
     return os.path.relpath(full, root)
 
 
+def _check_inside(root: Path, file: Path) -> None:
+    """Refuse a path, links followed, that leads out of the folders of archives: a database could name any file."""
+    folders = [folder for folder in (root, _named_folder()) if folder is not None]
+    if not any(file.is_relative_to(folder) for folder in folders):
+        where = " or ".join(map(str, dict.fromkeys(folders)))
+        raise StoreError(
+            f"{file} is not below {where}, the folder of archives: only files in it are read",
+            remedy=f"choose a folder below it, or name another one with {ROOT_VARIABLE}",
+        )
+
+
 def file_at(engine: Engine, place: str) -> Path:
-    """Return the file that a database names. StoreError if this computer does not name or reach the root."""
+    """Return the file that a database names, links followed.
+
+    StoreError if this computer does not name or reach the root, or the file is in no folder of archives.
+    """
     root = archive_root(engine)
-    if Path(place).is_absolute():  # of an earlier version
-        return Path(place)
     if root is None:
         raise StoreError(f"{place} is in the folder of archives, which nothing names here", remedy=_NAME_ROOT)
     if not root.is_dir():
         raise StoreError(
             f"{place} is in the folder of archives, and {root} is not reached from this computer", remedy=_NAME_ROOT
         )
-    return root / place
+    try:
+        file = (root / place).resolve()  # earlier versions wrote full paths
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a NUL
+        raise StoreError(f"{place!r} is not the path of an archive: {error}") from error
+    _check_inside(root, file)
+    return file
 
 
 def archive_row(connection: Connection, run: str) -> Row[Any] | None:
@@ -94,7 +113,7 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     except StoreError as error:
         raise StoreError(f"run {run}: its frames are archived; {error.reason}", remedy=error.remedy) from error
     try:
-        data = file.read_bytes()
+        data = archive_bytes(file)
     except OSError as error:
         raise StoreError(
             f"run {run}: its frames are archived in {file}, which cannot be read: {error.strerror}",
@@ -108,6 +127,11 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     return data
 
 
+def archive_bytes(file: Path) -> bytes:
+    """Return the content of an archive. OSError if it is missing, not a file, or larger than any archive."""
+    return read_foreign(file, _LARGEST_BYTES)
+
+
 class Archives:
     """Archives of runs, of which the latest stays open: what is read in parts is read from its file once."""
 
@@ -118,8 +142,11 @@ class Archives:
     def of(self, connection: Connection, run: str) -> "Archive | None":
         """Return the archive of a run; None if its frames are in the database. StoreError as checked_bytes."""
         if run != self._run:
-            data = checked_bytes(connection, run)
-            self._run, self._archive = run, None if data is None else Archive(data)
+            row, data = archive_row(connection, run), checked_bytes(connection, run)
+            self._archive = (
+                None if row is None or data is None else Archive(data, file_at(connection.engine, row.file))
+            )
+            self._run = run
         return self._archive
 
 
@@ -201,23 +228,44 @@ def _sync_folder(folder: Path) -> None:
 class Archive:
     """Content of an archive; arrays are read when they are asked for.
 
+    All of it is read once in a limited child process before: a database may name a file of anybody's.
+
     Raises
     ------
     StoreError
-        If the data are no archive; also of :meth:`cells`, if the block is not there.
+        If the data are no archive, or cannot be read within the limits; also of :meth:`cells`, if the block is not
+        there.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, file: Path) -> None:
+        read_untrusted(file, lambda: self._read_all(data), refusal=StoreError)
+        self._open(data)
+
+    def _read_all(self, data: bytes) -> None:
+        """Read every chunk, and the largest block of all as it is read later."""
+        self._open(data)
+        longest = max(self._places, key=lambda place: _frames(self._places[place][1]), default=None)
+        if longest is not None:
+            self.cells(*longest)
+        with _readable():
+            for group in {group for group, _ in self._places.values()}:
+                for _, dataset in _own_members(group):
+                    rows = (dataset.chunks or dataset.shape)[0]
+                    for first in range(0, len(dataset), max(rows, 1)):
+                        dataset[first : first + rows]
+
+    def _open(self, data: bytes) -> None:
         self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
         with _readable():
             self._content = h5py.File(io.BytesIO(data), "r")
-            for name, phase in self._content.items():
-                for group in phase.values():
+            for name, phase in _own_members(self._content):
+                for _, group in _own_members(phase):
                     self._add(int(name.removeprefix("phase-")), group)
 
     def _add(self, phase: int, group: h5py.Group) -> None:
+        arrays = dict(_own_members(group))
         start = 0
-        for number, count in zip(group["block"][()].tolist(), group["frames"][()].tolist(), strict=True):
+        for number, count in zip(arrays["block"][()].tolist(), arrays["frames"][()].tolist(), strict=True):
             self._places[phase, number] = group, slice(start, start + count)
             start += count
 
@@ -234,6 +282,24 @@ class Archive:
                 else None
                 for name in ARRAYS
             }
+
+
+def _frames(part: slice) -> int:
+    return int(part.stop - part.start)
+
+
+def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
+    """Yield what a group holds itself: HDF5 would open other files for links, and load libraries for filters."""
+    for name in group:
+        item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+        own = item is not None
+        if isinstance(item, h5py.Dataset):
+            packing = item.id.get_create_plist()
+            filters = {packing.get_filter(k)[0] for k in range(packing.get_nfilters())}
+            own = not (item.external or item.is_virtual or filters - _FILTERS) and item.dtype.kind in "iuf"
+        if not own:
+            raise StoreError(f"the archive cannot be read: {name!r} is not content of an archive")
+        yield name, item
 
 
 @contextmanager

@@ -15,10 +15,10 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.store.damage import shown, translated
-from cbsr_qa.store.engine import file_problem, open_engine, parsed_url, sqlite_file
+from cbsr_qa.store.engine import SIDES, file_problem, open_engine, parsed_url, sqlite_file
 from cbsr_qa.store.schema import Age, SchemaVersion, found_version, refusal
 from cbsr_qa.store.tables import LinkRow
-from cbsr_qa.system import holder
+from cbsr_qa.system import UnfitFileError, check_regular, holder, open_foreign
 
 #: Called with what is done, and parts done and in total.
 Count = Callable[[str, int, int], None]
@@ -28,7 +28,7 @@ _PAGES: Final = 1000
 #: Bytes that every connection to a SQLite file holds a lock on, in any journal mode: the pending byte and what
 #: follows it (https://www.sqlite.org/fileformat2.html, "the lock-byte page").
 _LOCKED: Final = (0x40000000, 512)
-_SIDES: Final = ("-wal", "-shm")
+_MOVED: Final = ("-wal", "-shm")
 _UNCHANGED: Final = "the database is unchanged"
 
 
@@ -80,24 +80,40 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
     target = sqlite_file(engine.url)
     if target is None:
         raise _no_file(engine, "pg_restore --clean --if-exists --dbname='{url}' FILE")
-    if not backup.is_file():
+    try:
+        check_regular(backup)
+    except OSError as error:
+        why = error.strerror or str(error)
         raise RefusedError(
-            f"{backup} is not a file; {_UNCHANGED}", remedy="name a backup that cbsr-qa db backup made"
-        )
+            f"{backup} cannot be restored: {why}; {_UNCHANGED}", remedy="name a backup that cbsr-qa db backup made"
+        ) from error
     if target.exists() and backup.samefile(target):
         raise RefusedError(f"{backup} is the database itself; {_UNCHANGED}", remedy="name a backup of it")
     if target.exists() and aside.exists():
         raise RefusedError(f"{aside} exists already; {_UNCHANGED}", remedy="move it away, or try again in a second")
     with _temporary(target) as partial:
         count("copying", 0, 1)
-        shutil.copyfile(backup, partial)
+        _copy(backup, partial)
         if (log := backup.with_name(f"{backup.name}-wal")).exists():  # of a copy made with cp while it was in use
-            shutil.copyfile(log, f"{partial}-wal")
+            _copy(log, partial.with_name(f"{partial.name}-wal"))
         count("verifying", 0, 1)
         version = _restorable(partial, backup)
         with _unused(target):
             _exchange(partial, target, aside)
     return version
+
+
+def _copy(backup: Path, to: Path) -> None:
+    room_bytes = shutil.disk_usage(to.parent).free
+    try:
+        file = open_foreign(backup, room_bytes)
+    except UnfitFileError as error:
+        raise RefusedError(
+            f"{backup} cannot be restored: {error.strerror}; {_UNCHANGED}",
+            remedy=f"name a backup that cbsr-qa db backup made; {room_bytes >> 20} MiB of the disk are free",
+        ) from error
+    with file, to.open("wb") as copy:
+        shutil.copyfileobj(file, copy)
 
 
 def _restorable(partial: Path, backup: Path) -> SchemaVersion:
@@ -184,7 +200,7 @@ def _temporary(path: Path) -> Iterator[Path]:
             remedy="free space, make its folder writable, or name another file",
         ) from error
     finally:
-        for suffix in ("", "-journal", *_SIDES):
+        for suffix in ("", *SIDES):
             with suppress(OSError):
                 partial.with_name(partial.name + suffix).unlink()
 
@@ -243,7 +259,7 @@ def _exchange(partial: Path, target: Path, aside: Path) -> None:
     """Rename the old database with its log, then the new one; put the old one back if that fails."""
     moved: list[tuple[Path, Path]] = []
     try:
-        for suffix in ("", *_SIDES):
+        for suffix in ("", *_MOVED):
             old, kept = target.with_name(target.name + suffix), aside.with_name(aside.name + suffix)
             if old.exists():
                 old.rename(kept)

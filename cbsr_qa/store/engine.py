@@ -22,6 +22,7 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.damage import foreign_cell, shown, translated
+from cbsr_qa.system import UnfitFileError, check_regular
 
 #: How long a writer waits for another one [ms].
 BUSY_TIMEOUT_MS = 10_000
@@ -31,6 +32,9 @@ _PATIENCE_MS = 1_000
 #: Size of the log at which it is merged into the file where commits do not wait for the disk [pages of 4 KB]: merging
 #: does wait, and SQLite's 1000 pages are full every 90 frames.
 _LOG_PAGES = 10_000
+
+#: What the names of a SQLite file's journal, log and index of the log end in.
+SIDES: Final = ("-journal", "-wal", "-shm")
 
 #: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
@@ -88,7 +92,7 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     Raises
     ------
     StoreError
-        If the driver of this kind of database is not installed, or the file is a folder.
+        If the driver of this kind of database is not installed, or the file is a folder, pipe or device.
     """
     given = {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
     try:
@@ -101,14 +105,28 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", partial(_set_up_sqlite, synchronous="FULL" if durable else "NORMAL"))
         if (file := sqlite_file(url)) is not None:
-            if file.is_dir():
-                raise StoreError(f"{shown(url)} is a folder, not a database", remedy="name a file in it")
+            _check_regular(file, url)
             event.listen(engine, "connect", partial(_remember_file, file))
             event.listen(engine, "begin", partial(_refuse_lost_file, file))
         event.listen(engine, "begin", _begin_sqlite)
     else:
         event.listen(engine, "connect", _without_compiler)
     return engine
+
+
+def _check_regular(file: Path, url: URL) -> None:
+    """Refuse a folder, pipe or device as database, or as its log: SQLite would wait, or read for ever."""
+    if file.is_dir():
+        raise StoreError(f"{shown(url)} is a folder, not a database", remedy="name a file in it")
+    for each in (file, *(file.with_name(file.name + suffix) for suffix in SIDES)):
+        try:
+            check_regular(each)
+        except UnfitFileError as error:
+            raise StoreError(
+                f"{shown(url)} cannot be opened: {each.name}: {error.strerror}", remedy="name the file of a database"
+            ) from error
+        except OSError:
+            continue  # SQLite says so, or makes it
 
 
 def _without_compiler(connection: Any, record: object) -> None:

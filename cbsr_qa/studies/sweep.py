@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.report import json_document
-from cbsr_qa.system import heard_later, worker_pool, writing
+from cbsr_qa.system import LARGEST_FILE, heard_later, parsed_json, read_foreign, worker_pool, writing
 
 #: Called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
@@ -56,7 +56,7 @@ class Kept:
 
     def _read(self, path: Path) -> None:
         try:
-            text = path.read_bytes()
+            text = read_foreign(path, LARGEST_FILE)
         except OSError as error:
             raise StoreError(f"{path} cannot be read: {error.strerror or error}", remedy=_BEGIN_AGAIN) from error
         *lines, last = text.split(b"\n")
@@ -69,7 +69,7 @@ class Kept:
 
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
-            entry = json.loads(line)
+            entry = parsed_json(line)
             key, documents = str(entry["key"]), [dict(document) for document in entry["documents"]]
         except (ValueError, KeyError, TypeError) as error:
             raise StoreError(

@@ -26,6 +26,14 @@ if TYPE_CHECKING:
         writing as writing,
         written_whole as written_whole,
     )
+    from .foreign import (
+        LARGEST_FILE as LARGEST_FILE,
+        UnfitFileError as UnfitFileError,
+        check_regular as check_regular,
+        open_foreign as open_foreign,
+        read_foreign as read_foreign,
+    )
+    from .json_text import parsed_json as parsed_json
     from .pins import (
         hashed_pin as hashed_pin,
         pin_allowed as pin_allowed,

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from cbsr_qa.domain import RefusedError
+from cbsr_qa.system.foreign import check_status
 
 if sys.platform == "win32":  # untested
     import msvcrt
@@ -111,6 +112,7 @@ def holder(path: Path) -> bytes | None:
     except OSError:  # missing, or not readable by this user
         return None
     try:
+        check_status(path, os.fstat(file))
         _lock(file)
         if _is(file, path):
             path.unlink()
@@ -123,8 +125,8 @@ def holder(path: Path) -> bytes | None:
     return None
 
 
-#: A lock in a shared folder may be another user's link to a file of this user.
-_SAFE: Final = getattr(os, "O_NOFOLLOW", 0)
+#: A lock in a shared folder may be another user's link to a file of this user, or a pipe that has no other end.
+_SAFE: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def _locked(path: Path, *, shared: bool) -> int | None:
@@ -135,6 +137,11 @@ def _locked(path: Path, *, shared: bool) -> int | None:
         if not path.parent.is_dir():
             raise
         return None
+    try:
+        check_status(path, os.fstat(file))
+    except OSError:
+        os.close(file)
+        raise
     try:
         _lock(file)
     except OSError as error:

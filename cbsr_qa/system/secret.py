@@ -3,8 +3,12 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.system.foreign import read_foreign
+
+_LARGEST_BYTES: Final = 2**16
 
 
 def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os.environ) -> str | None:
@@ -15,7 +19,7 @@ def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os
     said = environment.get(variable)
     if said is not None and said.startswith("@"):
         try:
-            said = Path(said[1:]).read_text(encoding="utf-8")
+            said = read_foreign(Path(said[1:]), _LARGEST_BYTES).decode()
         except (OSError, ValueError) as error:
             why = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
             raise ConfigError(f"the file that {variable} names cannot be read: {why}", remedy=remedy) from None

@@ -32,6 +32,7 @@ from typing import Any, Final, TypeVar, cast
 
 from cbsr_qa.domain import RefusedError, errors
 from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 
 Result = TypeVar("Result")
 
@@ -57,7 +58,18 @@ _BUSY: Final = "the computer may be busy: try again when it is idle; if it fails
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
 #: Python imports these on first use, and a child may open no other file.
-_CODECS: Final = ("ascii", "latin-1", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252")
+_CODECS: Final = (
+    "ascii",
+    "cp437",
+    "latin-1",
+    "utf-8",
+    "utf-8-sig",
+    "utf-16",
+    "utf-16-le",
+    "utf-16-be",
+    "utf-32",
+    "cp1252",
+)
 
 #: Needed by numpy, besides dataclasses, to unpickle arrays and numbers.
 _NUMPY: Final = {
@@ -79,6 +91,7 @@ class Limits:
 
     seconds: float
     memory_bytes: int
+    open_files: int = _OPEN_FILES
 
     @property
     def clock_s(self) -> float:
@@ -86,11 +99,11 @@ class Limits:
         return _CLOCK * self.seconds
 
     @classmethod
-    def of(cls, size_bytes: int) -> "Limits":
+    def of(cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES) -> "Limits":
         """Limits for a file size; larger files may take more of both."""
         half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
-        return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, memory_bytes)
+        return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes, open_files)
 
 
 def largest_content(size_bytes: int) -> int:
@@ -98,19 +111,30 @@ def largest_content(size_bytes: int) -> int:
     return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
 
 
-def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[RefusedError]) -> Result:
+def read_untrusted(
+    path: Path,
+    read: Callable[[], Result],
+    *,
+    refusal: type[RefusedError],
+    seconds_per_mb: float = _SECONDS_PER_MB,
+    open_files: int = _OPEN_FILES,
+) -> Result:
     """Call a function that reads a file in a child process, and return its result.
 
-    RefusedError of the kind ``refusal`` where reading crashes, hangs or takes too much memory; otherwise whatever
-    error of :mod:`cbsr_qa.domain.errors` the function raises; RuntimeError if the function raises anything else: a
-    defect of the reader, not of the file.
+    RefusedError of the kind ``refusal`` if it is a pipe, device, socket or folder, or where reading crashes, hangs or
+    takes too much memory; otherwise whatever error of :mod:`cbsr_qa.domain.errors` the function raises; RuntimeError
+    if the function raises anything else: a defect of the reader, not of the file.
 
     Parameters
     ----------
     path : of the file; the limits depend on its size, and refusals name it.
-    read : reads it. While it has the file open it can open no other, and it can write none.
+    read : reads it, and says what is wrong where there is none. While it has the file open it can open no other, and
+        it can write none.
     refusal : what is raised where the child dies.
+    seconds_per_mb : of processor time, in addition to what any file may take.
+    open_files : that ``read`` may have at once, if its library opens the file twice.
     """
+    size_bytes = _size(path, refusal)
     if not CONTAINED:
         try:
             return read()
@@ -119,7 +143,7 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
             raise _refused(type(error).__name__, error.reason, error.remedy, problems) from error
     for codec in _CODECS:
         codecs.lookup(codec)
-    limits = Limits.of(_size(path))
+    limits = Limits.of(size_bytes, seconds_per_mb, open_files)
     deadline = time.monotonic() + limits.clock_s
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
@@ -143,9 +167,12 @@ def shortened(reason: str) -> str:
     return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
 
 
-def _size(path: Path) -> int:
+def _size(path: Path, refusal: type[RefusedError]) -> int:
     try:
-        return path.stat().st_size
+        with open_foreign(path) as file:
+            return os.fstat(file.fileno()).st_size
+    except UnfitFileError as error:
+        raise refusal(f"{path} cannot be read: {error.strerror}", remedy="name a file") from error
     except OSError:
         return 0  # the reader reports what is wrong
 
@@ -184,7 +211,7 @@ def _confined(outgoing: int, limits: Limits) -> int:
     lowered = {
         resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
         resource.RLIMIT_CPU: int(limits.seconds) + 1,
-        resource.RLIMIT_NOFILE: 4 + _OPEN_FILES,
+        resource.RLIMIT_NOFILE: 4 + limits.open_files,
         resource.RLIMIT_FSIZE: 0,
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NPROC: 0,

@@ -11,6 +11,7 @@ from cbsr_qa.config import PICTURES, database_url, reports_folder
 from cbsr_qa.report import report_name
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.runs import RunLook
+from cbsr_qa.system import read_foreign
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import REPORT_POLICY
 from cbsr_qa.web.texts import text
@@ -58,8 +59,8 @@ def prompt_picture(channel: ChannelClient, number: int) -> Response:
     file = Path(channel.prompt_picture)
     kind = PICTURES.get(file.suffix.lower())
     try:
-        if kind is None or not file.is_absolute() or file.stat().st_size > _LARGEST:
+        if kind is None or not file.is_absolute():
             raise HTTPException(HTTPStatus.NOT_FOUND)
-        return Response(file.read_bytes(), media_type=kind)
+        return Response(read_foreign(file, _LARGEST), media_type=kind)
     except OSError:
         raise HTTPException(HTTPStatus.NOT_FOUND) from None

@@ -18,6 +18,7 @@ import uvicorn
 
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.system import check_regular, read_foreign
 from cbsr_qa.web.application import make_application
 from cbsr_qa.web.connections import ServerLoop, connection_settings
 from cbsr_qa.web.guard import LOG, Access
@@ -26,6 +27,7 @@ from cbsr_qa.web.stations import served_stations
 
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
+_LARGEST_TOKEN: Final = 2**12
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +137,8 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
     if request.certificate is None or request.key is None:
         raise ConfigError("--certificate and --key belong together", remedy="give both")
     try:
+        for file in (request.certificate, request.key):
+            check_regular(file)
         ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(request.certificate, request.key)
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(
@@ -175,7 +179,7 @@ def _make_secret(name: str) -> Path:
 
 def _read_secret(file: Path, what: str) -> str:
     try:
-        return file.read_text(encoding="ascii").strip()
+        return read_foreign(file, _LARGEST_TOKEN).decode("ascii").strip()
     except (OSError, UnicodeError) as error:
         raise ConfigError(f"{what} cannot be read from {file}: {error}") from error
 

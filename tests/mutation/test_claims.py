@@ -178,6 +178,7 @@ _STRANGE = [
         r"description.layout.places_mm\[1\] is \[1\]",
     ),
     (_attribute("/", "description", "[" * 60_000), "attribute description of / is not JSON"),
+    (_attribute("/", "description", '{"scan": "full", "scan": "full"}'), "not JSON: the key 'scan' appears twice"),
     (_attribute("/", "description", "7"), "description is 7; an object is expected"),
     (_attribute("/", "schema_version", 1e308), "has no schema version, or not a whole"),
     (_attribute("/", "schema_version", "9" * 6000), "has no schema version, or not a whole"),

@@ -92,7 +92,7 @@ class Pressed:
 
     def labelled(self):
         """What ``calibrate`` reads from these tables."""
-        table = NumberTable(Path("presses.csv"), (), ())
+        table = NumberTable(Path("presses.csv"), (), np.zeros((0, 0)))
         distinct = DistinctPairs.of(self.pairs)
         readings = PressReadings(Path("readings.csv"), distinct, self.changes @ distinct.merging)
         return LabelledPresses(self.sensor, True, readings, PressTable(table, self.labels_mm, None, None, None))

@@ -199,7 +199,7 @@ UNUSABLE = {
     "another file": (lambda path: path.write_text("x" * 5000), "is not a database"),
     "newer": (lambda path: edit(path, "update alembic_version set version_num = '9999'"), "has schema 9999"),
     "another program's": (lambda path: edit(path, "drop table alembic_version"), "belongs to another program"),
-    "missing": (lambda path: path.unlink(), "is not a file"),
+    "missing": (lambda path: path.unlink(), "cannot be restored: No such file"),
 }
 
 

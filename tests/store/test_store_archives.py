@@ -80,7 +80,7 @@ def test_archives_of_a_server_are_found_from_the_folder_that_each_computer_names
         with pytest.raises(StoreError, match="a PostgreSQL database has no folder"):
             store.archive_folder(tmp_path / "here")
         monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path / "here"))
-        with pytest.raises(StoreError, match=r"is not below .*: other computers would not find it"):
+        with pytest.raises(StoreError, match=r"is not below .*, the folder of archives: only files in it are read"):
             store.archive_folder(tmp_path / "elsewhere")
         assert Path(archived(store, run, store.archive_folder(tmp_path / "here" / "2026")).file).exists()
         (tmp_path / "here").rename(tmp_path / "there")

@@ -8,7 +8,7 @@ from cbsr_qa.domain import CbsrError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadOptions, Recording
 from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, create_plugin
-from cbsr_qa.system import read_untrusted
+from cbsr_qa.system import UnfitFileError, open_foreign, read_untrusted
 
 _HEAD_BYTES = 4096
 #: What to do with a file of another layout.
@@ -70,12 +70,12 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
 
 def _head(path: Path) -> bytes:
     try:
-        if not path.exists():
-            raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
-        if not path.is_file():
-            raise RecordingError(f"{path} is not a file", remedy="name a file in it")
-        with path.open("rb") as file:
+        with open_foreign(path) as file:
             head = file.read(_HEAD_BYTES)
+    except FileNotFoundError as error:
+        raise RecordingError(f"there is no file {path}", remedy="check its name and folder") from error
+    except UnfitFileError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}", remedy="name a recording") from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not head.strip():

@@ -18,6 +18,7 @@ from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, Recordi
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, create_plugin, discover, echo
 from cbsr_qa.report import render_recording, report_name, write_report
+from cbsr_qa.system import open_foreign
 
 #: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
 _MOST_SCALE: Final = 1.5
@@ -302,7 +303,7 @@ def _told_apart(path: Path, request: AnalyseRequest) -> str:
     """Return eight digits of content and request, so that reports do not overwrite each other."""
     sha = hashlib.sha256()
     for each in (path, *(() if request.reference is None else request.reference[:1])):
-        with each.open("rb") as file:
+        with open_foreign(each) as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
     asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.analysis.recording import read_pressed_frames
-from cbsr_qa.calibration.file import Issued, check_signed_file, read_issued
+from cbsr_qa.calibration.file import Issued, check_signed_file, read_in_child, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.calibration.presses import DistinctPairs, matched_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import FaultFinder, Flag
@@ -16,7 +16,7 @@ from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
 from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.report import answer, fixed, number, plural, text_table
-from cbsr_qa.system import csv_text, read_untrusted
+from cbsr_qa.system import csv_text
 
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
@@ -94,7 +94,7 @@ def of_presses(calibration: Path) -> bool:
 
 def issued_file(calibration: Path, public_key: Path | None = None) -> Issued:
     """Read a calibration of either kind; CalibrationError if it is damaged, or not signed by a given key."""
-    issued = read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
+    issued = read_in_child(calibration, lambda: read_issued(calibration))
     if public_key is not None:
         check_signed_file(calibration, issued, public_key)
     return issued

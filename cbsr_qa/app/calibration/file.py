@@ -10,14 +10,15 @@ from cbsr_qa.calibration.file import (
     firmware_document,
     json_document,
     of_run,
+    read_in_child,
     read_issued,
     read_json_calibration,
     write_calibration,
 )
-from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import CommandOutcome, fingerprint
 from cbsr_qa.report import answer
-from cbsr_qa.system import read_untrusted, writing, written_whole
+from cbsr_qa.system import writing, written_whole
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -100,7 +101,7 @@ def read_any(path: Path) -> Issued:
         If the file is damaged, or cannot be read within the limits.
     """
     read = read_json_calibration if is_json(path) else read_issued
-    return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
+    return read_in_child(path, lambda: read(path))
 
 
 def is_json(path: Path) -> bool:

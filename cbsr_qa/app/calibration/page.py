@@ -6,8 +6,7 @@ from typing import Final
 
 from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, shown_presses
 from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
-from cbsr_qa.calibration.file import read_issued, verify_calibration_file
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.calibration.file import read_in_child, read_issued, verify_calibration_file
 from cbsr_qa.domain.results import (
     Banner,
     BaselineConductance,
@@ -21,7 +20,6 @@ from cbsr_qa.domain.results import (
 from cbsr_qa.domain.run import run_named
 from cbsr_qa.report import fixed, plural, text_table
 from cbsr_qa.store import made_at
-from cbsr_qa.system import read_untrusted
 
 #: Fields with a separate line or table on the page.
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
@@ -29,9 +27,7 @@ _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settlin
 
 def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
-    verified, held = read_untrusted(
-        path, lambda: (verify_calibration_file(path), read_issued(path)), refusal=CalibrationError
-    )
+    verified, held = read_in_child(path, lambda: (verify_calibration_file(path), read_issued(path)))
     if isinstance(held, PressCalibration):
         return shown_presses(path, held)
     shown = ShownCalibration.of(path, verified, held)

@@ -11,6 +11,7 @@ from cbsr_qa.calibration.file import (
     new_key,
     passphrase,
     public_path,
+    read_in_child,
     signed,
     signing_key,
     verify_calibration_file,
@@ -20,7 +21,7 @@ from cbsr_qa.calibration.file import (
 from cbsr_qa.domain import CalibrationError, RefusedError, filled
 from cbsr_qa.domain.results import CommandOutcome, fingerprint
 from cbsr_qa.report import answer
-from cbsr_qa.system import RealClock, read_untrusted
+from cbsr_qa.system import RealClock
 
 _UNCHECKED: Final = "the file states no SHA-256 of its bytes, so they were not checked before HDF5 parsed them"
 _NOT_PINNED: Final = (
@@ -88,7 +89,7 @@ def verify_file(path: Path, key: Path | None = None) -> CommandOutcome[SoundFile
         If the key cannot be used.
     """
     verify = verify_json_calibration if is_json(path) else verify_calibration_file
-    checked = read_untrusted(path, lambda: verify(path), refusal=CalibrationError)
+    checked = read_in_child(path, lambda: verify(path))
     issued = read_any(path)
     signature, warnings = _checked(path, issued, key)
     verified = filled(SoundFile, checked, file=path, sound=True, digest=issued.digest, signature=signature)

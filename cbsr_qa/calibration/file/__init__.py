@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         of_run as of_run,
         read_calibration as read_calibration,
         read_contained as read_contained,
+        read_in_child as read_in_child,
         read_issued as read_issued,
         signed as signed,
         stamped as stamped,

@@ -52,6 +52,7 @@ class Reading:
 
     def __init__(self, entries: Mapping[str, Entry]) -> None:
         self._entries = entries
+        self._within = {path[: end + 1] for path in entries for end, sign in enumerate(path) if sign == "/"}
 
     def has(self, path: str) -> bool:
         """Return whether there is an entry: not all kinds of sensor have all of them."""
@@ -126,7 +127,7 @@ class Reading:
 
     def inside(self, path: str) -> bool:
         """Whether there is this entry, or one in this group."""
-        return any(name == path or (path.endswith("/") and name.startswith(path)) for name in self._entries)
+        return path in self._entries or path in self._within
 
     def groups(self, path: str) -> tuple[str, ...]:
         """Return the names of the groups directly inside one, sorted."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import INDEX, PRESS_FORMAT, PURE, TEXT, Entry, Reading, format_of
+from cbsr_qa.calibration.file.counts import check_counts
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import (
@@ -58,33 +59,36 @@ Issued = Calibration | PressCalibration
 def encode(calibration: Issued) -> Mapping[str, Entry]:
     """Return the content of a calibration as entries by path.
 
-    CalibrationError if its matrix was prepared for another sensor type than it names.
+    CalibrationError if its matrix was prepared for another sensor type than it names, or it holds more of something
+    than is read.
     """
+    entries: Entries = {}
     if isinstance(calibration, PressCalibration):
-        of_presses: Entries = {}
-        _CODEC.write(of_presses, calibration, "")
-        return of_presses
+        _CODEC.write(entries, calibration, "")
+        check_counts(entries)
+        return entries
     prepared_for = calibration.reconstruction.problem.sensor_type
     if prepared_for != calibration.sensor_type:
         raise CalibrationError(
             f"the reconstruction was prepared for sensor type {prepared_for.name!r},"
             f" the calibration is for {calibration.sensor_type.name!r}"
         )
-    entries: Entries = {}
     _CODEC.write(entries, calibration, "")
     if calibration.force is not None or calibration.no_force:
         entries[_WHY_NOT] = Entry(TEXT, calibration.no_force)
     choice = calibration.reconstruction.choice
     if not choice.criterion and choice.name == _implied(calibration.reconstruction.method):
         del entries[_NAME], entries[_CRITERION]
+    check_counts(entries)
     return entries
 
 
 def decode(entries: Mapping[str, Entry]) -> Issued:
     """Return the calibration that some entries describe.
 
-    CalibrationError if an entry is missing, of another type or length, or not allowed.
+    CalibrationError if an entry is missing, of another type or length, too long, or not allowed.
     """
+    check_counts(entries)
     try:
         return (_press_calibration if format_of(entries) == PRESS_FORMAT else _calibration)(entries)
     except CalibrationError:

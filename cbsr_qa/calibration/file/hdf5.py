@@ -12,7 +12,7 @@ still written if sufficient. Large arrays are compressed (gzip with byte shuffle
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -39,12 +39,15 @@ from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature, with_signature
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
-from cbsr_qa.system import read_untrusted, writing, written_whole
+from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
 
 _Kind = TypeVar("_Kind", bound=Issued)
+_Result = TypeVar("_Result")
 
 #: More than in any calibration file.
 _LARGEST_BYTES: Final = 2**28
+#: Of processor time for each megabyte; one of a run takes 0.1 s.
+_SECONDS_PER_MB: Final = 0.25
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; for smaller ones a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
@@ -171,11 +174,16 @@ def _issued_in(data: bytes) -> Issued:
 
 
 def read_contained(path: Path) -> Calibration:
-    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`).
+    """Read a run's calibration file of unknown origin; CalibrationError as the two functions that this one calls."""
+    return read_in_child(path, lambda: read_calibration(path))
 
-    CalibrationError as for :func:`read_calibration`, and if reading crashes, hangs or takes too much memory.
+
+def read_in_child(path: Path, read: Callable[[], _Result]) -> _Result:
+    """Call a function that reads a calibration file of unknown origin (see :mod:`cbsr_qa.system.untrusted`).
+
+    CalibrationError as the function, and if reading crashes, hangs or takes too much memory.
     """
-    return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
+    return read_untrusted(path, read, refusal=CalibrationError, seconds_per_mb=_SECONDS_PER_MB)
 
 
 def verify_calibration_file(path: Path) -> VerifiedFile:
@@ -283,17 +291,11 @@ def file_bytes(path: Path) -> bytes:
     CalibrationError if it does not exist, is not a file, cannot be read, or is too large for a calibration.
     """
     try:
-        if not path.exists():
-            raise CalibrationError("there is no such file", remedy="check its name and folder")
-        if not path.is_file():
-            raise CalibrationError("a folder or a device, not a file")
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_BYTES + 1)
+        return read_foreign(path, _LARGEST_BYTES)
+    except FileNotFoundError as error:
+        raise CalibrationError("there is no such file", remedy="check its name and folder") from error
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
-    if len(data) > _LARGEST_BYTES:
-        raise CalibrationError(f"larger than {_LARGEST_BYTES >> 20} MiB: too large for a calibration")
-    return data
 
 
 def printable(text: str) -> str:

@@ -13,6 +13,7 @@ _MOST_NAMES: Final = 10_000
 _DEEPEST: Final = 5
 _MOST_ATTRIBUTES: Final = 100
 _LARGEST_ATTRIBUTE: Final = 2**16
+#: In all datasets together.
 _MOST_TEXTS: Final = 100_000
 #: Most characters of all texts in one dataset.
 _MOST_CHARACTERS: Final = 2**24
@@ -41,7 +42,7 @@ class _Walk:
 
     def __init__(self, left: int) -> None:
         self._left = self._all = left
-        self._names = 0
+        self._names = self._texts = 0
 
     def within(self, group: h5py.Group, prefix: str) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
         for name in group:
@@ -68,8 +69,13 @@ class _Walk:
         if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
             raise RefusedError(f"{path} does not hold its own data")
         text = h5py.check_string_dtype(dataset.dtype) is not None
-        if text and (dataset.ndim > 1 or (dataset.size or 0) > _MOST_TEXTS):
+        if text and dataset.ndim > 1:
             raise RefusedError(f"{path} holds texts of the shape {dataset.shape}; a list of them is expected")
+        self._texts += (dataset.size or 0) if text else 0
+        if self._texts > _MOST_TEXTS:
+            raise RefusedError(
+                f"more than {_MOST_TEXTS} texts up to {path}: no such file of this program has so many"
+            )
         held = _unpacked_bytes(dataset)
         if dataset.size is None or held > self._left:
             raise RefusedError(

@@ -8,7 +8,6 @@ the content is the same, and so is the signature: an object with the names of th
 
 import base64
 import binascii
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -34,6 +33,7 @@ from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import Signature, VerifiedFile
+from cbsr_qa.system import parsed_json
 
 #: Of a document; a file with any other is not what was written.
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
@@ -140,8 +140,8 @@ def _document(path: Path) -> dict[str, Any]:
     if sum(map(data.count, (b",", b"[", b"{"))) > _MOST_VALUES:
         raise CalibrationError(f"JSON of more than {_MOST_VALUES} values: too many for a calibration")
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        document = parsed_json(data)
+    except ValueError as error:
         raise CalibrationError(f"not JSON: {error}", remedy="copy it again from where it was written") from error
     return document if isinstance(document, dict) else {}
 

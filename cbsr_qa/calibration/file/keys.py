@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.system import secret_of, writing
+from cbsr_qa.system import read_foreign, secret_of, writing
 
 PASSPHRASE: Final = "CBSR_QA_KEY_PASSPHRASE"
 #: Suffix of the file with the public key, after the name of the other.
@@ -162,8 +162,7 @@ def public_key(path: Path) -> str:
 
 def _pem(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            return file.read(_LARGEST_FILE)
+        return read_foreign(path, _LARGEST_FILE)
     except OSError as error:
         raise ConfigError(f"key {path} cannot be read: {error.strerror or error}", remedy=_MAKE) from error
 

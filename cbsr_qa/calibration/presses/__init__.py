@@ -18,9 +18,9 @@ if TYPE_CHECKING:
         learn_presses as learn_presses,
     )
     from .likeness import AnsweringSide as AnsweringSide, compared_sides as compared_sides
+    from .number_tables import NumberTable as NumberTable
     from .pairs import DistinctPairs as DistinctPairs, matched_readings as matched_readings
     from .tables import (
-        NumberTable as NumberTable,
         PressTable as PressTable,
         read_pairs as read_pairs,
         read_presses as read_presses,

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from scipy.special import fdtrc
 
+from cbsr_qa.calibration.presses.number_tables import read_table
 from cbsr_qa.calibration.presses.pairs import DistinctPairs
-from cbsr_qa.calibration.presses.tables import PressTable, read_table
+from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain import Array, Indices, Mask, RecordingError
-from cbsr_qa.domain.results import SheetRegistration
+from cbsr_qa.domain.results import MOST_PRESSES, SheetRegistration
 from cbsr_qa.domain.sensor import SensorType
 
 #: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
@@ -120,6 +121,11 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             f"{readings.path} has {len(changes)} rows, {table.path} has {len(presses.place_mm)}; both must have one"
             " row per press",
             remedy="leave out rows of presses that are not in both tables",
+        )
+    if len(changes) > MOST_PRESSES:
+        raise RecordingError(
+            f"{readings.path} has {len(changes)} rows; at most {MOST_PRESSES} presses are learned from",
+            remedy="leave out rows evenly over the sheet, in both tables",
         )
     some = np.any(changes != 0, axis=1)
     if not some.any():

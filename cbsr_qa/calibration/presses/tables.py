@@ -1,36 +1,23 @@
-"""Tables of presses, readings and electrode pairs: CSV with a header, or Parquet; refused by file, row and column.
+"""Tables of presses and electrode pairs, refused by file, row and column."""
 
-Rows are counted from 1 below the header; the first row of a CSV file is its line 2.
-"""
-
-import csv
 import hashlib
-import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.presses.number_tables import NumberTable, read_table
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.domain import Array, Indices, RecordingError
 from cbsr_qa.domain.results import SourceFile
+from cbsr_qa.system import open_foreign
 
-#: More than a table of a hundred thousand presses.
-_LARGEST_BYTES: Final = 2**29
-#: Largest number of any column.
-_LARGEST: Final = 1e12
-_CORRECT: Final = "correct the table and try again; row 1 is the first below the header"
-#: Number of problems of a table that are listed.
-_MOST_LISTED: Final = 10
 _PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
 _PLACE: Final = ("x_mm", "y_mm")
 _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
-#: Names of columns, and rows of cells.
-_Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
 #: Columns of a table of presses.
 LABELS: Final = (*_PLACE, *_OPTIONAL)
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
@@ -39,51 +26,6 @@ _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
 _FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NumberTable:
-    """A table of numbers.
-
-    Parameters
-    ----------
-    path : of the file.
-    columns : their names.
-    rows : cells as text, or as numbers if the file has numbers.
-    """
-
-    path: Path
-    columns: tuple[str, ...]
-    rows: Sequence[Sequence[object]]
-
-    def numbers(self, names: Sequence[str] | None = None) -> Array:
-        """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
-        chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
-        problems: list[str] = []
-        values = np.array([[self._number(row, k, problems) for k in chosen] for row in range(len(self.rows))])
-        self.refuse(problems)
-        return values.reshape(len(self.rows), len(chosen))
-
-    def refuse(self, problems: Sequence[str], remedy: str = _CORRECT) -> None:
-        """Raise RecordingError with the problems of the table, if any."""
-        if problems:
-            more = "" if len(problems) <= _MOST_LISTED else f"; and {len(problems) - _MOST_LISTED} more"
-            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}", remedy=remedy)
-
-    def _number(self, row: int, column: int, problems: list[str]) -> float:
-        cell = self.rows[row][column]
-        try:
-            value = math.nan if "_" in str(cell) else float(cell)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            value = math.nan
-        if not math.isfinite(value):
-            shown = "empty" if cell in ("", None) else f"{str(cell)[:40]!r}, not a finite number"
-            problems.append(f"row {row + 1}, column {self.columns[column]}: {shown}")
-        elif abs(value) > _LARGEST:
-            problems.append(
-                f"row {row + 1}, column {self.columns[column]}: {value:g}; at most {_LARGEST:g} is allowed"
-            )
-        return value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,29 +51,6 @@ class PressTable:
             None if column is None else column[rows] for column in (self.depth_mm, self.force_N, self.time_s)
         )
         return PressTable(self.table, self.place_mm[rows], depth_mm, force_N, time_s)
-
-
-def read_table(path: Path) -> NumberTable:
-    """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.
-
-    RecordingError if the file is missing, has no header, no rows, rows of different lengths, or a column twice.
-    """
-    columns, rows = (_parquet if path.suffix.lower() in (".parquet", ".pq") else _csv)(path)
-    table = NumberTable(path, columns, rows)
-    double = sorted({name for name in columns if columns.count(name) > 1})
-    if double:
-        table.refuse([f"the header names {', '.join(map(repr, double))} more than once"])
-    if not rows:
-        table.refuse(["only a header, not one row"])
-    table.refuse(
-        [
-            f"row {number}: {len(row)} cells, the header has {len(columns)}"
-            + (" (is a comma a decimal point there?)" if len(row) > len(columns) else "")
-            for number, row in enumerate(rows, 1)
-            if len(row) != len(columns)
-        ]
-    )
-    return table
 
 
 def read_presses(path: Path) -> PressTable:
@@ -200,8 +119,12 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
 
 
 def source_file(role: str, path: Path) -> SourceFile:
-    """Return name and SHA-256 of a file that was read."""
-    return SourceFile(role, path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+    """Return name and SHA-256 of a file that was read. RecordingError if it is no longer there."""
+    try:
+        with open_foreign(path) as file:
+            return SourceFile(role, path.name, hashlib.file_digest(file, "sha256").hexdigest())
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def _header_problems(columns: Sequence[str]) -> Iterator[str]:
@@ -246,60 +169,3 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
                 f"row {row + 1}: {','.join(f'{number:g}' for number in values[row])} measures at an electrode that it"
                 f" drives, which {len(values) - len(at_driven)} of the {len(values)} pairs do not"
             )
-
-
-def _csv(path: Path) -> _Cells:
-    try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise RecordingError(
-                f"{path} is larger than {_LARGEST_BYTES >> 20} MiB: too large for a table of presses"
-            )
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [[cell.strip() for cell in line] for line in csv.reader(file)]
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}", remedy="check its name") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path} is not CSV in UTF-8: {error}") from error
-    while lines and not any(lines[-1]):
-        del lines[-1]
-    lines = [line for line in lines if line not in ([], [""])]
-    if not lines:
-        raise RecordingError(f"{path} is empty")
-    if not any(line[-1] for line in lines):  # a comma at the end of every line
-        lines = [line[:-1] for line in lines]
-    header, *rows = lines
-    for name, sign in (("semicolons", ";"), ("tabs", "\t")):
-        if len(header) == 1 and sign in header[0]:
-            raise RecordingError(
-                f"{path} line 1: separated by {name}", remedy="separate by commas, decimals by points"
-            )
-    if _is_row(header):
-        raise RecordingError(
-            f"{path} line 1 holds numbers where the header is expected: {', '.join(header[:4])}",
-            remedy="name the columns in the first line",
-        )
-    return tuple(header), rows
-
-
-def _is_row(header: Sequence[str]) -> bool:
-    """Whether a first line has numbers other than a numbering of columns."""
-    try:
-        numbers = [float(cell) for cell in header]
-    except ValueError:
-        return False
-    return not any(numbers == [float(k) for k in range(first, first + len(numbers))] for first in (0, 1))
-
-
-def _parquet(path: Path) -> _Cells:
-    try:
-        parquet = import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise RecordingError(
-            f"{path} is Parquet, which needs pyarrow", remedy="pip install 'cbsr-qa[parquet]', or write CSV"
-        ) from error
-    try:
-        table = parquet.read_table(path)
-    except (OSError, ValueError) as error:  # ArrowInvalid is a ValueError
-        raise RecordingError(f"{path} cannot be read as Parquet: {error}") from error
-    columns: Iterable[Sequence[object]] = (column.to_pylist() for column in table.columns)
-    return tuple(table.column_names), [list(row) for row in zip(*columns, strict=True)]

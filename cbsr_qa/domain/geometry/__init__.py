@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         overlap_mm2 as overlap_mm2,
     )
     from .outlines import (
+        MOST_CORNERS as MOST_CORNERS,
         Disc as Disc,
         Polygon as Polygon,
         SheetOutline as SheetOutline,

@@ -18,6 +18,10 @@ Points = NDArray[np.float64]
 SHARPEST_DEG: Final = 10.0
 #: Edges closer together than this, and edges shorter than a hundredth of it, in radii of the disc of equal area.
 _NARROWEST: Final = 0.01
+#: Corners of an outline: the checks compare every edge with every other.
+MOST_CORNERS: Final = 1000
+#: Edges that are compared with all others at once.
+_AT_ONCE: Final = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +131,9 @@ def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[in
     if len(corners_mm) < 3:
         yield None, f"has {len(corners_mm)} corner{'' if len(corners_mm) == 1 else 's'}; at least 3 are needed"
         return
+    if len(corners_mm) > MOST_CORNERS:
+        yield None, f"has {len(corners_mm)} corners; at most {MOST_CORNERS} are allowed"
+        return
     corners = np.array([[float(x), float(y)] for x, y in corners_mm])
     if not np.isfinite(corners).all():
         yield None, "has a corner that is not a finite number"
@@ -203,8 +210,21 @@ def _apart(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _crossing(corners: Points) -> tuple[int, int] | None:
     """First pair of edges that meet without sharing a corner."""
+    low, high = (bound(corners, np.roll(corners, -1, axis=0)) for bound in (np.minimum, np.maximum))
+    for begin in range(0, len(corners), _AT_ONCE):
+        rows = slice(begin, begin + _AT_ONCE)
+        boxes_meet = ((low[rows, None] <= high) & (high[rows, None] >= low)).all(axis=-1)
+        first, second = np.nonzero(boxes_meet)
+        first += begin
+        apart = (second > first + 1) & ~((first == 0) & (second == len(corners) - 1))
+        met = _first_meeting(corners, first[apart], second[apart])
+        if met is not None:
+            return met
+    return None
+
+
+def _first_meeting(corners: Points, first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[int, int] | None:
     end = np.roll(corners, -1, axis=0)
-    first, second = _apart(len(corners))
     a, b, c, d = corners[first], end[first], corners[second], end[second]
     side = [_side(a, b, c), _side(a, b, d), _side(c, d, a), _side(c, d, b)]
     crosses = (side[0] * side[1] < 0) & (side[2] * side[3] < 0)

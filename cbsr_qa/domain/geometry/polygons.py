@@ -120,6 +120,10 @@ _COARSE: Final = np.array([1, 0, 4, 0, 1]) / 6  # Simpson's rule of a stretch â€
 _FINE: Final = np.array([1, 4, 2, 4, 1]) / 12  # â€¦ and of its halves
 
 
+#: The check compares every side with every other.
+_MOST_CORNERS: Final = 1000
+
+
 def simple_polygon(corners_mm: Points) -> Points:
     """Check a polygon and turn it counterclockwise.
 
@@ -134,11 +138,14 @@ def simple_polygon(corners_mm: Points) -> Points:
     Raises
     ------
     NumericsError
-        If there are fewer than three corners, one is not finite or repeats its neighbour, or the outline cuts itself.
+        If there are fewer than three corners or more than a thousand, one is not finite or repeats its neighbour, or
+        the outline cuts itself.
     """
     corners = np.asarray(corners_mm, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 3 or not np.isfinite(corners).all():
         raise NumericsError(f"an outline needs three or more finite corners (x, y); its shape is {corners.shape}")
+    if len(corners) > _MOST_CORNERS:
+        raise NumericsError(f"an outline has {len(corners)} corners; at most {_MOST_CORNERS} are allowed")
     along = np.roll(corners, -1, axis=0) - corners
     still = np.flatnonzero(~along.any(axis=1))
     if still.size:

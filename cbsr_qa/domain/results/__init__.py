@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         linear as linear,
     )
     from .learned_place import (
+        MOST_PRESSES as MOST_PRESSES,
         FeatureScaling as FeatureScaling,
         LearnedPlace as LearnedPlace,
         ModelledPlace as ModelledPlace,

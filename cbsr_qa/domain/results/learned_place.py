@@ -5,13 +5,15 @@ over the sheet (:class:`PlaceTemplates`). Both are about the sheet's centre, in 
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 
 from cbsr_qa.domain.kept import Kept
 from cbsr_qa.domain.numbers import Array, Indices
 
+#: Presses that are learned from: opening a calibration grows with their cube, and takes 6 s for so many.
+MOST_PRESSES: Final = 4000
 _LARGEST = 1e12
 #: Far more than any sheet has from its centre.
 _LARGEST_NODE = 1000

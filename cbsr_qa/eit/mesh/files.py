@@ -1,13 +1,14 @@
 """Mesh files: our own ``.npz`` and, if meshio is installed, its formats; sensor types made from them."""
 
 import io
+import os
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from cbsr_qa.domain.sensor import (
     mesh_of_arrays,
 )
 from cbsr_qa.eit.mesh.imported import ElectrodeGiven, imported_mesh
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system import largest_content, open_foreign, read_untrusted, writing, written_whole
 
 #: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
 LARGEST_BYTES: Final = 200_000_000
@@ -59,32 +60,48 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     Raises
     ------
     NumericsError
-        If the file is missing or not a mesh, meshio is needed and not installed, or the mesh is refused.
+        If the file is missing or not a mesh, takes more than the limits of
+        :func:`~cbsr_qa.system.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
-    if not path.is_file():
-        raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise NumericsError(
-            f"{path} has {path.stat().st_size} bytes; a mesh file has at most {LARGEST_BYTES}",
-            remedy="mesh the sheet with larger elements",
-        )
+    meshio = None if path.suffix == ".npz" else _meshio(path.suffix)
+    files = 1 if meshio is None else 2  # numpy.fromfile duplicates the one that meshio has open
+    return read_untrusted(
+        path, lambda: _read(path, meshio, electrodes, fix=fix), refusal=NumericsError, open_files=files
+    )
+
+
+def _read(path: Path, meshio: Any, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
     try:
-        if path.suffix == ".npz":
-            return _checked(_npz(path), electrodes, fix=fix)
-        nodes, elements, named = _by_meshio(path)
+        with open_foreign(path, LARGEST_BYTES) as stream:
+            if meshio is None:
+                return _checked(_npz(stream), electrodes, fix=fix)
+        nodes, elements, named = _by_meshio(path, meshio)
         return imported_mesh(nodes, elements, named if electrodes is None else electrodes, fix=fix)
+    except FileNotFoundError as error:
+        raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder") from error
+    except OSError as error:
+        raise NumericsError(
+            f"{path} cannot be read: {error.strerror or error}", remedy="give the file of a mesh"
+        ) from error
     except CbsrError as error:
         raise NumericsError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
 
 
-def _npz(path: Path) -> dict[str, NDArray[Any]]:
+def _npz(stream: BinaryIO) -> dict[str, NDArray[Any]]:
+    remedy = "write it again, with write_mesh or numpy.savez"
+    most_bytes = largest_content(os.fstat(stream.fileno()).st_size)
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        with zipfile.ZipFile(stream) as archive:
+            unpacked_bytes = sum(member.file_size for member in archive.infolist())
+        if unpacked_bytes > most_bytes:
+            raise NumericsError(
+                f"it unpacks to {unpacked_bytes} bytes; at most {most_bytes} are allowed for its size", remedy=remedy
+            )
+        stream.seek(0)
+        with np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise NumericsError(
-            "it is damaged, or not an .npz file of numbers", remedy="write it again, with write_mesh or numpy.savez"
-        ) from error
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise NumericsError("it is damaged, or not an .npz file of numbers", remedy=remedy) from error
 
 
 def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
@@ -101,14 +118,18 @@ def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeG
     return mesh_of_arrays({**arrays, **mesh_arrays(mesh), **{k: arrays[k] for k in arrays if k.startswith("arc_")}})
 
 
-def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
+def _meshio(suffix: str) -> Any:
+    """Import meshio where it may open files: a reading child may not."""
     try:
-        meshio: Any = import_module("meshio")
+        return import_module("meshio")
     except ImportError as error:
         raise NumericsError(
-            f"files of type {path.suffix!r} are read by meshio, which is not installed",
+            f"files of type {suffix!r} are read by meshio, which is not installed",
             remedy="install meshio, or write the mesh as .npz with arrays nodes_mm and elements",
         ) from error
+
+
+def _by_meshio(path: Path, meshio: Any) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
     printed = io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(printed):

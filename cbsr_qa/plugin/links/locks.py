@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.domain import InstrumentError
-from cbsr_qa.system import FileLock, HeldError, RealClock
+from cbsr_qa.system import FileLock, HeldError, RealClock, parsed_json
 
 #: Below the computer's directory for temporary files, so that programs of all its users meet there.
 _FOLDER: Final = "cbsr-qa-locks"
@@ -66,7 +66,7 @@ def _self(role: str) -> dict[str, Any]:
 def _holder(text: bytes) -> str:
     """Describe the holder of a lock, which may not have written its name yet."""
     try:
-        who = json.loads(text)
+        who = parsed_json(text)
         return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
     except (ValueError, KeyError, TypeError):
         return "another program"

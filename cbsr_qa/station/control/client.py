@@ -10,6 +10,7 @@ from typing import Any, Final, Self
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.station.control.lock import control_socket, station_holder
 from cbsr_qa.station.control.server import LONGEST_LINE
+from cbsr_qa.system import parsed_json
 
 #: How long a run may take to answer [s].
 PATIENCE_S: Final = 10.0
@@ -94,7 +95,7 @@ class RunChannel:
             line, newline, rest = self._received.partition(b"\n")
             if newline:
                 self._received = rest
-                yield json.loads(line)
+                yield _message(line)
                 until_s = time.monotonic() + self._timeout_s
                 continue
             self._connection.settimeout(max(until_s - time.monotonic(), 0.001))
@@ -102,6 +103,16 @@ class RunChannel:
             if not more or len(self._received) > LONGEST_LINE:
                 return
             self._received += more
+
+
+def _message(line: bytes) -> dict[str, Any]:
+    try:
+        message = parsed_json(line)
+    except ValueError as error:
+        raise RefusedError(f"the run's channel sent a line that is not JSON: {error}") from error
+    if not isinstance(message, dict):
+        raise RefusedError("the run's channel sent a line that is not a JSON object")
+    return message
 
 
 def _unreachable(station: str, error: OSError) -> RefusedError:

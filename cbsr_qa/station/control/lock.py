@@ -16,7 +16,7 @@ from typing import Final, Self
 
 from cbsr_qa.config import var_folder
 from cbsr_qa.domain import AT_COMMAND_LINE, RefusedError
-from cbsr_qa.system import FileLock, HeldError, holder
+from cbsr_qa.system import FileLock, HeldError, holder, parsed_json
 
 #: Names that are used as they are; others are shortened and get a digest.
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}")
@@ -48,7 +48,7 @@ class Holder:
     def of_text(cls, text: bytes) -> Self | None:
         """Return the holder a lock file names, or None if it is not readable as such."""
         try:
-            holder = cls(**json.loads(text))
+            holder = cls(**parsed_json(text))
         except (ValueError, TypeError):
             return None
         return holder if isinstance(holder.pid, int) and holder.pid > 0 else None

@@ -28,6 +28,7 @@ from cbsr_qa.station.control.messages import (
     SensorUnderTest,
     State,
 )
+from cbsr_qa.system import parsed_json
 
 #: Version of the lines, raised when a key is removed or changes its meaning.
 PROTOCOL: Final = 1
@@ -241,9 +242,9 @@ class _Request:
 
 def _content(line: bytes) -> dict[str, Any]:
     try:
-        content = json.loads(line)
-    except (ValueError, RecursionError):
-        raise RefusedError("the line is not JSON") from None
+        content = parsed_json(line)
+    except ValueError as error:
+        raise RefusedError(f"the line is not JSON: {error}") from None
     if not isinstance(content, dict):
         raise RefusedError("the line is not a JSON object")
     return content

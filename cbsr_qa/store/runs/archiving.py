@@ -15,6 +15,7 @@ from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.store.archives import (
     ARRAYS,
     Archive,
+    archive_bytes,
     archive_root,
     archive_row,
     checked_bytes,
@@ -140,9 +141,14 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
 
 def _verified(file: Path, rows: list[Any]) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
-    data = file.read_bytes()
     try:
-        archive = Archive(data)
+        data = archive_bytes(file)
+    except OSError as error:
+        raise StoreError(
+            f"{file} cannot be read: {error.strerror}", remedy="move that file away, or use --to"
+        ) from error
+    try:
+        archive = Archive(data, file)
         for row in rows:
             frame_block(with_cells(row, archive.cells(row.phase, row.block)))
     except StoreError as error:

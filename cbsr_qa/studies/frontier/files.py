@@ -12,7 +12,7 @@ from cbsr_qa.config import toml_document
 from cbsr_qa.domain import RefusedError, check_encodable
 from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system import open_foreign, writing, written_whole
 
 #: First words of every recipe written here; files with another beginning are the user's own.
 WRITTEN_BY: Final = "Written by cbsr-qa frontier"
@@ -56,7 +56,8 @@ def check_recipe(path: Path) -> None:
         raise RefusedError(f"{path} is not the name of a recipe file", remedy="use a name ending in .toml")
     with writing(path):
         try:
-            first = path.read_bytes()[:100]
+            with open_foreign(path) as file:
+                first = file.read(100)
         except FileNotFoundError:
             return
     if not first.startswith(f"# {WRITTEN_BY}".encode()):

@@ -16,6 +16,7 @@ from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.selection import check_names, measuring_digest, software_words
+from cbsr_qa.system import read_foreign
 
 _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
 
@@ -101,9 +102,7 @@ def read_serials(path: Path) -> tuple[str, ...]:
     RefusedError if the file cannot be read, has none, or a line is not a serial number (with its line number).
     """
     try:
-        if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
-            raise RefusedError(f"{path} is not a list of serial numbers", remedy="write one serial number a line")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_foreign(path, _LARGEST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise RefusedError(f"serial numbers cannot be read from {path}: {why}") from error

@@ -34,7 +34,7 @@ from cbsr_qa.plugin import (
 from cbsr_qa.report import render_sections
 from cbsr_qa.simulate import SimulatedWorld
 from cbsr_qa.station import PlannedPhase, dry_run
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.system import LARGEST_FILE, VirtualClock, read_foreign
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa.testing.checked import Checked, Tolerances
 from cbsr_qa.testing.instruments import (
@@ -225,7 +225,7 @@ def check_recognition(format_: Any, path: Path | None) -> Checked:
     Remedy: give a file as ``file`` of the ``Example``; look at the first bytes for what only this format has.
     """
     assert path is not None, "no example file"
-    head = path.read_bytes()[:4096]
+    head = read_foreign(path, LARGEST_FILE)[:4096]
     assert format_.recognises(path, head), f"{path.name} is not recognised"
     noise = np.random.default_rng(_SEED).bytes(4096)
     for what, other in (("an empty file", b""), ("random bytes", noise)):
@@ -250,7 +250,7 @@ def check_damaged_file(format_: Any, path: Path) -> Checked:
 
     Remedy: catch errors of parsing, and raise ``RecordingError`` naming the line and what was expected.
     """
-    whole, ends = path.read_bytes(), []
+    whole, ends = read_foreign(path, LARGEST_FILE), []
     damaged = {
         "half": whole[: len(whole) // 2],
         "empty": b"",

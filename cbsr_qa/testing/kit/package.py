@@ -10,8 +10,10 @@ from typing import Any
 
 from cbsr_qa.domain import PluginError
 from cbsr_qa.plugin import Kind, Plugins, discover
+from cbsr_qa.system import read_foreign
 
 _GROUP = "cbsr_qa"
+_LARGEST_PROJECT = 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ def _in_folder(folder: Path, kind: Kind | None) -> Targets:
 
 def _project(file: Path) -> dict[str, Any]:
     try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
+        document = tomllib.loads(read_foreign(file, _LARGEST_PROJECT).decode())
     except OSError as error:
         raise PluginError(
             f"{file} cannot be read: {error.strerror or error}",

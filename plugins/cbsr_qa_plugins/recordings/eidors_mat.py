@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, RecordingError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ReadOptions, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
-from cbsr_qa.system import largest_content
+from cbsr_qa.system import largest_content, read_foreign
 
 HEADER_BYTES: Final = 128
 _MATRIX: Final = 14
@@ -141,6 +141,8 @@ def _part(element: memoryview, at: int, order: str) -> tuple[int, int, int, int]
 _ELECTRODES: Final = 16
 _VALUES: Final = _ELECTRODES**2
 _HEADER_BYTES: Final = 512  # in front of the HDF5 part of a file of version 7.3
+#: More than any such file; all of it is in memory.
+_LARGEST_BYTES: Final = 2**29
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 #: Frame rates the data's authors state; the files themselves hold no times.
 _DOCUMENTED_RATE_HZ: Final = {"zc_demo": 7.0, "zc_resp": 7.0, "zc_breathhold": 7.0}
@@ -206,7 +208,7 @@ class EidorsMat:
 
 
 def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
-    data = path.read_bytes()
+    data = read_foreign(path, _LARGEST_BYTES)
     if data.startswith((_HDF5, b"MATLAB 7.3")) or data[_HEADER_BYTES:].startswith(_HDF5):
         raise RecordingError(
             f"{path.name} is a MATLAB file of version 7.3 (HDF5)", remedy="save it in MATLAB or Octave with -v7"

@@ -19,6 +19,7 @@ from cbsr_qa.domain import Array, RecordingError, RefusedError
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.system import open_foreign
 
 #: Characters of a line that are looked at. Rows of readings have a few hundred; a binary file may have no line end.
 LONGEST_LINE: Final = 1 << 14
@@ -46,7 +47,7 @@ class TextLine:
 
 def text_lines(path: Path) -> Iterator[TextLine]:
     """Read a file line by line; bytes that are no UTF-8 come out as replacement characters."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
+    with TextIOWrapper(open_foreign(path), encoding="utf-8-sig", errors="replace") as file:
         number = 0
         while text := file.readline(LONGEST_LINE):
             number += 1

@@ -139,7 +139,7 @@ def test_files_that_are_no_such_key_are_named(run, folder):
     (folder / "cut").write_bytes((folder / "a.key").read_bytes()[:60])
     for key, said in (
         ("absent", "cannot be read: No such file"),
-        (".", "cannot be read: Is a directory"),
+        (".", "cannot be read: it is a folder, not a file"),
         ("sensor.h5", "not a private key in PEM, or damaged"),
         ("cut", "not a private key in PEM, or damaged"),
         ("a.key.pub", "a public key, which cannot sign"),

@@ -79,7 +79,10 @@ _UNSOUND = {
     "format of a number": (_attribute("format", 3.0), "not a calibration"),
     "names within names": (_many_names, "more than 10000 names"),
     "table of texts": (_added("assumed", "text", shape=(1, 2), **_TEXTS), "assumed holds texts of the shape"),
-    "millions of texts": (_added("assumed", "text", shape=(2**26,), **_TEXTS), "assumed holds texts of the shape"),
+    "millions of texts": (
+        _added("assumed", "text", shape=(2**26,), **_TEXTS),
+        "more than 100000 texts up to assumed",
+    ),
     "control characters": (_added("force/\x1b[2J", data=np.complex128(1)), "is not a name of such a file"),
     "circle": (lambda file: file.__setitem__("image/again", file["image"]), "is a link"),
     "link out of the file": (_link_out_of_the_file, "image/mask is a link"),
@@ -111,7 +114,7 @@ def test_an_unsound_file_is_refused(issued, what):
             r"JSON, not HDF5.*\n.*calibration export X\.json --output X\.h5",
         ),
         ("absent.h5", None, "no such file"),
-        ("", None, "a folder or a device"),
+        ("", None, "it is a folder, not a file"),
         ("x" * 300, None, "cannot be read: File name too long"),
     ],
 )

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs
 
-from cbsr_qa.calibration.presses.tables import read_pairs, read_presses, read_table
+from cbsr_qa.calibration.presses.number_tables import read_table
+from cbsr_qa.calibration.presses.tables import read_pairs, read_presses
 from cbsr_qa.domain import RecordingError
 
 

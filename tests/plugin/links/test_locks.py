@@ -95,3 +95,8 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(InstrumentError, match="cannot be locked against a second program") as refused:
         AddressLock("one", ADDRESS)
     assert str(tmp_path) in refused.value.remedy
+
+
+@pytest.mark.parametrize("said", [b"[" * 4000, b'{"pid": 1, "pid": 2}', b"", b'{"pid": NaN, "command": ""}'])
+def test_whoever_holds_an_address_without_a_readable_name_is_another_program(said):
+    assert locks._holder(said) == "another program"

@@ -123,7 +123,7 @@ def test_a_database_without_runs_or_none_at_all_is_refused(tmp_path, database, r
 
 @pytest.mark.parametrize(
     ("option", "value", "said"),
-    [("--serials", "/dev/zero", "not a list of serial numbers"), ("--output", "x" * 300, "File name too long")],
+    [("--serials", "/dev/zero", "it is a device, not a file"), ("--output", "x" * 300, "File name too long")],
 )
 def test_what_is_no_file_is_refused_and_not_read_for_ever(option, value, said, capsys):
     assert guarded(["limits", "propose", "--serial", "S-1", option, value]) == 2

@@ -1,0 +1,246 @@
+"""Tables of numbers with a header: CSV, or Parquet; read in a limited child process, refused by file, row and column.
+
+Rows are counted from 1 below the header; the first row of a CSV file is its line 2.
+"""
+
+import csv
+import io
+import math
+import os
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, RecordingError
+from cbsr_qa.system import UnfitFileError, largest_content, open_foreign, read_untrusted
+
+#: More than a table of a hundred thousand presses.
+_LARGEST_BYTES: Final = 2**29
+#: As many as a sensor of 256 electrodes has readings in a frame.
+_MOST_COLUMNS: Final = 2**16
+#: Of a line: so many columns, and their commas.
+_LONGEST_LINE: Final = 32 * _MOST_COLUMNS
+#: Largest number of any column.
+_LARGEST: Final = 1e12
+_CORRECT: Final = "correct the table and try again; row 1 is the first below the header"
+_TOO_MUCH: Final = "give a table with a row per press and a column per reading"
+#: Number of problems of a table that are listed.
+_MOST_LISTED: Final = 10
+_LONGEST_CELL: Final = 40
+#: Rows of a Parquet file that are decoded at once.
+_AT_ONCE: Final = 1024
+#: Row and column of a cell, both from 0.
+_Cell = tuple[int, int]
+#: Names of columns, numbers, and the cells that are none.
+_Content = tuple[tuple[str, ...], Array, dict[_Cell, str]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NumberTable:
+    """A table of numbers.
+
+    Parameters
+    ----------
+    path : of the file.
+    columns : their names.
+    values : (rows, columns); NaN where a cell is not a finite number.
+    odd_cells : what those cells hold, as a message shows it: the first ten of each column.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    values: Array
+    odd_cells: Mapping[_Cell, str] = field(default_factory=dict)
+
+    def numbers(self, names: Sequence[str] | None = None) -> Array:
+        """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
+        chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
+        values: Array = self.values if names is None else self.values[:, chosen]
+        unusable = np.argwhere(~(np.abs(values) <= _LARGEST))
+        described = [self._described(row, chosen[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
+        self.refuse(described, more=len(unusable) - len(described))
+        return values
+
+    def refuse(self, problems: Sequence[str], remedy: str = _CORRECT, *, more: int = 0) -> None:
+        """Raise RecordingError with the problems of the table, if any, and how many more there are."""
+        _refuse(self.path, problems, remedy, more)
+
+    def _described(self, row: int, column: int) -> str:
+        value = self.values[row, column]
+        why = f"{value:g}; at most {_LARGEST:g} is allowed" if np.isfinite(value) else self.odd_cells[row, column]
+        return f"row {row + 1}, column {self.columns[column]}: {why}"
+
+
+def _refuse(path: Path, problems: Sequence[str], remedy: str, more: int = 0) -> None:
+    if problems:
+        more += max(len(problems) - _MOST_LISTED, 0)
+        others = f"; and {more} more" if more else ""
+        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{others}", remedy=remedy)
+
+
+def read_table(path: Path) -> NumberTable:
+    """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.
+
+    RecordingError if the file is missing, is not a file, takes more than the limits of
+    :func:`~cbsr_qa.system.read_untrusted`, has no header, no rows, rows of different lengths, a column twice, or more
+    columns than any sensor has readings.
+    """
+    parquet = _parquet_reader(path) if path.suffix.lower() in (".parquet", ".pq") else None
+    content = read_untrusted(path, lambda: _content(path, parquet), refusal=RecordingError)
+    return NumberTable(path, *content)
+
+
+def _content(path: Path, parquet: Any) -> _Content:
+    try:
+        with open_foreign(path, _LARGEST_BYTES) as file:
+            return _csv(path, file) if parquet is None else _parquet(path, file, parquet)
+    except UnfitFileError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}", remedy=_TOO_MUCH) from error
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}", remedy="check its name") from error
+
+
+def _csv(path: Path, file: BinaryIO) -> _Content:
+    try:
+        text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+        lines = [[cell.strip() for cell in line] for line in csv.reader(_short_lines(path, text))]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path} is not CSV in UTF-8: {error}") from error
+    while lines and not any(lines[-1]):
+        del lines[-1]
+    lines = [line for line in lines if line not in ([], [""])]
+    if not lines:
+        raise RecordingError(f"{path} is empty")
+    if not any(line[-1] for line in lines):  # a comma at the end of every line
+        lines = [line[:-1] for line in lines]
+    header, *rows = lines
+    _check_header(path, header)
+    _check_columns(path, header, len(rows))
+    uneven = [
+        f"row {number}: {len(row)} cells, the header has {len(header)}"
+        + (" (is a comma a decimal point there?)" if len(row) > len(header) else "")
+        for number, row in enumerate(rows, 1)
+        if len(row) != len(header)
+    ]
+    _refuse(path, uneven, _CORRECT)
+    numbers = _Numbers(len(header))
+    for row in rows:
+        numbers.add(row)
+    return numbers.content(header)
+
+
+def _short_lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
+    while line := text.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise RecordingError(
+                f"{path} has a line of {_LONGEST_LINE} characters or more; a table has at most"
+                f" {_MOST_COLUMNS} columns",
+                remedy=_TOO_MUCH,
+            )
+        yield line
+
+
+def _check_header(path: Path, header: Sequence[str]) -> None:
+    for name, sign in (("semicolons", ";"), ("tabs", "\t")):
+        if len(header) == 1 and sign in header[0]:
+            raise RecordingError(
+                f"{path} line 1: separated by {name}", remedy="separate by commas, decimals by points"
+            )
+    if _is_row(header):
+        raise RecordingError(
+            f"{path} line 1 holds numbers where the header is expected: {', '.join(header[:4])}",
+            remedy="name the columns in the first line",
+        )
+
+
+def _is_row(header: Sequence[str]) -> bool:
+    """Whether a first line has numbers other than a numbering of columns."""
+    try:
+        numbers = [float(cell) for cell in header]
+    except ValueError:
+        return False
+    return not any(numbers == [float(k) for k in range(first, first + len(numbers))] for first in (0, 1))
+
+
+def _parquet_reader(path: Path) -> Any:
+    """Import pyarrow where it may open files: a reading child may not."""
+    try:
+        return import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise RecordingError(
+            f"{path} is Parquet, which needs pyarrow", remedy="pip install 'cbsr-qa[parquet]', or write CSV"
+        ) from error
+
+
+def _parquet(path: Path, file: BinaryIO, parquet: Any) -> _Content:
+    size_bytes = os.fstat(file.fileno()).st_size
+    try:
+        table = parquet.ParquetFile(file, pre_buffer=False)
+        stated, columns = table.metadata, table.schema_arrow.names
+        _check_columns(path, columns, stated.num_rows)
+        if stated.num_rows * len(columns) * 8 > largest_content(size_bytes):
+            raise RecordingError(
+                f"{path} of {stated.num_rows} rows and {len(columns)} columns is too large for a file of"
+                f" {size_bytes} bytes: numbers that were measured are packed less",
+                remedy=_TOO_MUCH,
+            )
+        numbers = _Numbers(len(columns))
+        for batch in table.iter_batches(batch_size=_AT_ONCE, use_threads=False):  # a child starts no threads
+            for row in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+                numbers.add(row)
+    except (OSError, ValueError, NotImplementedError) as error:  # ArrowInvalid is a ValueError
+        raise RecordingError(f"{path} cannot be read as Parquet: {error}") from error
+    return numbers.content(columns)
+
+
+def _check_columns(path: Path, columns: Sequence[str], rows: int) -> None:
+    if len(columns) > _MOST_COLUMNS:
+        raise RecordingError(
+            f"{path} has {len(columns)} columns; a table has at most {_MOST_COLUMNS}", remedy=_TOO_MUCH
+        )
+    twice = sorted(name for name, times in Counter(columns).items() if times > 1)[:_MOST_LISTED]
+    if twice:
+        raise RecordingError(
+            f"{path}: the header names {', '.join(map(repr, twice))} more than once", remedy=_CORRECT
+        )
+    if not rows:
+        raise RecordingError(f"{path}: only a header, not one row", remedy=_CORRECT)
+
+
+class _Numbers:
+    """Numbers of a table, added row by row."""
+
+    def __init__(self, columns: int) -> None:
+        self._values = array("d")
+        self._odd_cells: dict[_Cell, str] = {}
+        self._shown = [0] * columns  #: number of odd cells of each column
+        self._rows = 0
+
+    def add(self, cells: Sequence[object]) -> None:
+        values = [_number(cell) for cell in cells]
+        self._values.extend(values)
+        for column in (k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MOST_LISTED):
+            self._shown[column] += 1
+            cell = cells[column]
+            odd = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
+            self._odd_cells[self._rows, column] = odd
+        self._rows += 1
+
+    def content(self, columns: Sequence[str]) -> _Content:
+        values = np.frombuffer(self._values, dtype=np.float64).reshape(self._rows, len(columns))
+        return tuple(columns), values, self._odd_cells
+
+
+def _number(cell: object) -> float:
+    """Return a finite number; NaN otherwise."""
+    try:
+        value = math.nan if "_" in str(cell) else float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return value if math.isfinite(value) else math.nan

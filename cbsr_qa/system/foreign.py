@@ -1,0 +1,81 @@
+"""The one way to open a file that this program did not write itself: a regular file, and not too large a one.
+
+Opening a named pipe waits for its writer, a device may have no end, and a link may lead to either. What is asked of a
+name may be another file by the time it is opened, so the open file itself is asked. ``tests/test_opening.py`` refuses
+any other way of opening in the program.
+"""
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+from typing import Final
+
+#: More than any recording: board text of two days.
+LARGEST_FILE: Final = 2**32
+#: Opening waits for nobody, makes no terminal that of this process, and is not inherited by other programs.
+_FLAGS: Final = (
+    os.O_RDONLY
+    | getattr(os, "O_NONBLOCK", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_NOCTTY", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+_KINDS: Final = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a folder",
+}
+
+
+class UnfitFileError(OSError):
+    """A file that is not opened for what it is, or for its size; ``strerror`` says it without the name."""
+
+
+def open_foreign(path: Path, most_bytes: int = LARGEST_FILE) -> BufferedReader:
+    """Open a file of unknown origin for reading.
+
+    OSError if it cannot be opened; UnfitFileError, which is one, if it is a pipe, device, socket or folder, or has
+    more than ``most_bytes``.
+    """
+    check_regular(path)  # opening some devices does something: a tape is rewound
+    file = os.open(path, _FLAGS)
+    try:
+        status = os.fstat(file)
+        check_status(path, status)
+        if status.st_size > most_bytes:
+            raise _too_large(path, most_bytes)
+        return os.fdopen(file, "rb")
+    except BaseException:
+        os.close(file)
+        raise
+
+
+def read_foreign(path: Path, most_bytes: int) -> bytes:
+    """Return the bytes of a file of unknown origin; OSError as :func:`open_foreign`."""
+    with open_foreign(path, most_bytes) as file:
+        data = file.read(most_bytes + 1) or b""  # files of the kernel have no size, and may answer None
+    if len(data) > most_bytes:
+        raise _too_large(path, most_bytes)
+    return data
+
+
+def check_regular(path: Path) -> None:
+    """Check what a library will open by its name; OSError as :func:`open_foreign`, also without a file."""
+    check_status(path, path.stat())
+
+
+def check_status(path: Path, status: os.stat_result) -> None:
+    """Check the status of an open file. UnfitFileError if it is a pipe, device, socket or folder."""
+    kind = stat.S_IFMT(status.st_mode)
+    if kind != stat.S_IFREG:
+        what = _KINDS.get(kind, "something else")
+        raise UnfitFileError(errno.EINVAL, f"it is {what}, not a file", str(path))
+
+
+def _too_large(path: Path, most_bytes: int) -> UnfitFileError:
+    allowed = f"{most_bytes >> 20} MiB" if most_bytes >= 2**20 else f"{most_bytes} bytes"
+    return UnfitFileError(errno.EFBIG, f"it is too large: at most {allowed} are read", str(path))

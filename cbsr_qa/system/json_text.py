@@ -1,0 +1,62 @@
+"""JSON that others wrote, read without tolerance: what two programs could read differently is refused."""
+
+import json
+import math
+import re
+from itertools import accumulate
+from typing import Any, Final, NoReturn
+
+#: Levels of lists and objects; no document of ours has more than ten.
+_DEEPEST: Final = 64
+_NOT_BRACKETS: Final = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?|[^][{}"]+', re.DOTALL)
+_STEPS: Final = {"[": 1, "{": 1, "]": -1, "}": -1}
+#: Digits of a whole number; no count, seed or time has as many.
+_MOST_DIGITS: Final = 40
+_LONGEST_QUOTE: Final = 60
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text (RFC 8259); bytes are UTF-8.
+
+    ValueError, in words for its reader, if it is not JSON, an object has a key twice, a number is NaN, infinite or
+    too large, or lists and objects are nested more than 64 deep.
+    """
+    read = text if isinstance(text, str) else text.decode("utf-8-sig")
+    if _depth(read) > _DEEPEST:
+        raise ValueError(f"lists and objects are nested more than {_DEEPEST} deep")
+    return json.loads(
+        read, object_pairs_hook=_object, parse_constant=_no_constant, parse_float=_finite, parse_int=_whole
+    )
+
+
+def _depth(text: str) -> int:
+    """Return how deep lists and objects are nested; 0 where there are too few of them to matter."""
+    if text.count("[") + text.count("{") <= _DEEPEST:
+        return 0
+    return max(accumulate(_STEPS[bracket] for bracket in _NOT_BRACKETS.sub("", text)), default=0)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {twice[:_LONGEST_QUOTE]!r} appears twice in one object")
+    return content
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number in JSON")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {text[:_LONGEST_QUOTE]} is too large")
+    return value
+
+
+def _whole(text: str) -> int:
+    if len(text) > _MOST_DIGITS:
+        raise ValueError(f"the number {text[:_LONGEST_QUOTE]} is too large")
+    return int(text)
