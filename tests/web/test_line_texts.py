@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import cbsr_qa.web
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import ALTERED, EndReason, Outcome
 from cbsr_qa.web.state import Mode
 from cbsr_qa.web.texts import keys
 
@@ -16,7 +16,7 @@ def test_pages_use_the_catalogue_and_all_of_it():
     sources = [file.read_text() for file in (*_ROOM.rglob("*.py"), *_ROOM.rglob("*.j2"))]
     named = {key for source in sources for key in _KEY.findall(source)}
     asked = {key for source in sources for key in re.findall(r"""\b(?:t|text)\(["']([a-z]+\.[a-z_]+)["']""", source)}
-    kinds = {str(one).replace(" ", "_") for one in (*Outcome, EndReason.ABORTED, EndReason.BROKEN)}
+    kinds = {str(one).replace(" ", "_") for one in (*Outcome, EndReason.ABORTED, EndReason.BROKEN, ALTERED)}
     kinds |= {"none", "interrupted"}
     joined = {f"{group}.{kind}" for group in ("outcome", "todo") for kind in kinds}
     joined |= {"outcome.running", *(f"mode.{mode}" for mode in Mode)}

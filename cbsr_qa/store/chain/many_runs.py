@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from types import NoneType
 from typing import Any, Final, Self, TypeAlias
 
-from sqlalchemy import JSON, Boolean, Connection, Integer, Table, Text, cast, select, type_coerce
+from sqlalchemy import JSON, Boolean, Connection, Integer, Table, Text, and_, cast, select, type_coerce
 from sqlalchemy.orm import aliased
 from sqlalchemy.types import NullType
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store.chain.check import check_run, runs_with_a_gap
+from cbsr_qa.store.chain.check import among, check_run, runs_with_a_gap
 from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
 from cbsr_qa.store.chain.run_documents import covered
@@ -82,7 +82,8 @@ def read_rows(connection: Connection, kind: type[Base], runs: Sequence[str]) -> 
     query = select(type_coerce(owner, NullType()).label("of_run"), *(_readable(column) for column in covered(table)))
     if "run" not in table.columns:
         query = query.join(AnalysisRow, AnalysisRow.analysis == table.c.analysis)
-    rows = connection.execute(query.where(owner.in_(runs)).order_by(owner, *table.primary_key.columns)).all()
+    query = query.where(among(connection, owner, runs)).order_by(owner, *table.primary_key.columns)
+    rows = connection.execute(query).all()
     own, *cells = zip(*rows, strict=True) if rows else [()] * (len(covered(table)) + 1)
     columns = {column.name: _converted(column, some) for column, some in zip(covered(table), cells, strict=True)}
     return ReadRows(table, own, columns)
@@ -150,8 +151,11 @@ def _linked(
     columns: list[Any] = [*(getattr(link, name) for name in names), before.sha256]
     query = (
         select(*(type_coerce(column, NullType()) for column in columns))
-        .outerjoin(before, (before.run == link.run) & (before.number == link.number - 1))
-        .where(link.run.in_(chains), link.kind.in_(kinds), few_links())
+        .outerjoin(
+            before,
+            and_(before.run == link.run, before.number == link.number - 1, among(connection, before.run, chains)),
+        )
+        .where(among(connection, link.run, chains), link.kind.in_(kinds), few_links())
     )
     linked: defaultdict[str, dict[_Place, str]] = defaultdict(dict)
     doubted, key = set(), signing_key(connection)

@@ -1,0 +1,29 @@
+"""Lists on PostgreSQL: runs that follow each other are selected by a range, others by their names."""
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+from stored_lots import judged, measured, store_run
+
+from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.store import open_engine, open_store, parsed_url, writing
+
+
+@pytest.mark.rest
+@pytest.mark.postgres
+def test_many_runs_are_listed_and_the_altered_one_is_marked(postgres_database):
+    random = np.random.default_rng(1)
+    with open_store(postgres_database, durable=False) as store:
+        values = judged(measured(random, random.standard_normal(3)))
+        names = [store_run(store, f"S-{n % 2}", values) for n in range(44)]
+        assert [one.run for one in store.listed_runs() if not one.altered] == names
+        assert [one.run for one in store.listed_runs(RunSelection(serials=("S-1",))) if not one.altered] == names[
+            1::2
+        ]
+        engine = open_engine(parsed_url(postgres_database))
+        with writing(engine) as connection:
+            changed = sa.text("UPDATE analyses SET outcome = 'fail' WHERE run = :run")
+            assert connection.execute(changed, {"run": names[7]}).rowcount == 1
+        engine.dispose()
+        for selection in (RunSelection(), RunSelection(serials=("S-1",))):
+            assert [one.run for one in store.listed_runs(selection) if one.altered] == [names[7]]
