@@ -137,7 +137,7 @@ def test_a_line_in_the_middle_is_named(path):
 
 def test_a_folder_in_place_of_the_file_is_refused(path):
     path.mkdir()
-    with pytest.raises(StoreError, match="cannot be read: Is a directory"):
+    with pytest.raises(StoreError, match="cannot be read: it is a folder, not a file"):
         Kept(path)
 
 

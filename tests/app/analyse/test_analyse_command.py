@@ -192,7 +192,7 @@ def test_a_refused_document_has_all_keys_of_an_analysed_one(tmp_path, capsys):
 def test_a_missing_file_a_folder_and_an_unknown_format_are_refused(tmp_path, capsys):
     for arguments, said in (
         ((tmp_path / "none.csv",), "there is no file"),
-        ((tmp_path,), "is not a file"),
+        ((tmp_path,), "it is a folder, not a file"),
         ((BoardFile().header().save(tmp_path), "--format", "ert-board"), "no recording plugin named"),
     ):
         assert said in refused(capsys, *arguments)["refused"]["reason"]
