@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import Connection, Engine, TextClause, not_, select, text
+from sqlalchemy import Connection, Engine, TextClause, select, text
 
 from cbsr_qa.domain.results import EndReason, ResultState
 from cbsr_qa.store.engine import reading
@@ -72,8 +72,8 @@ def outdated_analyses(connection: Connection, runs: Collection[str]) -> set[str]
     """Return the analyses of some runs after which a session of their run began or ended."""
     if not runs:
         return set()
-    outdated = select(AnalysisRow.analysis).where(AnalysisRow.run.in_(runs), not_(up_to_date()))
-    return set(connection.scalars(outdated))
+    outdated = text(_OUTDATED.format(analyses=AnalysisRow.__tablename__))
+    return set(connection.scalars(select(AnalysisRow.analysis).where(AnalysisRow.run.in_(runs), outdated)))
 
 
 def result_state(engine: Engine, run: str) -> ResultState:
