@@ -6,12 +6,12 @@ import pytest
 from altered_runs import another_value, change, fill, linked_again
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome
+from cbsr_qa.domain.results import Outcome, ResultState
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import open_store
 from cbsr_qa.store.chain.links import VARIABLE
 from cbsr_qa.store.chain.run_documents import KEYS, covered
-from cbsr_qa.store.runs import latest_outcome
+from cbsr_qa.store.runs import latest_result
 from cbsr_qa.store.tables import Base
 
 KEY = "a key of twenty-two let"
@@ -217,10 +217,10 @@ def test_links_that_were_computed_again_without_the_key_are_believed_by_nobody(c
 def test_the_verdict_that_the_parent_process_reads_back_is_checked(copied):
     path, run, _ = copied
     url = f"sqlite:///{path}"
-    assert latest_outcome(url, run) is Outcome.FAIL
+    assert latest_result(url, run) == (ResultState.STORED, Outcome.FAIL)
     change(path, "update analyses set outcome = 'pass'")
     with pytest.raises(StoreError, match=f"run {run}: analyses .* was changed"):
-        latest_outcome(url, run)
+        latest_result(url, run)
 
 
 def test_changes_of_files_are_shown_without_those_of_an_altered_run(copied):
