@@ -73,6 +73,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/store/copies.py", "database.open"): (1, CHECKED),
     ("cbsr_qa/store/copies.py", "partial.open"): (2, OWN),
     ("cbsr_qa/store/copies.py", "sqlite3.connect"): (4, CHECKED),
+    ("cbsr_qa/store/chain/many_runs.py", "json.loads"): (1, DATABASE),
     ("cbsr_qa/store/runs/outcomes.py", "json.loads"): (1, DATABASE),
     (
         "cbsr_qa/studies/reproduce/reproduce.py",
@@ -86,6 +87,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/system/files.py", "os.open"): (3, CHECKED),
     ("cbsr_qa/system/foreign.py", "os.fdopen"): (1, OPENER),
     ("cbsr_qa/system/foreign.py", "os.open"): (1, OPENER),
+    ("cbsr_qa/system/reserve.py", "mmap.mmap"): (1, NOT_A_FILE),
     ("cbsr_qa/system/json_text.py", "json.loads"): (1, OPENER),
     ("cbsr_qa/system/untrusted.py", "Path('/proc/self/statm').read_text"): (1, OWN),
     ("cbsr_qa/system/untrusted.py", "os.fdopen"): (2, OWN),

@@ -19,16 +19,14 @@ from sqlalchemy import create_engine, text
 from typer.main import get_command
 
 import cbsr_qa
-from cbsr_qa.calibration.file.content import SCHEMA_VERSION
 from cbsr_qa.cli import app, commands, documents
 from cbsr_qa.config import DocumentKind, FileModel, shipped_names
-from cbsr_qa.domain.kept import tabulated
+from cbsr_qa.domain import tabulated
 from cbsr_qa.domain.plan import steps
 from cbsr_qa.domain.results import Calibration
 from cbsr_qa.plugin import hooks, instruments, interfaces
 from cbsr_qa.report import json_schema
-from cbsr_qa.store.schema import upgrade
-from cbsr_qa.studies.hard_cases.cases import all_cases
+from cbsr_qa.store import upgrade
 from cbsr_qa_plugins.registry import BUILT_IN
 
 FOLDER = Path(__file__).parent
@@ -181,10 +179,10 @@ def _plain(value: Any) -> Any:
 
 def read_names() -> Any:
     """Return names that are stored or typed, beyond those of the other subjects."""
+    cases = importlib.import_module("cbsr_qa.studies.hard_cases.cases").all_cases()
     return {
-        "hard cases": sorted(case.name for case in all_cases()),
+        "hard cases": sorted(case.name for case in cases),
         "steps": [step.__name__ for step in typing.get_args(steps.Step)],
-        "schema of calibration files": SCHEMA_VERSION,
         "shipped files": {kind.noun: shipped_names(kind) for kind in DocumentKind},
     }
 

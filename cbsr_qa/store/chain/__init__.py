@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     )
     from .many_runs import (
         RUNS_AT_ONCE as RUNS_AT_ONCE,
-        ReadRows as ReadRows,
         altered_runs as altered_runs,
         read_rows as read_rows,
     )
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
         FIGURES as FIGURES,
         JOINED as JOINED,
         KEYS as KEYS,
-        RUN_COLUMNS as RUN_COLUMNS,
         covered as covered,
         documents as documents,
         facts as facts,

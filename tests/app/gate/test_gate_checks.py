@@ -357,7 +357,7 @@ def test_what_waits_too_long_for_the_central_database_refuses(ask, merged, store
 def test_a_golden_check_that_is_not_signed_does_not_count_where_a_key_is_set(ask, store, monkeypatch):
     measured_golden(store, store_run(store, "G-1", GOOD))
     assert ask("golden").outcome is GateOutcome.PASSED
-    monkeypatch.setattr(type(store), "signs", True)
+    monkeypatch.setattr(type(store), "key_id", "k")
     answer = ask("golden")
     assert answer.outcome is not GateOutcome.PASSED
     assert "is not signed, and a signing key is set" in answer.words
