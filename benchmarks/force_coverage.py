@@ -34,7 +34,7 @@ from cbsr_qa.analysis.run import (
     run_force,
     tests_of,
 )
-from cbsr_qa.calibration.runtime import interpolated
+from cbsr_qa.calibration.runtime import interpolate
 from cbsr_qa.calibration.sheet import sheet_places
 
 Array = NDArray[np.float64]
@@ -102,8 +102,8 @@ def _map_error(seen: Observed, found: RunForce) -> Errors:
     model = found.learned.model
     places = sheet_places(model, stride=2)
     places = places[np.hypot(*places.T) <= _RADIUS_MM]
-    error = interpolated(model, model.log_response, places) - np.log(seen.response(places))
-    stated = interpolated(model, model.log_response_stderr, places)
+    error = interpolate(model, model.log_response, places) - np.log(seen.response(places))
+    stated = interpolate(model, model.log_response_stderr, places)
     return {"error_N": [float(error.std())], "stderr_N": [float(np.sqrt((stated**2).mean()))]}
 
 

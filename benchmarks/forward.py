@@ -82,7 +82,7 @@ def _forward_solve() -> Row:
     return ratio_row(
         compare(
             f"forward solve, 16 drives, {len(mesh.elements)} elements; same mesh, readings alike to {apart:.0e}",
-            ("assembled, factorised, solved", lambda: model.changed().voltages()),
+            ("assembled, factorised, solved", lambda: model.with_values().voltages()),
             ("pyEIT", lambda: theirs.solve_eit(perm=1.0)),
             repeats=_REPEATS,
         ),
@@ -100,13 +100,13 @@ def _local_updates() -> Iterator[Row]:
         elements = np.concatenate([load.elements for load in loads])
         change = np.concatenate([0.12 * load.share for load in loads])
         found = local.voltages(elements, change)  # the first frame at a place prepares it
-        apart = np.abs(found / model.changed_on(elements, change).voltages() - 1).max()
+        apart = np.abs(found / model.with_change_on(elements, change).voltages() - 1).max()
 
         def updated(elements: NDArray[np.int64] = elements, change: Array = change) -> Array:
             return local.voltages(elements, change)
 
         def again(elements: NDArray[np.int64] = elements, change: Array = change) -> Array:
-            return model.changed_on(elements, change).voltages()
+            return model.with_change_on(elements, change).voltages()
 
         yield ratio_row(
             compare(
@@ -145,7 +145,7 @@ def _orders() -> Iterator[str]:
     for contact in (1e-3, 1e-2, 0.05, 0.1, 1.0):
         found = []
         for order, sizes in families.items():
-            models = [_arc_model(order, size).changed(contact_impedance=np.full(16, contact)) for size in sizes]
+            models = [_arc_model(order, size).with_values(contact_impedance=np.full(16, contact)) for size in sizes]
             exact = models[0].readings(_exact(0.0, contact))
             found.append(convergence_order([_errors(model.voltages(), exact)[1] for model in models], sizes))
         yield f"| {contact:g} | {found[0]:.1f} | {found[1]:.1f} |"
@@ -176,7 +176,7 @@ def _loads() -> Iterator[str]:
 
 def _load_errors(local: LocalUpdate, exact_model: RoundLoadModel, place: tuple[float, float]) -> list[float]:
     model = local.model
-    loads = RoundLoads.of_contrast(np.array([place]), np.array([6.5]), np.array([0.5]))
+    loads = RoundLoads.from_contrast(np.array([place]), np.array([6.5]), np.array([0.5]))
     exact = exact_model.readings(loads).change[0][_USED]
     load = cover(model.elements, RoundFootprint(*place, 6.5))
     changes = (0.5 * load.share, load.change(model.conductance, 0.5))
@@ -191,13 +191,13 @@ def _arc_model(order: int, size: float) -> ForwardModel:
 
 
 def _unloaded(model: ForwardModel) -> Callable[[], Array]:
-    return lambda: model.changed().voltages()
+    return lambda: model.with_values().voltages()
 
 
 def _included(model: ForwardModel) -> Callable[[], Array]:
     def solve() -> Array:
         load = cover(model.elements, RoundFootprint(0.0, 0.0, 0.5))
-        return model.changed_on(load.elements, load.change(model.conductance, 2.0)).voltages()
+        return model.with_change_on(load.elements, load.change(model.conductance, 2.0)).voltages()
 
     return solve
 

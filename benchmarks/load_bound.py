@@ -76,9 +76,9 @@ def load_bound(
     NumericsError
         If the readings say nothing about one of the unknowns.
     """
-    load = RoundLoads.of_contrast(np.array([[x_mm, y_mm]]), np.array([radius_mm]), np.array([contrast]))
+    load = RoundLoads.from_contrast(np.array([[x_mm, y_mm]]), np.array([radius_mm]), np.array([contrast]))
     found = model.readings(load)
-    signal, slopes = readings.of_model(found.change)[0], readings.of_model(found.slope)[0]
+    signal, slopes = readings.merge_frames(found.change)[0], readings.merge_frames(found.slope)[0]
     free = slice(0, 3 if known else 4)
     size = np.linalg.norm(slopes[free], axis=1)
     if not (size > 0).all():

@@ -195,7 +195,7 @@ def _time() -> Row:
     """One frame, from changes to estimates, ready estimator; and many at once."""
     estimators = [estimator_of(13.0, known, 60)[0] for known in (True, False)]
     model = estimators[0].model
-    load = RoundLoads.of_contrast(np.array([[12.0, -17.0]]), np.array([6.5]), np.array([0.18]))
+    load = RoundLoads.from_contrast(np.array([[12.0, -17.0]]), np.array([6.5]), np.array([0.18]))
     changes = model.readings(load).change[:, estimators[0].readings.used]
     many = np.repeat(changes, 256, axis=0)
     one, batch = (

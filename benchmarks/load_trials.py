@@ -22,7 +22,7 @@ from cbsr_qa.eit.estimate import (
     MergedReadings,
     contrast_of,
     load_model,
-    merged_readings,
+    merge_reciprocal,
     radius_of,
 )
 from cbsr_qa.eit.forward import ForwardModel
@@ -179,13 +179,13 @@ def _score(value: Array, truth: float, bound: float, low: Array, high: Array) ->
 @lru_cache(maxsize=64)
 def estimator_of(diameter_mm: float, known: bool, decibels: int) -> tuple[LoadEstimator, MergedReadings]:
     sensor = load_sensor_type("disc-100mm").value
-    readings = merged_readings(sensor.pattern, sensor.pattern.usable(), deviation(decibels) ** 2)
+    readings = merge_reciprocal(sensor.pattern, sensor.pattern.usable(), deviation(decibels) ** 2)
     return LoadEstimator(load_model(sensor), readings, expected_radius_mm=diameter_mm / 2, known=known), readings
 
 
 @lru_cache(maxsize=8)
 def deviation(decibels: int) -> Array:
-    return 10 ** (-decibels / 20) * np.abs(load_model(load_sensor_type("disc-100mm").value).unloaded())
+    return 10 ** (-decibels / 20) * np.abs(load_model(load_sensor_type("disc-100mm").value).solve_unloaded())
 
 
 @lru_cache(maxsize=64)
@@ -201,12 +201,12 @@ def truth(diameter_mm: float, place: Place, contact_mm: float = NOMINAL_CONTACT_
     contacts = np.full(sensor.electrodes.count, contact_mm)
     plain = ForwardModel(mesh, sensor.pattern, np.ones(count), contacts, order=2)
     unloaded = plain.voltages()
-    used, nominal = sensor.pattern.usable(), load_model(sensor).unloaded()
+    used, nominal = sensor.pattern.usable(), load_model(sensor).solve_unloaded()
     scale = 1.0
     if contact_mm != NOMINAL_CONTACT_MM:
         scale = float(unloaded[used] @ nominal[used] / (nominal[used] @ nominal[used]))
     return {
-        contrast: (plain.changed(conductance=1 + contrast * inside).voltages() - unloaded) / scale
+        contrast: (plain.with_values(conductance=1 + contrast * inside).voltages() - unloaded) / scale
         for contrast in CONTRASTS
     }
 

@@ -14,11 +14,11 @@ from cbsr_qa.domain.results import Image, Region
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Indenter
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging import (
-    floored,
-    masked_blobs,
-    masked_contours,
+    find_blobs_by_mask,
+    find_contours_by_mask,
     nearest_blob,
     spatial_figures,
+    subtract_noise_floor,
     two_touch_resolution,
 )
 from cbsr_qa.eit.inverse import imaging_problem
@@ -56,8 +56,8 @@ def _bump(mesh: Mesh, x_mm: float, y_mm: float, width_mm: float) -> NDArray[np.f
 
 
 def _figures(mesh: Mesh, frame: NDArray[np.float64], floor: float, head: Footprint, *, contours: bool) -> None:
-    image = Image(mesh, floored(frame, floor))
-    found = masked_contours(image, _MASKS) if contours else masked_blobs(image, _MASKS)
+    image = Image(mesh, subtract_noise_floor(frame, floor))
+    found = find_contours_by_mask(image, _MASKS) if contours else find_blobs_by_mask(image, _MASKS)
     sensed: list[Region | None] = [nearest_blob(regions, *head.centre_mm) for regions in found]
     assert all(spatial_figures(sensed, head))
 
@@ -104,7 +104,7 @@ def _mask_rows(size_mm: float) -> Iterator[Row]:
         for away in random.uniform(-1.5, 1.5, (10, 2)):
             x, y = x_mm + float(away[0]), y_mm + float(away[1])
             image, head = Image(mesh, _bump(mesh, x, y, width_mm)), RoundFootprint(x, y, _RADIUS_MM)
-            for name, find in (("contours", masked_contours), ("whole elements", masked_blobs)):
+            for name, find in (("contours", find_contours_by_mask), ("whole elements", find_blobs_by_mask)):
                 (found,) = spatial_figures([nearest_blob(find(image, (0.85,))[0], x, y)], head)
                 assert found is not None
                 scores[name].append((found.error_mm, found.overlap_percent, found.deviation_mm2))

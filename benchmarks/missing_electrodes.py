@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.estimate import LoadEstimator, load_model, merged_readings
+from cbsr_qa.eit.estimate import LoadEstimator, load_model, merge_reciprocal
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 
 _LOADS, _WAYS, _MOST = 150, 4, 8
@@ -39,9 +39,9 @@ def main() -> None:
     random = np.random.default_rng([*b"missing"])
     angle, far = random.uniform(0, 2 * np.pi, _LOADS), _FURTHEST_MM * np.sqrt(random.uniform(size=_LOADS))
     place_mm = np.column_stack([far * np.cos(angle), far * np.sin(angle)])
-    loads = RoundLoads.of_contrast(place_mm, np.full(_LOADS, _HEAD_RADIUS_MM), np.full(_LOADS, _CONTRAST))
+    loads = RoundLoads.from_contrast(place_mm, np.full(_LOADS, _HEAD_RADIUS_MM), np.full(_LOADS, _CONTRAST))
     changes = model.readings(loads).change
-    sigma = _NOISE * float(np.abs(model.unloaded()[model.pattern.usable()]).max())
+    sigma = _NOISE * float(np.abs(model.solve_unloaded()[model.pattern.usable()]).max())
     changes = changes + sigma * random.normal(size=changes.shape)
     print("missing  readings     mean error [mm]   68 %   95 %   loads")
     for count in range(_MOST + 1):
@@ -62,7 +62,7 @@ def _located(
     if pattern.too_few_readings(used) is not None:
         return None
     try:
-        readings = merged_readings(pattern, used, np.full(pattern.shape, sigma**2))
+        readings = merge_reciprocal(pattern, used, np.full(pattern.shape, sigma**2))
         estimate = LoadEstimator(model, readings, expected_radius_mm=_HEAD_RADIUS_MM, known=True)
     except NumericsError:
         return None

@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from cbsr_qa.domain import Array, Indices, Mask, RefusedError
 from cbsr_qa.domain.sensor import CircleArcs, ElectrodeLayout, Mesh
-from cbsr_qa.eit.forward import ConcentricSheet, grounded
+from cbsr_qa.eit.forward import ConcentricSheet, project_to_ground
 
 _CLOSE: Final = 0.6  # nodes nearer to the circle than this share of the local edge length make way for its own
 _DENSE: Final = 4000  # points the local edge length is looked up at
@@ -73,7 +73,7 @@ def pin_transfer_impedance(
     system = potential / conductance_S + contact_impedance * (np.eye(len(place)) / 2 + flux)
     density = np.linalg.solve(system, rim)  # σ for one volt on each pin in turn
     admittance = weight * rim.T @ density
-    return grounded(np.linalg.inv(admittance))
+    return project_to_ground(np.linalg.inv(admittance))
 
 
 def _free_space(place: Array, normal: Array, count: int, pin: float) -> tuple[Array, Array]:

@@ -71,7 +71,7 @@ class Sheet:
         elements = self._elements
         # The change alone: mesh and expansion do not share their unloaded readings to the last digits of a change.
         change = (elements.voltages(changes) - elements.unloaded) * elements.conductance_S
-        noisy: Array = setting().model.unloaded() + change + NOISE * self.random.standard_normal(change.shape)
+        noisy: Array = setting().model.solve_unloaded() + change + NOISE * self.random.standard_normal(change.shape)
         return noisy
 
     def loads(self, distance_mm: float, count: int) -> Iterator[tuple[Array, Array]]:

@@ -109,7 +109,7 @@ def _frame() -> Row:
     def factorised(changed: dict[LoadFamily, float]) -> Array:
         elements = np.concatenate([family.elements for family in changed])
         change = np.concatenate([family.change(strength) for family, strength in changed.items()])
-        return sheet.unit_model.changed_on(elements, change).voltages() / sheet.conductance_S
+        return sheet.unit_model.with_change_on(elements, change).voltages() / sheet.conductance_S
 
     def tabulated(changed: dict[LoadFamily, float]) -> Array:
         places = dict(zip(NINE_LOCATIONS_MM, changed.values(), strict=True))

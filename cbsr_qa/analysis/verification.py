@@ -136,10 +136,10 @@ class _Reader:
             return None
         held = phase.frames.between(record.hold_start_s, record.release_start_s)
         before = load_window(phase, record, self._run.settings).before
-        matches = self._calibration.filter.at(self._rows(held.voltages), place)
+        matches = self._calibration.filter.match_at(self._rows(held.voltages), place)
         if not np.isfinite(matches.strength).all():
             return None
-        left = self._calibration.filter.at(self._rows(before.voltages), place).strength
+        left = self._calibration.filter.match_at(self._rows(before.voltages), place).strength
         base = model.residue_share * float(left.mean()) if len(left) else 0.0
         strength, stderr = self._held(held.time_s - record.hold_start_s, matches, base, load)
         match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))

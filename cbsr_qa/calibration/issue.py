@@ -5,9 +5,15 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamped
-from cbsr_qa.calibration.fits import restricted_mean
-from cbsr_qa.calibration.force import LearnedForce, force_reductions, reading_reductions, tried_beyond, unmeasured
+from cbsr_qa.calibration.file import stamp
+from cbsr_qa.calibration.fits import estimate_restricted_mean
+from cbsr_qa.calibration.force import (
+    LearnedForce,
+    force_reductions,
+    list_missing_forces,
+    list_untrained_ranges,
+    reading_reductions,
+)
 from cbsr_qa.calibration.sheet import baseline_conductance, load_baseline
 from cbsr_qa.domain import CalibrationError, as_filed, taken
 from cbsr_qa.domain.results import (
@@ -70,15 +76,15 @@ def issue_calibration(
     against_stress = material.against_stress if learned is None else learned.line
     baseline, used = _baseline(observation, loads, against_stress)
     why = "" if learned else no_force or "no force model was requested"
-    reduced = [*_left_out(baseline), *unmeasured(loads)]
+    reduced = [*_list_left_out(baseline), *list_missing_forces(loads)]
     if learned is None:
         reduced.append(f"no force model: {why}")
     else:
         used = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
-        reduced += [*force_reductions(learned, learned_from), *tried_beyond(used, confirmed)]
+        reduced += [*force_reductions(learned, learned_from), *list_untrained_ranges(used, confirmed)]
     reduced += reading_reductions(observation.record.sensor_type.pattern, observation.usable)
     relaxations = tuple(_relaxations(observation.tested))
-    return stamped(
+    return stamp(
         Calibration(
             **taken(Calibration, observation),
             calibration=calibration,
@@ -88,7 +94,7 @@ def issue_calibration(
             baseline=baseline,
             against_stress=against_stress,
             against_strain=material.against_strain,
-            assumed=_assumed(learned),
+            assumed=_list_assumed(learned),
             settling=summarise_settling(relaxations),
             overlap_threshold=overlap_threshold,
             validity=_validity(observation, [*used, *confirmed], reduced),
@@ -135,7 +141,7 @@ def _summary(signal: str, loading: bool, members: Sequence[LoadRelaxation]) -> S
     timed = [m.settling for m in members if m.settling.value_s is not None]
     times = [t.value_s for t in timed if t.value_s is not None]
     censored = [t.censored for t in timed]
-    mean, deviation = restricted_mean(times, censored) if times else (None, None)
+    mean, deviation = estimate_restricted_mean(times, censored) if times else (None, None)
     return SettlingSummary(
         signal, loading, mean, deviation, len(timed) - sum(censored), sum(censored), len(members) - len(timed)
     )
@@ -185,7 +191,7 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
             )
 
 
-def _assumed(learned: LearnedForce | None) -> tuple[str, ...]:
+def _list_assumed(learned: LearnedForce | None) -> tuple[str, ...]:
     fitted = learned is not None and learned.fitted_intercept
     return ("α against stress", *(() if fitted else ("β against stress",)), "α against strain", "β against strain")
 
@@ -212,7 +218,7 @@ def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
     return float(joined.min()), float(joined.max())
 
 
-def _left_out(baseline: Sequence[BaselineConductance]) -> Iterator[str]:
+def _list_left_out(baseline: Sequence[BaselineConductance]) -> Iterator[str]:
     for place in baseline:
         if place.value is None:
             yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"

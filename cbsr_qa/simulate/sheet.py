@@ -11,7 +11,7 @@ import numpy as np
 from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.sensor import PlacedElectrodes, SensorType
-from cbsr_qa.eit.forward import Cover, ForwardModel, NestedCover, cover, nested_cover
+from cbsr_qa.eit.forward import Cover, ForwardModel, NestedCover, cover, cover_by_nested_outlines
 from cbsr_qa.eit.loads import LoadedSheet, LoadFamily
 from cbsr_qa.eit.mesh import sheet_mesh
 
@@ -140,7 +140,7 @@ class SimulatedSheet:
             weight = rings[0].weight
         else:
             sizes, weights = np.array([(ring.size / rings[0].size, ring.weight) for ring in rings]).T
-            covered, weight = nested_cover(elements, largest, place, sizes, weights), 1.0
+            covered, weight = cover_by_nested_outlines(elements, largest, place, sizes, weights), 1.0
         if not covered.elements.size:
             raise RefusedError(
                 f"a head of radius {head.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         Prediction as Prediction,
         count_needed as count_needed,
         one_sided_factor as one_sided_factor,
-        predicted as predicted,
+        predict as predict,
         two_sided_factor as two_sided_factor,
     )
     from .nelson import MOST as MOST, Rule as Rule, d2_d3 as d2_d3
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
         Yield as Yield,
         capability as capability,
         capability_of_extremes as capability_of_extremes,
-        passed_share as passed_share,
+        pass_rate as pass_rate,
     )
     from .robust import brunner_munzel as brunner_munzel, shift as shift
     from .samples import (

@@ -20,7 +20,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.nelson import ALL_RULES, Rule, d2_d3, nelson
-from cbsr_qa.stats.samples import centred, constant, sample
+from cbsr_qa.stats.samples import constant, sample, subtract_mean
 
 #: Name of the moving-range signal; Nelson's tests do not apply to such charts.
 OUTSIDE = "beyond the limit"
@@ -80,9 +80,9 @@ class Chart:
     @property
     def in_control(self) -> bool:
         """Whether no point of phase II gives a signal (of all points, if all are reference)."""
-        return not (self.of_phase(Phase.MONITORED) if self.reference < len(self.points) else self.signals)
+        return not (self.signals_in_phase(Phase.MONITORED) if self.reference < len(self.points) else self.signals)
 
-    def of_phase(self, phase: Phase) -> tuple[Signal, ...]:
+    def signals_in_phase(self, phase: Phase) -> tuple[Signal, ...]:
         """Return the signals of one phase; those of phase I cast doubt on the limits themselves."""
         return tuple(signal for signal in self.signals if signal.phase is phase)
 
@@ -108,7 +108,7 @@ def individuals(
     """
     array = sample(values, what)
     standard, count = _standard(array, reference, what)
-    return _judged("individuals", array, standard.mean, standard.deviation, standard.deviation, count, rules)
+    return _apply_rules("individuals", array, standard.mean, standard.deviation, standard.deviation, count, rules)
 
 
 def moving_range(values: Iterable[float], *, reference: Reference = None) -> Chart:
@@ -146,11 +146,11 @@ def means_and_ranges(
     if isinstance(reference, Standard):
         standard, count = reference, 0
     else:
-        count = _counted(reference, len(table), 1, what)
-        standard = Standard(centred(means[:count])[0], float(ranges[:count].mean()) / d2)
+        count = _reference_count(reference, len(table), 1, what)
+        standard = Standard(subtract_mean(means[:count])[0], float(ranges[:count].mean()) / d2)
     _check_deviation(standard.deviation, what)
     error = standard.deviation / sqrt(sizes[0])
-    chart = _judged("means", means, standard.mean, error, standard.deviation, count, rules)
+    chart = _apply_rules("means", means, standard.mean, error, standard.deviation, count, rules)
     return chart, _ranges("ranges", ranges, sizes[0], standard.deviation, count)
 
 
@@ -174,7 +174,7 @@ def ewma(values: Iterable[float], *, weight: float = 0.2, width: float = 3.0, re
         points[part] = list(steps)[1:]
         age[part] = np.arange(1, len(array[part]) + 1)
     half = width * standard.deviation * np.sqrt(weight / (2 - weight) * (1 - (1 - weight) ** (2 * age)))
-    return _bounded("EWMA", points, standard, standard.mean - half, standard.mean + half, count)
+    return _apply_limits("EWMA", points, standard, standard.mean - half, standard.mean + half, count)
 
 
 def cusum(
@@ -200,8 +200,8 @@ def cusum(
     above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
     limit, zero = np.full(len(array), threshold * standard.deviation), np.zeros(len(array))
     centre = Standard(0.0, standard.deviation)
-    upper = _bounded(f"{SUM} above", above, centre, zero, limit, count)
-    return upper, _bounded(f"{SUM} below", -below, centre, -limit, zero, count)
+    upper = _apply_limits(f"{SUM} above", above, centre, zero, limit, count)
+    return upper, _apply_limits(f"{SUM} below", -below, centre, -limit, zero, count)
 
 
 def _sums(away: Array, slack: float, reference: int) -> Array:
@@ -221,14 +221,14 @@ def _standard(array: Array, reference: Reference, what: str) -> tuple[Standard, 
     if isinstance(reference, Standard):
         _check_deviation(reference.deviation, what)
         return reference, 0
-    count = _counted(reference, len(array), 2, what)
+    count = _reference_count(reference, len(array), 2, what)
     period = array[:count]
     if constant(period):
         raise NumericsError(f"{what}: all {count} values of the reference period are {period[0]:.6g}: no spread")
-    return Standard(centred(period)[0], float(np.abs(np.diff(period)).mean()) / d2_d3(2)[0]), count
+    return Standard(subtract_mean(period)[0], float(np.abs(np.diff(period)).mean()) / d2_d3(2)[0]), count
 
 
-def _counted(reference: int | None, count: int, least: int, what: str) -> int:
+def _reference_count(reference: int | None, count: int, least: int, what: str) -> int:
     period = count if reference is None else reference
     if not least <= period <= count:
         raise NumericsError(f"{what}: reference period is {period} points; allowed are {least} to {count}")
@@ -240,7 +240,7 @@ def _check_deviation(deviation: float, what: str) -> None:
         raise NumericsError(f"{what}: deviation is {deviation:g}; limits need a positive one")
 
 
-def _judged(
+def _apply_rules(
     name: str, points: Array, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
 ) -> Chart:
     found = nelson((points - centre) / error, rules)
@@ -254,10 +254,10 @@ def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -
     d2, d3 = d2_d3(size)
     lower = np.full(len(ranges), max(d2 - 3 * d3, 0.0) * deviation)
     upper = np.full(len(ranges), (d2 + 3 * d3) * deviation)
-    return _bounded(name, ranges, Standard(d2 * deviation, deviation), lower, upper, count)
+    return _apply_limits(name, ranges, Standard(d2 * deviation, deviation), lower, upper, count)
 
 
-def _bounded(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
+def _apply_limits(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
     outside = np.flatnonzero((points < lower) | (points > upper))
     signals = tuple(Signal(OUTSIDE, int(index), _phase(int(index), count)) for index in outside)
     return Chart(name, points, standard.mean, lower, upper, standard.deviation, count, signals)

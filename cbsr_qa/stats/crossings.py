@@ -51,15 +51,18 @@ class Crossing:
     def parts(self) -> tuple[Part, ...]:
         """The connected parts; a difference between two of them is confounded with their stations."""
         return tuple(
-            Part(_of_part(self.groups, self.group_parts, part), _of_part(self.stations, self.station_parts, part))
+            Part(
+                _names_in_part(self.groups, self.group_parts, part),
+                _names_in_part(self.stations, self.station_parts, part),
+            )
             for part in range(int(self.group_parts.max()) + 1)
         )
 
-    def only(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
+    def select_runs(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
         """Return the design of a subset of the runs, e.g. of those with a metric."""
         names = self.groups, self.stations, self.sensors
         codes = (column[runs] for column in (self.group, self.station, self.sensor))
-        return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
+        return _crossing([_drop_unused(name, code) for name, code in zip(names, codes, strict=True)])
 
     def first_runs(self) -> IntArray:
         return np.unique(self.sensor, return_index=True)[1]
@@ -74,9 +77,9 @@ class Crossing:
         places = np.concatenate([self.group, len(self.groups) + self.station])
         rows = np.tile(np.arange(runs), 2)
         matrix = sparse.coo_array((np.ones(2 * runs), (rows, places)), shape=(runs, width))
-        return matrix.tocsc()[:, np.flatnonzero(self.kept())].tocsr()
+        return matrix.tocsc()[:, np.flatnonzero(self.independent_columns())].tocsr()
 
-    def kept(self) -> NDArray[np.bool_]:
+    def independent_columns(self) -> NDArray[np.bool_]:
         """Return which columns of groups and stations the model matrix has."""
         firsts = np.unique(self.station_parts, return_index=True)[1]
         kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
@@ -95,9 +98,9 @@ class Crossing:
         if one != two:
             parts = self.parts
             raise NumericsError(
-                f"{first} and {second} cannot be compared: {_listed(parts[one].groups)} ran on "
-                f"{_listed(parts[one].stations)} only and {_listed(parts[two].groups)} on "
-                f"{_listed(parts[two].stations)} only, so stations may cause the difference",
+                f"{first} and {second} cannot be compared: {_list_names(parts[one].groups)} ran on "
+                f"{_list_names(parts[one].stations)} only and {_list_names(parts[two].groups)} on "
+                f"{_list_names(parts[two].stations)} only, so stations may cause the difference",
                 remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
             )
 
@@ -105,7 +108,7 @@ class Crossing:
         """Return the index of a ``"group"`` or ``"station"``; NumericsError if unknown."""
         names = self.groups if kind == "group" else self.stations
         if name not in names:
-            raise NumericsError(f"no used run has {kind} {name!r}; used are {_listed(names)}")
+            raise NumericsError(f"no used run has {kind} {name!r}; used are {_list_names(names)}")
         return names.index(name)
 
 
@@ -130,16 +133,16 @@ def crossing(groups: Sequence[str], stations: Sequence[str], sensors: Sequence[s
         if not all(column):
             run = next(index for index, name in enumerate(column) if not name)
             raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and report it")
-    return _crossing([_coded(column) for column in columns.values()])
+    return _crossing([_code_names(column) for column in columns.values()])
 
 
-def _coded(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
+def _code_names(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
     names = sorted(set(column))
     places = {name: index for index, name in enumerate(names)}
     return tuple(names), np.array([places[name] for name in column], dtype=np.intp)
 
 
-def _used(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
+def _drop_unused(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
     used, inverse = np.unique(codes, return_inverse=True)
     return tuple(names[index] for index in used), inverse.astype(np.intp)
 
@@ -154,10 +157,10 @@ def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
     return Crossing(groups, stations, sensors, group, station, sensor, labels[: len(groups)], labels[len(groups) :])
 
 
-def _of_part(names: tuple[str, ...], parts: IntArray, part: int) -> tuple[str, ...]:
+def _names_in_part(names: tuple[str, ...], parts: IntArray, part: int) -> tuple[str, ...]:
     return tuple(names[index] for index in np.flatnonzero(parts == part))
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     shown = ", ".join(names[:5])
     return f"{shown} and {len(names) - 5} more" if len(names) > 5 else shown

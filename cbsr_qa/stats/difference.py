@@ -80,7 +80,7 @@ class Contrast(Judged):
         return Equivalence(margin, worst, self.interval(1 - 2 * level), worst <= level)
 
 
-def checked(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
+def make_contrast(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
     """Return a contrast; NumericsError without a positive finite standard error or degrees of freedom."""
     if not (isfinite(value) and 0 < standard_error < inf and freedom > 0):
         raise NumericsError(
@@ -116,7 +116,7 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
     variance = sum(part for part, _ in parts)
     # Relative to the whole, so that squares of tiny variances do not vanish.
     freedom = 1 / sum((part / variance) ** 2 / free for part, free in parts)
-    return checked(one.mean - two.mean, sqrt(variance), freedom, _title(names))
+    return make_contrast(one.mean - two.mean, sqrt(variance), freedom, _title(names))
 
 
 def hedges(
@@ -140,7 +140,7 @@ def hedges(
     share(confidence, "confidence")
     freedom, tail = one.count + two.count - 2, (1 - confidence) / 2
     root = sqrt(one.count * two.count / (one.count + two.count))
-    size = (one.mean - two.mean) / pooled_deviation(one, two)
+    size = (one.mean - two.mean) / pool_deviations(one, two)
     low, high = (noncentrality(size * root, freedom, below) / root for below in (1 - tail, tail))
     return EffectSize(unbiasing(freedom) * size, Interval(low, high, confidence))
 
@@ -150,7 +150,7 @@ def unbiasing(freedom: float) -> float:
     return exp(lgamma(freedom / 2) - lgamma((freedom - 1) / 2) - 0.5 * log(freedom / 2))
 
 
-def pooled_deviation(first: Summary, two: Summary) -> float:
+def pool_deviations(first: Summary, two: Summary) -> float:
     """Return s_p = √(Σ (n_g − 1) s_g² / (n₁ + n₂ − 2))."""
     squares = sum((group.count - 1) * _deviation(group) ** 2 for group in (first, two))
     return sqrt(squares / (first.count + two.count - 2))

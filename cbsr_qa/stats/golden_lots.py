@@ -194,9 +194,9 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
         if why := _nothing_to_go_by(runs):
             return LotLimits(why=why)
-    looked_at = _looked_at(smallest, ask.distribution)
-    lower = _bound(smallest, looked_at, values, ask, -1) if ask.lower else None
-    upper = _bound(largest, looked_at, values, ask, +1) if ask.upper else None
+    looked_at = _distributions_to_try(smallest, ask.distribution)
+    lower = _find_bound(smallest, looked_at, values, ask, -1) if ask.lower else None
+    upper = _find_bound(largest, looked_at, values, ask, +1) if ask.upper else None
     out = _all_far_out(smallest, largest, (lower, upper))
     refused = next((side for side in (lower, upper) if isinstance(side, str)), "")
     if refused:
@@ -219,7 +219,7 @@ def _nothing_to_go_by(runs: Runs) -> str:
     return ""
 
 
-def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
+def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
     """Return the widest bound of the distributions that are not rejected, or the reason for none."""
     candidates: list[Bound] = []
     fits: list[Fit] = []
@@ -237,13 +237,13 @@ def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: As
                 candidates.append(Bound(limit, distribution, independent, (), scale, parts, factor))
                 break
     if not candidates:
-        return _ordered(runs, ask, sign, fits)
+        return _order_statistic_bound(runs, ask, sign, fits)
     *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
     others = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
-    return _rounded(replace(widest, tests=tuple(fits), narrower=others), runs)
+    return _round_bound(replace(widest, tests=tuple(fits), narrower=others), runs)
 
 
-def _looked_at(smallest: Runs, wanted: Distribution | None) -> tuple[Distribution, ...]:
+def _distributions_to_try(smallest: Runs, wanted: Distribution | None) -> tuple[Distribution, ...]:
     """Return the distributions to try: a quantity that can be negative is not log-normal."""
     positive = min(min(sensor) for sensor in smallest) > 0
     both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
@@ -252,13 +252,13 @@ def _looked_at(smallest: Runs, wanted: Distribution | None) -> tuple[Distributio
 
 def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:
     if ask.sides == 1:
-        return parts.bound_factor(ask.coverage, ask.confidence, independent)
+        return parts.quantile_factor(ask.coverage, ask.confidence, independent)
     if values == 1:
         return parts.interval_factor(ask.coverage, ask.confidence)
-    return parts.bound_factor((1 + ask.coverage) / 2, (1 + ask.confidence) / 2, independent)
+    return parts.quantile_factor((1 + ask.coverage) / 2, (1 + ask.confidence) / 2, independent)
 
 
-def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
+def _order_statistic_bound(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
     """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
     outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
@@ -267,7 +267,7 @@ def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
         return f"{_why_ordered(fits)}distribution-free limits need {needed} sensors; there are {len(worst)}"
     scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
     parts = components([[sign * x for x in sensor] for sensor in runs])
-    return _rounded(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
+    return _round_bound(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
 
 
 def _why_ordered(fits: list[Fit]) -> str:
@@ -279,7 +279,7 @@ def _why_ordered(fits: list[Fit]) -> str:
     return f"the values are not {refuted}, and " if refuted else ""
 
 
-def _rounded(bound: Bound, runs: Runs) -> Bound:
+def _round_bound(bound: Bound, runs: Runs) -> Bound:
     raw = components(runs)
     limit = outward(bound.limit, raw.mean, bound.scale.sign)
     return replace(bound, limit=limit, worst_mean=raw.mean, worst_deviation=raw.deviation)

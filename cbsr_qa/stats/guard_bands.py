@@ -45,13 +45,13 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
     """
     accepted_to = limit - guard
 
-    def accepted(true: Array) -> Array:
+    def acceptance_probability(true: Array) -> Array:
         return special.ndtr((accepted_to - true) / uncertainty)
 
     bad, bad_weights = _panel(limit, limit + _REACH * uncertainty)
     good, good_weights = _panel(accepted_to - _REACH * uncertainty, limit)
-    consumer = float(np.sum(bad_weights * accepted(bad) * density(bad)))
-    producer = float(np.sum(good_weights * (1 - accepted(good)) * density(good)))
+    consumer = float(np.sum(bad_weights * acceptance_probability(bad) * density(bad)))
+    producer = float(np.sum(good_weights * (1 - acceptance_probability(good)) * density(good)))
     return Risks(consumer, producer)
 
 

@@ -45,7 +45,7 @@ def noncentrality(t: float, freedom: float, below: float) -> float:
 
     def excess(delta: float) -> float:
         share = float(special.nctdtr(freedom, delta, t))
-        return (integrated(t, freedom, delta) if isnan(share) else share) - below
+        return (integrate_noncentral_t(t, freedom, delta) if isnan(share) else share) - below
 
     step = 5 + t
     low, high = t - step, t + step
@@ -56,7 +56,7 @@ def noncentrality(t: float, freedom: float, below: float) -> float:
     return float(optimize.brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
 
 
-def integrated(t: float, freedom: float, delta: float) -> float:
+def integrate_noncentral_t(t: float, freedom: float, delta: float) -> float:
     """Return P(T ≤ t) by integrating Φ(t s − δ) over s = √(χ²/ν).
 
     It is slower than scipy's series, which gives no number for some large ν and |δ|.
@@ -106,7 +106,7 @@ def two_sided_factor(coverage: float, confidence: float, mean_size: float, freed
     """
 
     def shortfall(k: float) -> float:
-        return _held(k, coverage, mean_size, freedom) - confidence
+        return _enclosed_probability(k, coverage, mean_size, freedom) - confidence
 
     start = float(stats.norm.ppf((1 + coverage) / 2))
     low, high = start * 0.5, start * 2
@@ -115,7 +115,7 @@ def two_sided_factor(coverage: float, confidence: float, mean_size: float, freed
     return float(optimize.brentq(shortfall, low, high, xtol=1e-9))
 
 
-def _held(k: float, coverage: float, mean_size: float, freedom: float) -> float:
+def _enclosed_probability(k: float, coverage: float, mean_size: float, freedom: float) -> float:
     """Probability that mean ± k s holds the share: E over the mean's error z/√n of P(χ²_f ≥ f r(z)² / k²)."""
     z = 0.5 * _FAR * (_NODES_TOLERANCE + 1)
     radius2 = stats.ncx2.ppf(coverage, 1, z**2 / mean_size)
@@ -167,7 +167,7 @@ class Prediction:
         return self.low <= value <= self.high
 
 
-def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
+def predict(values: Sequence[float], *, confidence: float) -> Prediction:
     """Predict one further value of the normal population of a sample of at least three independent values.
 
     NumericsError if there are fewer than three, one is not finite, or the confidence is not between 0 and 1.

@@ -24,7 +24,7 @@ from scipy import stats
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.intervals import noncentrality
-from cbsr_qa.stats.samples import Interval, centred, constant, sample, share
+from cbsr_qa.stats.samples import Interval, constant, sample, share, subtract_mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def capability(
     arrays = [sample(values, f"{what}, subgroup {index + 1}") for index, values in enumerate(groups)]
     every = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
     within, overall = _within(arrays, what), _within([every], what)
-    mean, _ = centred(every)
+    mean, _ = subtract_mean(every)
     limits = mean, lower, upper, confidence
     return Capability(
         count=len(every),
@@ -137,7 +137,7 @@ def capability_of_extremes(
     for groups, which in ((least, "least"), (greatest, "greatest")):
         arrays = [sample(values, f"{what}, {which} of subgroup {index + 1}") for index, values in enumerate(groups)]
         every = sample(np.concatenate(arrays) if arrays else (), f"{what}, {which}", least=2, spread=True)
-        sides.append((centred(every)[0], _within(arrays, what), _within([every], what)))
+        sides.append((subtract_mean(every)[0], _within(arrays, what), _within([every], what)))
     (low_mean, *low), (high_mean, *high) = sides
     apart = np.concatenate([np.asarray(list(group), float) for group in greatest])
     apart = apart - np.concatenate([np.asarray(list(group), float) for group in least])
@@ -163,7 +163,7 @@ def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
         raise NumericsError(f"{what}: every subgroup has one value", remedy="give all values as one subgroup")
     if all(constant(array) for array in arrays):
         raise NumericsError(f"{what}: values within the subgroups do not differ: there is no short-term spread")
-    squares = fsum(square for array in arrays for square in centred(array)[1] ** 2)
+    squares = fsum(square for array in arrays for square in subtract_mean(array)[1] ** 2)
     return _Spread(sqrt(squares / freedom), freedom, count)
 
 
@@ -228,7 +228,7 @@ class Yield:
     wilson: Interval
 
 
-def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
+def pass_rate(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
     """Return the share that passed.
 
     Raises

@@ -25,7 +25,7 @@ _MOST_MADE = 1_000_000
 _FEW_MADE = 50_000
 
 
-def ordered_differences(x: Array, y: Array, ranks: Sequence[int]) -> list[float]:
+def differences_of_rank(x: Array, y: Array, ranks: Sequence[int]) -> list[float]:
     """Return the differences of the given ranks.
 
     Parameters
@@ -41,18 +41,18 @@ def ordered_differences(x: Array, y: Array, ranks: Sequence[int]) -> list[float]
     value + y, as used in counting, decides on which side of the value a difference lies.
     """
     if len(x) * len(y) <= _MOST_MADE:
-        return _of_ranks(np.subtract.outer(x, y).ravel(), ranks)
+        return _order_statistics(np.subtract.outer(x, y).ravel(), ranks)
     x, y = np.sort(x), np.sort(y)
-    return [_by_counting(x, y, rank) for rank in ranks]
+    return [_select_by_counting(x, y, rank) for rank in ranks]
 
 
-def _of_ranks(values: Array, ranks: Sequence[int]) -> list[float]:
+def _order_statistics(values: Array, ranks: Sequence[int]) -> list[float]:
     places = [rank - 1 for rank in ranks]
     ordered = np.partition(values, sorted(set(places)))
     return [float(ordered[place]) for place in places]
 
 
-def _by_counting(x: Array, y: Array, rank: int) -> float:
+def _select_by_counting(x: Array, y: Array, rank: int) -> float:
     """Narrow down a rank: ``below`` differences are up to ``low``, and ``upto`` ≥ rank up to ``high``."""
     low, high = np.nextafter(x[0] - y[-1], -np.inf), x[-1] - y[0]
     first, last = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
@@ -69,10 +69,10 @@ def _by_counting(x: Array, y: Array, rank: int) -> float:
             high, last = middle, counts
         else:
             low, first = middle, counts
-    return _of_ranks(_between(x, y, first, last), [rank - int(first.sum())])[0]
+    return _order_statistics(_differences_between(x, y, first, last), [rank - int(first.sum())])[0]
 
 
-def _between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
+def _differences_between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
     """Differences of each y and the sorted x from ``first`` up to ``last``."""
     many = last - first
     which = np.repeat(np.arange(len(y)), many)
@@ -143,13 +143,13 @@ def shift(
     statistic = float(ranks[: len(x)].sum()) - len(x) * (len(x) + 1) / 2
     exact = pairs <= MOST_COUNTED and len(np.unique(every)) == len(every)
     spread = _deviation_of_u(every, len(x), len(y))
-    p_value = _counted(statistic, len(x), len(y)) if exact else _approximate(statistic, pairs, spread)
+    p_value = _exact_p_value(statistic, len(x), len(y)) if exact else _approximate(statistic, pairs, spread)
     rank = _critical(len(x), len(y), confidence) if exact else _normal_critical(pairs, spread, confidence)
     interval = None
     if rank >= 1:
-        low, high = ordered_differences(x, y, (rank, pairs + 1 - rank))
+        low, high = differences_of_rank(x, y, (rank, pairs + 1 - rank))
         interval = Interval(low, high, confidence)
-    middle = ordered_differences(x, y, ((pairs + 1) // 2, pairs // 2 + 1))
+    middle = differences_of_rank(x, y, ((pairs + 1) // 2, pairs // 2 + 1))
     return Shift(0.5 * (middle[0] + middle[1]), interval, statistic, p_value, exact)
 
 
@@ -205,7 +205,7 @@ def _shares_up_to(first: int, second: int) -> Array:
     return shares
 
 
-def _counted(statistic: float, first: int, second: int) -> float:
+def _exact_p_value(statistic: float, first: int, second: int) -> float:
     smaller = min(statistic, first * second - statistic)
     return float(min(2 * _shares_up_to(first, second)[int(smaller)], 1.0))
 

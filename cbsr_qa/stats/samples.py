@@ -42,7 +42,7 @@ class Interval:
         """Return whether a value lies inside, ends included."""
         return self.low <= value <= self.high
 
-    def scaled(self, factor: float, shift: float = 0.0) -> "Interval":
+    def scale(self, factor: float, shift: float = 0.0) -> "Interval":
         """Return the interval of ``factor`` × value + ``shift``."""
         ends = sorted((factor * self.low + shift, factor * self.high + shift))
         return Interval(ends[0], ends[1], self.confidence)
@@ -170,7 +170,7 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
         No values, or missing, infinite or too large ones.
     """
     array = sample(values, what)
-    mean, rest = centred(array)
+    mean, rest = subtract_mean(array)
     if len(array) == 1:
         return Summary(1, mean, None, None)
     if constant(array):
@@ -183,7 +183,7 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
     return Summary(len(array), mean, deviation, lagged)
 
 
-def centred(array: Array) -> tuple[float, Array]:
+def subtract_mean(array: Array) -> tuple[float, Array]:
     """Return the mean of (n,) values and the deviations from it, corrected for the mean's rounding."""
     near = fsum(array) / len(array)
     away = array - near
@@ -209,7 +209,7 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
     upper = count + 1 - largest_rank(count, 1 - below, tail)
     fits = lower >= 1 and upper <= count
     interval = Interval(float(array[lower - 1]), float(array[upper - 1]), confidence) if fits else None
-    return Quantile(below, float(np.quantile(array, below)), interval, _needed(below, tail))
+    return Quantile(below, float(np.quantile(array, below)), interval, _values_needed(below, tail))
 
 
 @lru_cache(maxsize=1024)  # many metrics have equally many values
@@ -227,7 +227,7 @@ def largest_rank(count: int, below: float, tail: float) -> int:
     return rank
 
 
-def _needed(below: float, tail: float) -> int:
+def _values_needed(below: float, tail: float) -> int:
     """Values needed for smallest and largest to enclose the quantile: (larger side's share)^n ≤ tail."""
     rarer = min(below, 1 - below)
     count = ceil(log(tail) / log(1 - rarer))

@@ -9,7 +9,7 @@ from scipy import stats
 
 from cbsr_qa.domain import Array
 from cbsr_qa.stats.intervals import factor_of_quantile, two_sided_factor
-from cbsr_qa.stats.worst_value import raised_for_skewness, worst_of
+from cbsr_qa.stats.worst_value import skewness_ratio, worst_of
 
 #: Fewer repeated runs hardly determine how runs of one sensor differ: allowing for their uncertainty would widen
 #: limits (by half for one repeat) more than the repeats help.
@@ -45,7 +45,7 @@ class Components:
         """Standard deviation of a single run of a single sensor."""
         return sqrt(self.between + self.share * (self.within or 0.0))
 
-    def bound_factor(self, coverage: float, confidence: float, values: int = 1) -> float:
+    def quantile_factor(self, coverage: float, confidence: float, values: int = 1) -> float:
         """Return k of mean + k deviation, below which this share of single runs of single sensors lies.
 
         Exact for one run per sensor and one value. Repeated runs use the generalised pivotal quantity of
@@ -57,7 +57,7 @@ class Components:
         values : each number is the largest of this many normal ones, see :mod:`cbsr_qa.stats.worst_value`.
         """
         quantile = worst_of(values).quantile(coverage)
-        raised = raised_for_skewness(coverage, confidence, values, self.sensors)
+        raised = skewness_ratio(coverage, confidence, values, self.sensors)
         if not self.repeats:
             return raised * factor_of_quantile(quantile, confidence, self.sensors, self.sensors - 1)
         offset, deviation = self._draws()
@@ -66,7 +66,7 @@ class Components:
     def interval_factor(self, coverage: float, confidence: float) -> float:
         """Return k of mean ± k deviation, within which this share of single runs of single sensors lies.
 
-        See :meth:`bound_factor`; for one normal value per run.
+        See :meth:`quantile_factor`; for one normal value per run.
         """
         if not self.repeats:
             return two_sided_factor(coverage, confidence, self.sensors, self.sensors - 1)

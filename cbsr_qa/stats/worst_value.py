@@ -54,7 +54,7 @@ def worst_of(values: int) -> WorstOf:
 
 
 @lru_cache(maxsize=64)
-def raised_for_skewness(coverage: float, confidence: float, values: int, sensors: int) -> float:
+def skewness_ratio(coverage: float, confidence: float, values: int, sensors: int) -> float:
     """Return the ratio by which worst values raise the factor of a normal sample; 1 for one value.
 
     The noncentral t with the right quantile ignores skewness. The ratio comes from 40 000 simulated lots with a fixed

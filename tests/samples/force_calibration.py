@@ -6,12 +6,12 @@ from functools import lru_cache
 import numpy as np
 from stored_runs import INDENTER, SENSOR_TYPE, calibration
 
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.calibration.force import CalibrationLoads, learn_force, template_bank
 from cbsr_qa.config import load_material
 from cbsr_qa.domain import as_filed
 from cbsr_qa.domain.results import Calibration, Validity
-from cbsr_qa.eit.estimate import load_model, merged_readings
+from cbsr_qa.eit.estimate import load_model, merge_reciprocal
 from cbsr_qa.eit.loads import RoundLoads
 
 #: Volts of the sensor to those of its model, and the noise of a reading [V].
@@ -32,9 +32,9 @@ def frames(places_mm: np.ndarray, force_N: np.ndarray, noise: float = NOISE_V, s
     places = np.atleast_2d(np.asarray(places_mm, dtype=np.float64))
     stress_kPa = np.asarray(force_N, dtype=np.float64) / INDENTER.area_mm2 * 1e3
     contrast = response(places) * (_LINE.slope.value * stress_kPa + _LINE.intercept.value)
-    loads = RoundLoads.of_contrast(places, np.full(len(places), INDENTER.radius_mm), contrast)
+    loads = RoundLoads.from_contrast(places, np.full(len(places), INDENTER.radius_mm), contrast)
     model = load_model(SENSOR_TYPE)
-    clean = SCALE * (model.unloaded() + model.readings(loads).change)
+    clean = SCALE * (model.solve_unloaded() + model.readings(loads).change)
     return clean + noise * np.random.default_rng(seed).standard_normal(clean.shape)
 
 
@@ -43,8 +43,8 @@ def force_calibration() -> Calibration:
     """The calibration."""
     model, used = load_model(SENSOR_TYPE), SENSOR_TYPE.pattern.usable()
     variance = np.full(used.shape, (NOISE_V / SCALE) ** 2)
-    readings = merged_readings(SENSOR_TYPE.pattern, used, variance)
-    merging, reference = readings.merging / SCALE, SCALE * model.unloaded()
+    readings = merge_reciprocal(SENSOR_TYPE.pattern, used, variance)
+    merging, reference = readings.merging / SCALE, SCALE * model.solve_unloaded()
     places = np.array(_PLACES * 2, dtype=np.float64)
     force_N = np.linspace(1.0, 5.5, len(places))
     rows = (frames(places, force_N, NOISE_V / 2) - reference)[:, used] @ merging.T
@@ -64,4 +64,4 @@ def force_calibration() -> Calibration:
         digest="",
         record_digest="",
     )
-    return stamped(made)
+    return stamp(made)

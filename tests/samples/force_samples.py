@@ -13,7 +13,7 @@ from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain.results import ForceModel, Validity
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import QuasiStatic
-from cbsr_qa.eit.estimate import MergedReadings, load_model, merged_readings
+from cbsr_qa.eit.estimate import MergedReadings, load_model, merge_reciprocal
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 
 SENSOR_TYPE = load_sensor_type("disc-100mm").value
@@ -31,12 +31,12 @@ class Setting:
 
     def rows(self, places_mm: np.ndarray, contrast: np.ndarray, head: Indenter = HEAD) -> np.ndarray:
         """Rows of unit noise without noise, by the exact model."""
-        loads = RoundLoads.of_contrast(places_mm, np.full(len(places_mm), head.radius_mm), contrast)
-        return self.readings.of_model(self.model.readings(loads).change)
+        loads = RoundLoads.from_contrast(places_mm, np.full(len(places_mm), head.radius_mm), contrast)
+        return self.readings.merge_frames(self.model.readings(loads).change)
 
     def voltages(self, places_mm: np.ndarray, contrast: np.ndarray) -> np.ndarray:
         """Whole changes (n, drives, measures) of the readings, without noise."""
-        loads = RoundLoads.of_contrast(places_mm, np.full(len(places_mm), HEAD.radius_mm), contrast)
+        loads = RoundLoads.from_contrast(places_mm, np.full(len(places_mm), HEAD.radius_mm), contrast)
         return self.model.readings(loads).change
 
 
@@ -44,7 +44,7 @@ class Setting:
 def setting() -> Setting:
     pattern = SENSOR_TYPE.pattern
     model, used = load_model(SENSOR_TYPE), pattern.usable()
-    readings = merged_readings(pattern, used, np.full(pattern.shape, NOISE**2))
+    readings = merge_reciprocal(pattern, used, np.full(pattern.shape, NOISE**2))
     return Setting(model, readings, template_bank(model, readings, HEAD), used)
 
 
@@ -107,7 +107,7 @@ def in_use(model: ForceModel, against_stress: QuasiStatic) -> Calibration:
         calibration="c",
         sensor=SimpleNamespace(serial="S-1"),
         place=None,
-        reference=here.model.unloaded(),
+        reference=here.model.solve_unloaded(),
         current_A=1.0,
         indenter=HEAD,
         against_stress=against_stress,

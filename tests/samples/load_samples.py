@@ -22,10 +22,10 @@ from cbsr_qa.eit.imaging import (
     area_overlap_percent,
     centre_of_mass_error_mm,
     find_blobs,
-    floored,
     nearest_blob,
     percentage_mask,
     shape_deviation_mm2,
+    subtract_noise_floor,
 )
 from cbsr_qa.eit.mesh import image_mesh
 
@@ -49,7 +49,7 @@ class Sampler:
         return Image(self.mesh, 0.6 * strain * (np.exp(-far / width) - ringing) + noise)
 
     def views(self, image, x_mm, y_mm):
-        shown = Image(self.mesh, floored(image.values, FLOOR))
+        shown = Image(self.mesh, subtract_noise_floor(image.values, FLOOR))
         views = []
         for fraction in MASKS:
             blobs = find_blobs(shown, percentage_mask(shown.values, fraction))

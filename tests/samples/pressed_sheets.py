@@ -73,8 +73,8 @@ def readings(sensor, pairs, places_mm, *, contrast, radius_mm=6.0):
     row = [drive.index((s, t)) for s, t, _, _ in pairs.tolist()]
     column = [measure.index((p, q)) for _, _, p, q in pairs.tolist()]
     count = len(places_mm)
-    loads = RoundLoads.of_contrast(places_mm, np.full(count, radius_mm), np.broadcast_to(contrast, count))
-    unloaded = model.unloaded()
+    loads = RoundLoads.from_contrast(places_mm, np.full(count, radius_mm), np.broadcast_to(contrast, count))
+    unloaded = model.solve_unloaded()
     return (unloaded + model.readings(loads).change)[:, row, column], unloaded[row, column]
 
 
@@ -93,7 +93,7 @@ class Pressed:
     def labelled(self):
         """What ``calibrate`` reads from these tables."""
         table = NumberTable(Path("presses.csv"), (), np.zeros((0, 0)))
-        distinct = DistinctPairs.of(self.pairs)
+        distinct = DistinctPairs.from_pairs(self.pairs)
         readings = PressReadings(Path("readings.csv"), distinct, self.changes @ distinct.merging)
         return LabelledPresses(self.sensor, True, readings, PressTable(table, self.labels_mm, None, None, None))
 

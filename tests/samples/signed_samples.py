@@ -5,7 +5,7 @@ from pathlib import Path
 
 from calibration_samples import sparse_calibration
 
-from cbsr_qa.calibration.file import new_key, signed, signing_key, stamped
+from cbsr_qa.calibration.file import new_key, sign_calibration, signing_key, stamp
 from cbsr_qa.domain.results import Calibration
 
 AT = datetime(2026, 11, 27, 9, 30, 15, 400_000, tzinfo=UTC)
@@ -20,4 +20,4 @@ def made_key(folder: Path, name: str = "a.key") -> Path:
 
 def signed_sample(key: Path) -> Calibration:
     """A small calibration, issued and signed."""
-    return signed(stamped(sparse_calibration()), signing_key(key), AT)
+    return sign_calibration(stamp(sparse_calibration()), signing_key(key), AT)

@@ -73,11 +73,11 @@ def _holds(record: RunRecord) -> list[_Hold]:
     time_s, voltages = phase.frames.time_s, phase.frames.voltages
     reference = voltages[time_s < phase.loads[0].hold_start_s - 5].mean(axis=0)
     scale = model_scale(model, reference, used)
-    noise = material().relative_noise.value * np.abs(model.unloaded())[used].mean()
+    noise = material().relative_noise.value * np.abs(model.solve_unloaded())[used].mean()
     holds = []
     for one in phase.loads:
         place = np.array([[one.load.x_mm, one.load.y_mm]])
-        signal = model.readings(RoundLoads.of_contrast(place, np.array([6.5]), np.array([0.12]))).change[0][used]
+        signal = model.readings(RoundLoads.from_contrast(place, np.array([6.5]), np.array([0.12]))).change[0][used]
         inside = (time_s >= one.hold_start_s) & (time_s < one.release_start_s)
         matched = (voltages[inside] - reference)[:, used] / scale @ signal / (signal @ signal)
         ramp_s = one.load.strain / RATE_PER_S

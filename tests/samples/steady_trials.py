@@ -19,7 +19,7 @@ from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
 from cbsr_qa.domain.results import RelaxationKernel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, Relaxation, SensorType
-from cbsr_qa.eit.estimate import load_model, merged_readings
+from cbsr_qa.eit.estimate import load_model, merge_reciprocal
 from cbsr_qa_plugins.effects.force import ElasticStress, StressRelaxation
 from cbsr_qa_plugins.effects.sheet import ConductanceRelaxation, Piezoresistivity, Residue, UnloadingSpike
 
@@ -113,9 +113,9 @@ def noise_by_radius(known_place: bool = False) -> Array:
     """Standard deviation of one frame's contrast at each of RADII_MM, at 20 % strain."""
     sensor = sensor_type()
     model, used = load_model(sensor), sensor.pattern.usable()
-    size = np.abs(model.unloaded())[used].mean()
+    size = np.abs(model.solve_unloaded())[used].mean()
     variance = np.full(used.shape, (material().relative_noise.value * size) ** 2)
-    readings = merged_readings(sensor.pattern, used, variance)
+    readings = merge_reciprocal(sensor.pattern, used, variance)
     contrast = material().against_strain.slope.value * 0.2
     stderr = []
     for radius_mm in RADII_MM:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain.plan import Hold, Home, Press, Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
@@ -219,4 +219,4 @@ def calibration(name, run, serial="S-1", **changes):
         "size_ratio": (1 / 3, 3.0),
         "noise_figure": 1.17,
     }
-    return stamped(Calibration(**(values | changes)))
+    return stamp(Calibration(**(values | changes)))

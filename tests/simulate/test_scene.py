@@ -136,7 +136,7 @@ def test_loaded_voltages_equal_a_model_factorised_afresh():
     strains = [press.strain_at(30.0) for press in loaded.presses]
     changes = [one.change(model.conductance, 0.6 * strain) for one, strain in zip(covers, strains, strict=True)]
     elements = np.concatenate([one.elements for one in covers])
-    expected = model.changed_on(elements, np.concatenate(changes)).voltages() * loaded.setting.current_A
+    expected = model.with_change_on(elements, np.concatenate(changes)).voltages() * loaded.setting.current_A
     mean = np.abs(expected[sensor_type().pattern.usable()]).mean()
     np.testing.assert_allclose(loaded.voltages_V(30.0, 12), expected, rtol=0, atol=1e-8 * mean)
 

@@ -99,7 +99,7 @@ def test_contacts_that_drift_are_solved_for():
 
     drifting = world_with("contacts", worse)
     contacts = 0.2 * np.linspace(1, 3, 16) * 8.0
-    model = drifting.sheet.unit_model.changed(contact_impedance=contacts)
+    model = drifting.sheet.unit_model.with_values(contact_impedance=contacts)
     expected = model.voltages() / drifting.sheet.conductance_S * drifting.setting.current_A
     assert drifting.frame(7.0, 0).voltages == pytest.approx(expected, rel=1e-8, abs=1e-12)
 

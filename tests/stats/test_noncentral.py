@@ -5,14 +5,14 @@ import pytest
 from scipy import stats
 
 from cbsr_qa.stats.difference import hedges
-from cbsr_qa.stats.intervals import integrated, noncentrality
+from cbsr_qa.stats.intervals import integrate_noncentral_t, noncentrality
 
 
 @pytest.mark.parametrize(
     ("t", "freedom", "delta"), [(2.0, 5.0, 1.0), (12.0, 40.0, 11.0), (3.0, 400.0, 5.0), (0.5, 9.0, -1.0)]
 )
 def test_the_integral_agrees_with_the_series(t, freedom, delta):
-    assert integrated(t, freedom, delta) == pytest.approx(stats.nct.cdf(t, freedom, delta), rel=1e-9)
+    assert integrate_noncentral_t(t, freedom, delta) == pytest.approx(stats.nct.cdf(t, freedom, delta), rel=1e-9)
 
 
 @pytest.mark.parametrize("freedom", [22.0, 6666.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.stats.intervals import predicted
+from cbsr_qa.stats.intervals import predict
 
 
 @pytest.mark.parametrize("count", [3, 20])
@@ -12,13 +12,13 @@ from cbsr_qa.stats.intervals import predicted
 def test_the_interval_holds_the_next_value_as_often_as_it_says(count, confidence):
     random, trials = np.random.default_rng(11), 4000
     values = 5.0 + 0.3 * random.standard_normal((trials, count + 1))
-    held = np.mean([predicted(row[:-1], confidence=confidence).holds(row[-1]) for row in values])
+    held = np.mean([predict(row[:-1], confidence=confidence).holds(row[-1]) for row in values])
     assert held == pytest.approx(confidence, abs=4 * np.sqrt(confidence * (1 - confidence) / trials))
 
 
 def test_five_values_reach_as_far_as_the_table_of_t_says():
     # t of 97.5 % and 4 degrees of freedom is 2.7764 in every table; times √(1 + 1/5) that is 3.0414.
-    found = predicted([1.0, 2.0, 3.0, 4.0, 5.0], confidence=0.95)
+    found = predict([1.0, 2.0, 3.0, 4.0, 5.0], confidence=0.95)
     assert (found.high - found.mean) / found.deviation == pytest.approx(3.0414, abs=1e-3)
     assert (found.count, found.mean, found.deviation) == (5, 3.0, pytest.approx(np.sqrt(2.5)))
 
@@ -33,4 +33,4 @@ def test_five_values_reach_as_far_as_the_table_of_t_says():
 )
 def test_what_predicts_nothing_is_refused(values, confidence, said):
     with pytest.raises(NumericsError, match=said):
-        predicted(values, confidence=confidence)
+        predict(values, confidence=confidence)

@@ -10,7 +10,7 @@ from scipy import stats
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
-from cbsr_qa.stats.process_capability import capability, capability_of_extremes, passed_share
+from cbsr_qa.stats.process_capability import capability, capability_of_extremes, pass_rate
 
 
 def indices(mean, deviation, count, **limits):
@@ -142,7 +142,7 @@ def test_intervals_of_a_yield_are_the_printed_ones():
         (1, 29, (0.0061, 0.1718)),
     ]
     for passed, count, wilson in printed:
-        found = passed_share(passed, count)
+        found = pass_rate(passed, count)
         assert (found.wilson.low, found.wilson.high) == pytest.approx(wilson, abs=6e-5)
 
 
@@ -150,7 +150,7 @@ def test_intervals_of_a_yield_are_the_printed_ones():
 @given(st.integers(1, 300), st.data())
 def test_yield_intervals_mirror_and_hold_the_share(count, data):
     passed = data.draw(st.integers(0, count))
-    found, other = passed_share(passed, count), passed_share(count - passed, count)
+    found, other = pass_rate(passed, count), pass_rate(count - passed, count)
     here, there = found.wilson, other.wilson
     assert 0 <= here.low <= found.value <= here.high <= 1
     assert here.low == pytest.approx(1 - there.high, abs=1e-12)
@@ -158,9 +158,9 @@ def test_yield_intervals_mirror_and_hold_the_share(count, data):
 
 def test_shares_of_nothing_are_refused():
     with pytest.raises(NumericsError, match="0 of 0"):
-        passed_share(0, 0)
+        pass_rate(0, 0)
     with pytest.raises(NumericsError, match="confidence is 95"):
-        passed_share(1, 2, confidence=95)
+        pass_rate(1, 2, confidence=95)
 
 
 #: Benjamini & Hochberg 1995, section 3.2 (thrombolysis): four are rejected, Bonferroni rejects three.

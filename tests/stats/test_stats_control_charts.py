@@ -197,13 +197,13 @@ def test_phases_are_told_apart():
     chart = individuals([*before, *after], reference=40, rules=[Rule.BEYOND])
     assert chart.reference == 40
     assert chart.deviation == pytest.approx(np.abs(np.diff(before)).mean() * sqrt(np.pi) / 2)
-    assert [signal.index for signal in chart.of_phase(Phase.REFERENCE)] == [7]
-    assert [signal.index for signal in chart.of_phase(Phase.MONITORED)] == [42]
+    assert [signal.index for signal in chart.signals_in_phase(Phase.REFERENCE)] == [7]
+    assert [signal.index for signal in chart.signals_in_phase(Phase.MONITORED)] == [42]
     assert not chart.in_control
     assert individuals([*before, 0.1, -0.2], reference=40, rules=[Rule.BEYOND]).in_control
     ranges = moving_range([*before, *after], reference=40)
-    assert {signal.index for signal in ranges.of_phase(Phase.REFERENCE)} == {6, 7}
-    assert {signal.index for signal in ranges.of_phase(Phase.MONITORED)} == {41, 42}
+    assert {signal.index for signal in ranges.signals_in_phase(Phase.REFERENCE)} == {6, 7}
+    assert {signal.index for signal in ranges.signals_in_phase(Phase.MONITORED)} == {41, 42}
 
 
 def test_sums_start_anew_with_phase_two():

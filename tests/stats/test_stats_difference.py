@@ -12,7 +12,7 @@ from scipy import stats
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.difference import Contrast, hedges, unbiasing, welch
 from cbsr_qa.stats.power_analysis import power, power_of_equivalence, sensors_needed, sensors_to_show_alike
-from cbsr_qa.stats.robust import brunner_munzel, ordered_differences, shift
+from cbsr_qa.stats.robust import brunner_munzel, differences_of_rank, shift
 
 groups = st.lists(st.integers(-400, 400).map(lambda number: number / 16), min_size=2, max_size=15).filter(
     lambda group: len(set(group)) > 1
@@ -222,7 +222,7 @@ def test_many_differences_are_counted_not_made():
     x, y = random.normal(size=1400), random.normal(size=900)
     ranks = (1, 1000, 630000, 1400 * 900)
     made = np.sort(np.subtract.outer(x, y).ravel())
-    assert ordered_differences(x, y, ranks) == pytest.approx([made[rank - 1] for rank in ranks], abs=1e-14)
+    assert differences_of_rank(x, y, ranks) == pytest.approx([made[rank - 1] for rank in ranks], abs=1e-14)
 
 
 def test_brunner_and_munzels_own_example():

@@ -31,7 +31,7 @@ def test_every_rank_is_found_without_making_all_of_them(kind, sizes, monkeypatch
     x, y = groups(kind, sizes)
     every = np.sort(np.subtract.outer(x, y).ravel())
     ranks = [1, 2, len(every) // 3, len(every) // 2, len(every) - 1, len(every)]
-    found = pairwise.ordered_differences(x, y, ranks)
+    found = pairwise.differences_of_rank(x, y, ranks)
     # Counting rounds y + value once: to the spacing of doubles of the largest of them.
     rounding = 2 * np.spacing(max(np.abs(x).max(), np.abs(y).max(), np.abs(every).max()))
     np.testing.assert_allclose(found, every[np.array(ranks) - 1], rtol=0, atol=rounding)
@@ -42,4 +42,4 @@ def test_groups_of_thousands_are_counted():
     every = np.sort(np.subtract.outer(x, y).ravel())
     ranks = [1, 1000, len(every) // 2, len(every)]
     assert len(every) > pairwise._MOST_MADE
-    assert pairwise.ordered_differences(x, y, ranks) == pytest.approx(every[np.array(ranks) - 1], abs=1e-14)
+    assert pairwise.differences_of_rank(x, y, ranks) == pytest.approx(every[np.array(ranks) - 1], abs=1e-14)

@@ -95,7 +95,7 @@ def test_one_run_a_sensor_is_the_plain_sample():
     values = np.random.default_rng(1).normal(5, 2, 12)
     parts = components([[x] for x in values])
     assert (parts.mean, parts.deviation) == pytest.approx((values.mean(), values.std(ddof=1)))
-    assert parts.bound_factor(0.99, 0.95) == pytest.approx(one_sided_factor(0.99, 0.95, 12, 11))
+    assert parts.quantile_factor(0.99, 0.95) == pytest.approx(one_sided_factor(0.99, 0.95, 12, 11))
     assert parts.interval_factor(0.99, 0.95) == pytest.approx(two_sided_factor(0.99, 0.95, 12, 11))
     assert parts.within is None
 
@@ -124,7 +124,7 @@ def test_repeated_runs_do_not_make_a_lot_look_larger(between):
     for _ in range(300):
         sensors = sqrt(between) * random.standard_normal((10, 1))
         parts = components(sensors + sqrt(1 - between) * random.standard_normal((10, 3)))
-        held.append(parts.mean + parts.bound_factor(0.99, 0.95) * parts.deviation >= stats.norm.ppf(0.99))
+        held.append(parts.mean + parts.quantile_factor(0.99, 0.95) * parts.deviation >= stats.norm.ppf(0.99))
     assert np.mean(held) >= 0.95 - 3 * sqrt(0.95 * 0.05 / 300)
 
 

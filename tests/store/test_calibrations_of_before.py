@@ -10,7 +10,7 @@ from calibration_samples import assert_same, sample_force
 from calibrations_of_before import store_as_rows
 from stored_runs import MATERIAL, calibration, journalled, reconstruction, short_run
 
-from cbsr_qa.calibration.file import stamped, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file import stamp, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError, StoreError
 from cbsr_qa.domain.results import BaselineConductance, Outcome, ParameterChoice, RunResult, Validity, Verdict
 from cbsr_qa.store import open_store
@@ -29,7 +29,7 @@ def of_before(repository, *, forces=False, observation=None, **changes):
     made = calibration(repository.new_id(), run, **changes)
     if forces:
         model = sample_force(int(made.reconstruction.problem.used.sum()))
-        made = stamped(replace(made, force=model, digest="", record_digest=""))
+        made = stamp(replace(made, force=model, digest="", record_digest=""))
     result = RunResult(repository.load_run(run), observation, (), Verdict(Outcome.PASS, "why"), None, "")
     store_as_rows(repository, made, repository.save_result(result))
     assert repository.calibration_file(made.calibration) is None

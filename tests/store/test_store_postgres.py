@@ -12,7 +12,7 @@ from stored_lots import measured, store_run
 from stored_runs import calibration, journalled, short_run
 
 from cbsr_qa.app import database_status
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Measurement, MetricKey, Outcome, RunResult, RunSelection, Verdict
 from cbsr_qa.domain.run import (
@@ -41,7 +41,7 @@ def test_results_and_calibrations_come_back(repository):
     journalled(repository, short_run(run, "S-9"))
     issued = calibration(repository.new_id(), run, "S-9")
     model = sample_force(int(issued.reconstruction.problem.used.sum()))
-    issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+    issued = stamp(replace(issued, force=model, digest="", record_digest=""))
     measured = (Measurement("noise_floor", np.float64(0.1) + np.float64(0.2), "1", trial=np.int64(1)),)
     verdict = Verdict(Outcome.MARGINAL, "close\0to the limit")
     repository.save_result(

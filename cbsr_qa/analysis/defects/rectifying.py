@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cbsr_qa.calibration.presses import AnsweringSide, compared_sides
+from cbsr_qa.calibration.presses import AnsweringSide, compare_sides
 from cbsr_qa.domain import Array
 
 _LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
@@ -22,4 +22,4 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
     for side in (positive, ~positive):
         usual = np.median(np.abs(modelled[side] - np.median(modelled[side])))
         about[side] = (about[side] - np.median(about[side])) / usual
-    return compared_sides(np.abs(about), positive)
+    return compare_sides(np.abs(about), positive)

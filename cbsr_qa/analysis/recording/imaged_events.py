@@ -15,7 +15,7 @@ from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import EventImaging, ImagedPlace, LoadEvent, Motion, SampleBlock
 from cbsr_qa.domain.results import Blob, Image, LinearReconstruction
 from cbsr_qa.domain.sensor import Electrodes
-from cbsr_qa.eit.imaging import Assignment, assign_regions, masked_blobs, split_blobs
+from cbsr_qa.eit.imaging import Assignment, assign_regions, find_blobs_by_mask, split_blobs
 from cbsr_qa.plugin import Reconstruction
 
 #: Assumed radius of an unknown head, of the sheet's (13 mm on a 100 mm disc).
@@ -88,7 +88,7 @@ def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: 
 
 def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tuple[tuple[Blob, ...], Assignment]:
     """Regions of an image with the first event's sign, and their assignment to events."""
-    regions = split_blobs(masked_blobs(image, (_MASK,))[0], _VALLEY)
+    regions = split_blobs(find_blobs_by_mask(image, (_MASK,))[0], _VALLEY)
     head_mm = _HEAD * radius_mm
     places = [RoundFootprint(event.x_over_R * radius_mm, event.y_over_R * radius_mm, head_mm) for event in events]
     return regions, assign_regions(regions, places, gate_mm=2 * head_mm)

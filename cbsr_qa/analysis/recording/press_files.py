@@ -93,7 +93,7 @@ def read_pressed_frames(path: Path, pattern: DrivePattern, rest: Path | None, re
 
 def distinct_pairs(pattern: DrivePattern) -> DistinctPairs:
     """Return the pairs of the usable readings of a frame, in its order."""
-    return DistinctPairs.of(
+    return DistinctPairs.from_pairs(
         np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
     )
 

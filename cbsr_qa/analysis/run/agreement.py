@@ -13,7 +13,7 @@ from cbsr_qa.calibration.fits import (
     RelaxationAgreement,
     compare_relaxations,
     fit_common_relaxation,
-    not_compared,
+    refuse_comparison,
     relaxation_start,
 )
 from cbsr_qa.calibration.strip import KernelCurve
@@ -105,7 +105,7 @@ def _against(
     if expected is None:
         return _without(loading, "the material file has no strip relaxation in this direction")
     agreement = compare_relaxations(
-        expected, KernelCurve.of_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
+        expected, KernelCurve.from_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
     )
     return DirectedAgreement(loading, "strip", "sheet", kernel.loads, agreement)
 
@@ -115,8 +115,8 @@ def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCur
     if strip.loading is None:
         return None
     if loading:
-        return KernelCurve.of_press(strip.loading)
-    return None if strip.unloading is None else KernelCurve.of_release(strip.loading, strip.unloading, hold_s)
+        return KernelCurve.from_press(strip.loading)
+    return None if strip.unloading is None else KernelCurve.from_release(strip.loading, strip.unloading, hold_s)
 
 
 def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bool) -> tuple[float, float] | None:
@@ -137,7 +137,7 @@ def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bo
 
 
 def _without(loading: bool, why: str) -> DirectedAgreement:
-    return DirectedAgreement(loading, "strip", "sheet", 0, not_compared(why))
+    return DirectedAgreement(loading, "strip", "sheet", 0, refuse_comparison(why))
 
 
 def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:

@@ -13,7 +13,7 @@ from cbsr_qa.analysis.run.loads import LoadWindow, window_of
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation
-from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
+from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merge_reciprocal
 from cbsr_qa.eit.loads import RoundLoadModel
 
 Key = tuple[str, int]  # phase, index of the load within it
@@ -115,7 +115,7 @@ def _estimates(
     scale = model_scale(model, run.reference, run.usable)
     for (steady, signed), members in groups.items():
         variance = noise * (1 / steady + 1 / abs(signed)) / scale**2
-        readings = merged_readings(run.record.sensor_type.pattern, run.usable, variance)
+        readings = merge_reciprocal(run.record.sensor_type.pattern, run.usable, variance)
         changes = np.stack(
             [
                 window.steady.voltages.mean(axis=0)
@@ -151,7 +151,7 @@ def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool
 
     NumericsError if the frame has nothing in common with the model's.
     """
-    expected, readings = model.unloaded()[usable], reference[usable]
+    expected, readings = model.solve_unloaded()[usable], reference[usable]
     scale = float(readings @ expected / (expected @ expected))
     if abs(scale) * np.linalg.norm(expected) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
         raise NumericsError("the reference frame is uncorrelated with the model's")

@@ -18,14 +18,14 @@ from cbsr_qa.calibration.force import (
     LearnedForce,
     TemplateBank,
     learn_force,
+    make_even_model,
     template_bank,
-    unlearned_model,
 )
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables, scattered
+from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, add_scatter, map_tables
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.domain import Array, CbsrError, NumericsError
 from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
-from cbsr_qa.eit.estimate import load_model, merged_readings
+from cbsr_qa.eit.estimate import load_model, merge_reciprocal
 from cbsr_qa.system import Ahead
 
 #: How a load is tested.
@@ -163,7 +163,7 @@ class _RunForce:
         sensor_type = run.record.sensor_type
         model = load_model(sensor_type)
         scale = model_scale(model, run.reference, run.usable)
-        readings = merged_readings(
+        readings = merge_reciprocal(
             sensor_type.pattern, run.usable, reading_variance(run.unloaded, run.usable) / scale**2
         )
         self.run = run
@@ -212,14 +212,14 @@ class _RunForce:
     def strengths(self) -> StrengthTraces:
         places = dict(zip(map(key_of, self.loads), self.data.place_mm, strict=True))
         return StrengthTraces(
-            self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))
+            self.run, places, self.merging, TemplateFilter(make_even_model(self.bank, self.merging))
         )
 
     def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, SheetPose]:
         """Loads at their places on the sheet, which may be misplaced."""
-        rows, noise = data.changed()
+        rows, noise = data.subtract_residues()
         pose = sheet_pose_of(
-            data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise
+            data.place_mm, TemplateFilter(make_even_model(self.bank, self.merging)).search(rows), noise
         )
         return replace(data, place_mm=pose.places_mm(data.place_mm)), pose
 
@@ -275,11 +275,11 @@ class _RunForce:
         inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))
         everywhere = _global(learned)
         flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
-        rows, noise = data.changed()
-        left = filter_.at(data.before, data.place_mm).strength
-        given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
+        rows, noise = data.subtract_residues()
+        left = filter_.match_at(data.before, data.place_mm).strength
+        given = _noisy(filter_.match_at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
         matches = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
-        matches = scattered(matches, filter_.size_slope(matches.place_mm), learned.model.place_scatter_mm)
+        matches = add_scatter(matches, filter_.size_slope(matches.place_mm), learned.model.place_scatter_mm)
         known, known_stderr = inverse.force(given)
         flat_N, _ = flat.force(given)
         seen, seen_stderr = inverse.force(matches)

@@ -130,7 +130,7 @@ class StrengthTraces:
         return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
 
     def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
-        return self._filter.at(self._rows(frames), self._places_mm[key_of(load)])
+        return self._filter.match_at(self._rows(frames), self._places_mm[key_of(load)])
 
     def _rows(self, frames: FrameBlock) -> Array:
         return (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T

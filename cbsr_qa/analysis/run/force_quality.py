@@ -10,7 +10,7 @@ from cbsr_qa.analysis.run.force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits import TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.force import LearnedForce
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolated, map_tables
+from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolate, map_tables
 from cbsr_qa.calibration.sheet import Estimate, sheet_gauge_factor, sheet_places, steady_share
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.plan import Role
@@ -152,8 +152,8 @@ def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
     places = sheet_places(learned.model, stride=1)
     away = np.hypot(*places.T)
     places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
-    values = interpolated(learned.model, learned.model.log_response, places)
-    stderr = interpolated(learned.model, learned.model.log_response_stderr, places)
+    values = interpolate(learned.model, learned.model.log_response, places)
+    stderr = interpolate(learned.model, learned.model.log_response_stderr, places)
     response = np.exp(values)
     mapped = float(response.std() / response.mean())
     x_mm, y_mm = places[int(stderr.argmax())]

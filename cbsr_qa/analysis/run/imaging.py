@@ -11,7 +11,14 @@ from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, MaskView, Region
 from cbsr_qa.domain.sensor import Mesh, Response
-from cbsr_qa.eit.imaging import AnyRegion, assign_regions, floored, masked_blobs, masked_contours, nearest_blob
+from cbsr_qa.eit.imaging import (
+    AnyRegion,
+    assign_regions,
+    find_blobs_by_mask,
+    find_contours_by_mask,
+    nearest_blob,
+    subtract_noise_floor,
+)
 from cbsr_qa.eit.inverse import changes
 
 
@@ -108,7 +115,7 @@ def mask_views(
     One view per mask, in the recipe's order; views without blobs if nothing exceeds the floor.
     """
     image = _cleared(mesh, signed, noise_floor)
-    blobs = masked_blobs(image, settings.masks)
+    blobs = find_blobs_by_mask(image, settings.masks)
     outlined = _outlined(image, settings) if settings.outline == "contour" else blobs
     views = []
     for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
@@ -132,7 +139,7 @@ def sensed_regions(
 
 
 def _outlined(image: Image, settings: AnalysisSettings) -> Sequence[Sequence[Region]]:
-    return (masked_contours if settings.outline == "contour" else masked_blobs)(image, settings.masks)
+    return (find_contours_by_mask if settings.outline == "contour" else find_blobs_by_mask)(image, settings.masks)
 
 
 def _sensed(
@@ -153,4 +160,4 @@ def _sensed(
 
 
 def _cleared(mesh: Mesh, signed: Array, noise_floor: float) -> Image:
-    return Image(mesh, floored(signed, max(noise_floor, RESOLUTION)))
+    return Image(mesh, subtract_noise_floor(signed, max(noise_floor, RESOLUTION)))

@@ -134,7 +134,7 @@ def _learned_and_compared(run: RunObservation, force: RunForce) -> RunPlace:
     if places < FEWEST_PRESSES:
         raise CalibrationError(f"the loads that calibrate are at {places} places; {FEWEST_PRESSES} are needed")
     merging, finder = force.learned.model.merging, TemplateFilter(force.learned.model)
-    rows, _ = data.changed()
+    rows, _ = data.subtract_residues()
     time_s = np.array([load.record.hold_start_s for load in loads])
     learned = _learned(run, row_readings(rows[used], merging), data.place_mm[used], time_s[used])
     modelled = finder.search(rows)
@@ -148,7 +148,7 @@ def _learned_and_compared(run: RunObservation, force: RunForce) -> RunPlace:
 
 def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed: PressedPlace) -> PlaceErrors:
     """Errors of loads located as the calibration in use locates them."""
-    rows = data.changed()[0][which]
+    rows = data.subtract_residues()[0][which]
     modelled = finder.search(rows)
     found = pressed(rows, modelled, modelled, finder)
     return PlaceErrors.of(data.place_mm[which], found.place_mm, modelled.place_mm)

@@ -171,7 +171,7 @@ def _forces(
         times, frames = recording.frames.time_s[part], voltages[part]
         if in_order:
             for time_s, frame in zip(times.tolist(), frames, strict=True):
-                yield from _rows([time_s], *follow.next(time_s, frame, place_mm=request.place_mm))
+                yield from _rows([time_s], *follow.add_frame(time_s, frame, place_mm=request.place_mm))
         else:
             yield from _rows(times, sensor.force(frames, place_mm=request.place_mm), np.full(len(times), np.nan))
 

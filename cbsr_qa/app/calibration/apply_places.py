@@ -10,7 +10,7 @@ import numpy as np
 from cbsr_qa.analysis.recording import read_pressed_frames
 from cbsr_qa.calibration.file import Issued, check_signed_file, read_in_child, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
-from cbsr_qa.calibration.presses import DistinctPairs, matched_readings, read_pairs, read_press_readings
+from cbsr_qa.calibration.presses import DistinctPairs, match_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import FaultFinder, Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
@@ -157,7 +157,7 @@ class PressedPlaces:
 
     def __init__(self, issued: PressCalibration, distinct: DistinctPairs, *, differences: bool = False) -> None:
         self._issued, self._differences = issued, differences
-        self._selection = matched_readings(issued.pairs, distinct)
+        self._selection = match_readings(issued.pairs, distinct)
         self._modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
         self._place = PlaceEstimator(issued.place, self._modelled, issued.pairs, issued.held_out_mm)
         self._faults: FaultFinder | None = None

@@ -9,10 +9,10 @@ from cbsr_qa.calibration.file import (
     Issued,
     firmware_document,
     json_document,
-    of_run,
     read_in_child,
     read_issued,
     read_json_calibration,
+    require_run_calibration,
     write_calibration,
 )
 from cbsr_qa.domain import RefusedError
@@ -71,7 +71,7 @@ def export_calibration(
     if kind in _HDF5:
         write_calibration(output, calibration)
     elif firmware:
-        document = firmware_document(of_run(calibration), stride=stride)
+        document = firmware_document(require_run_calibration(calibration), stride=stride)
         loss = {"lattice_stride": document["lattice_stride"], **document["loss"]}
         write_text(output, _json(document))
     else:

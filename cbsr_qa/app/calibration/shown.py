@@ -15,7 +15,7 @@ from cbsr_qa.calibration.file import (
     Entry,
     encode,
 )
-from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
+from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolate, least_force_N, map_tables
 from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import (
     BaselineConductance,
@@ -173,8 +173,8 @@ class ShownForceModel:
     @classmethod
     def of(cls, calibration: Calibration, model: ForceModel) -> Self:
         places = _places(calibration, model)
-        response = np.exp(interpolated(model, model.log_response, places))
-        stderr = interpolated(model, model.log_response_stderr, places)
+        response = np.exp(interpolate(model, model.log_response, places))
+        stderr = interpolate(model, model.log_response_stderr, places)
         least = _least_force_N(calibration, model, places)
         worst = int(np.argmax(least))
         return filled(

@@ -12,7 +12,7 @@ from cbsr_qa.calibration.file import (
     passphrase,
     public_path,
     read_in_child,
-    signed,
+    sign_calibration,
     signing_key,
     verify_calibration_file,
     verify_json_calibration,
@@ -159,7 +159,7 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
         raise CalibrationError(
             f"calibration file {path}: signed already, by {before.words}", remedy="--again replaces that signature"
         )
-    held, file = signed(issued, private, RealClock().wall()), path.resolve()
+    held, file = sign_calibration(issued, private, RealClock().wall()), path.resolve()
     if is_json(path):
         write_json(file, held)
     else:

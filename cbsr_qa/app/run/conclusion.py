@@ -12,7 +12,7 @@ from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import station_key
 from cbsr_qa.app.run.stopping import stoppable
-from cbsr_qa.calibration.file import signed
+from cbsr_qa.calibration.file import sign_calibration
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError, filled
 from cbsr_qa.domain.results import Calibration, EndReason, RunResult
@@ -123,7 +123,7 @@ def _signed(calibration: Calibration, configuration: Configuration, store: Repos
         raise BrokenRunError(
             calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=again
         ) from error
-    return calibration if key is None else signed(calibration, key, RealClock().wall())
+    return calibration if key is None else sign_calibration(calibration, key, RealClock().wall())
 
 
 def _paused(record: RunRecord) -> Iterator[str]:

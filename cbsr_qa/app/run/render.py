@@ -15,7 +15,7 @@ from cbsr_qa.app.run.material_output import material_path, why_no_material, writ
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
-from cbsr_qa.calibration.force import prepared_force
+from cbsr_qa.calibration.force import prepare_force
 from cbsr_qa.config import database_url, reports_folder, restore
 from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, as_filed, filled
 from cbsr_qa.domain.plan import Recipe
@@ -235,14 +235,14 @@ def _calibration(
         return None, ""
     file = store.calibration_file(stored.calibration)
     if file is None:  # stored as rows, which are checked even if they cannot be shown
-        store.calibration_of_before(stored.calibration, None, prepared_force)
+        store.calibration_of_before(stored.calibration, None, prepare_force)
         if observation is None:
             return None, f"{stored.calibration} was issued, but cannot be shown without images"
     try:
         if file is not None:
             return calibration_of(file[0], issued=file[1]), ""
         prepared = None if observation is None else as_filed(observation.reconstruction)
-        return store.calibration_of_before(stored.calibration, prepared, prepared_force), ""
+        return store.calibration_of_before(stored.calibration, prepared, prepare_force), ""
     except (StoreError, CalibrationError) as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 

@@ -11,7 +11,7 @@ from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Bound, EndReason, Measurement, metric_words
 from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
-from cbsr_qa.stats import FEWEST_VALUES, Prediction, predicted
+from cbsr_qa.stats import FEWEST_VALUES, Prediction, predict
 from cbsr_qa.store import Repository
 from cbsr_qa.studies import measuring_digest
 
@@ -182,8 +182,8 @@ def _line(
         return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
     outcomes, means, allowed = [CheckOutcome.OK], [], []
     for where, values in compared.items():
-        fails = predicted(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
-        warns = predicted(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
+        fails = predict(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
+        warns = predict(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
         outside = CheckOutcome.FAILED if not fails.holds(value) else CheckOutcome.WARNING
         outcomes += [] if warns.holds(value) else [outside]
         means.append(f"{where} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")

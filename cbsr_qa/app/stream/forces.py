@@ -113,7 +113,7 @@ class _OfRun:
         return [self._estimate(time_s, frame) for time_s, frame in in_turn]
 
     def _estimate(self, time_s: float, frame: Array) -> Estimate:
-        forces, settled_in_s = self._follow.next(time_s, frame)
+        forces, settled_in_s = self._follow.add_frame(time_s, frame)
         force_N, flags, radius_mm = float(forces.force_N[0]), int(forces.flags[0]), float(forces.place_stderr_mm[0])
         intervals = [(float(low[0]), float(high[0])) for low, high in map(forces.interval_N, (0.6827, 0.95))]
         known = bool(np.isfinite(force_N))

@@ -7,17 +7,21 @@ from cbsr_qa.lazy import door
 if TYPE_CHECKING:
     from .content import FLAG as FLAG, INDEX as INDEX, PURE as PURE, TEXT as TEXT, Entry as Entry
     from .entries import Issued as Issued, decode as decode, encode as encode
-    from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
+    from .firmware import (
+        firmware_document as firmware_document,
+        measure_loss as measure_loss,
+        thin_model as thin_model,
+    )
     from .hdf5 import (
         BLOCK_BEGINS as BLOCK_BEGINS,
         calibration_of as calibration_of,
-        of_run as of_run,
         read_calibration as read_calibration,
         read_contained as read_contained,
         read_in_child as read_in_child,
         read_issued as read_issued,
-        signed as signed,
-        stamped as stamped,
+        require_run_calibration as require_run_calibration,
+        sign_calibration as sign_calibration,
+        stamp as stamp,
         verify_calibration_file as verify_calibration_file,
         write_calibration as write_calibration,
     )

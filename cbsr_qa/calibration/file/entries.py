@@ -77,7 +77,7 @@ def encode(calibration: Issued) -> Mapping[str, Entry]:
     if calibration.force is not None or calibration.no_force:
         entries[_WHY_NOT] = Entry(TEXT, calibration.no_force)
     choice = calibration.reconstruction.choice
-    if not choice.criterion and choice.name == _implied(calibration.reconstruction.method):
+    if not choice.criterion and choice.name == _parameter_name(calibration.reconstruction.method):
         del entries[_NAME], entries[_CRITERION]
     check_counts(entries)
     return entries
@@ -167,7 +167,7 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
         path: entry for path, entry in held.items() if path != _WHY_NOT and not (why and path.startswith("force/"))
     }
     if not (read.has(_NAME) or read.has(_CRITERION)):
-        held |= {_NAME: Entry(TEXT, _implied(read.text(_METHOD))), _CRITERION: Entry(TEXT, "")}
+        held |= {_NAME: Entry(TEXT, _parameter_name(read.text(_METHOD))), _CRITERION: Entry(TEXT, "")}
     calibration: Calibration = _CODEC.read(Reading(held), Calibration, "", {"no_force": why})
     reconstruction = calibration.reconstruction
     if reconstruction.matrix.shape != reconstruction.problem.jacobian.T.shape:
@@ -187,7 +187,7 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
     return calibration
 
 
-def _implied(method: str) -> str:
+def _parameter_name(method: str) -> str:
     return _CALLED.get(method, "λ")
 
 

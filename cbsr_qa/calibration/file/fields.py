@@ -46,8 +46,10 @@ class Codec:
             elif item_of(field.hint):
                 self.write_list(out, item_of(field.hint), held, path, units)
             elif group is None:
-                turned = _by_columns(field, held)
-                out[path + COLUMNS if turned else path] = Entry(units, _kept(field, held.T if turned else held))
+                turned = _is_stored_by_columns(field, held)
+                out[path + COLUMNS if turned else path] = Entry(
+                    units, _encode_value(field, held.T if turned else held)
+                )
             elif held is not None:
                 self.write(out, held, path, units)
 
@@ -59,7 +61,7 @@ class Codec:
             if group is not None:
                 self.write_list(out, group, held, path, units)
             elif not (field.kept.not_kept or (held and all(map(field.is_left_out, held)))):
-                out[path] = Entry(units, _kept(field, held))
+                out[path] = Entry(units, _encode_value(field, held))
 
     def read(self, read: Reading, of: Any, within: str, above: Mapping[str, Any] | None = None) -> Any:
         """Return a dataclass; ``above`` are the fields of the enclosing one."""
@@ -143,7 +145,7 @@ def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dic
             yield f"{path} of {shape} does not fit {expected} {axis or 'columns'}"
 
 
-def _by_columns(field: KeptField, held: Any) -> bool:
+def _is_stored_by_columns(field: KeptField, held: Any) -> bool:
     """Whether an array is kept column by column; earlier files, whose digests must stay, are not in steps."""
     return field.kept.columns and np.array_equal(in_steps(held, field.kept.steps), held)
 
@@ -158,7 +160,7 @@ def _is_text(hint: Any) -> bool:
     return hint in (str, tuple[str, ...]) or (isinstance(hint, type) and issubclass(hint, StrEnum))
 
 
-def _kept(field: KeptField, held: Any) -> Value:
+def _encode_value(field: KeptField, held: Any) -> Value:
     """Return the stored form of one value, or of a list; negative zero becomes zero."""
     if _is_text(field.hint):
         return str(held) if isinstance(held, str) else tuple(map(str, held))
@@ -168,7 +170,7 @@ def _kept(field: KeptField, held: Any) -> Value:
         absent = [-1 if number is None else number for number in held] if isinstance(held, list) else held
         return np.array(absent, dtype=np.int64)
     if field.hint == tuple[float, ...]:
-        held = _padded(held)
+        held = _pad_rows(held)
     elif held is None and field.hint != float | None:
         held = ()
     values = np.array(held, dtype=np.float64, order="C")  # None becomes NaN
@@ -178,7 +180,7 @@ def _kept(field: KeptField, held: Any) -> Value:
     return single if field.kept.single or exact else values
 
 
-def _padded(rows: Sequence[tuple[float, ...]]) -> Array:
+def _pad_rows(rows: Sequence[tuple[float, ...]]) -> Array:
     """Rows of at most two numbers as an (n, 2) array, padded with NaN."""
     table = np.full((len(rows), 2), np.nan)
     for index, row in enumerate(rows):

@@ -71,14 +71,14 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
     """
     if (np.count_nonzero(_model(calibration).merging, axis=0) != 1).any():
         raise CalibrationError("its merging gives a reading to several rows, which firmware does not expect")
-    chosen, thin, loss = _chosen(calibration, stride)
+    chosen, thin, loss = _choose_stride(calibration, stride)
     held = encode(replace(calibration, force=thin))
     kept = {path: held[path] for path in sorted(held) if path.startswith(_KEPT) and not path.startswith(_LEFT_OUT)}
     row = np.abs(thin.merging).argmax(axis=0)
     kept["force/merging_row"] = Entry("index", row.astype(np.int64))
     kept["force/merging_weight"] = Entry("1/V", thin.merging[row, np.arange(len(row))])
     everything = {path: dataset(entry, spelt_out=2**31) for path, entry in sorted(kept.items())}
-    everything["force/templates"] = _in_steps(thin.templates)
+    everything["force/templates"] = _quantise(thin.templates)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -92,7 +92,7 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
     }
 
 
-def thinned(model: ForceModel, stride: int) -> ForceModel:
+def thin_model(model: ForceModel, stride: int) -> ForceModel:
     """Return a model on every ``stride``-th node about the lattice's middle, with templates in 16 bits."""
     lattice = model.lattice
     first = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
@@ -111,11 +111,11 @@ def thinned(model: ForceModel, stride: int) -> ForceModel:
     )
 
 
-def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
+def measure_loss(calibration: Calibration, thin: ForceModel) -> Loss:
     """Return the loss of a coarser model of a calibration."""
     model = _model(calibration)
     fine = TemplateFilter(model)
-    places = _calibrated_places(calibration, model, fine)
+    places = _find_calibrated_places(calibration, model, fine)
     line, area_mm2 = calibration.against_stress, calibration.indenter.area_mm2
     middle_kPa = max(sum(model.stress_kPa) / 2, 1.0)
     contrast = line.slope.value * middle_kPa + line.intercept.value
@@ -124,7 +124,7 @@ def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
     def force(of: ForceModel, matches: Matches) -> Array:
         return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
 
-    true, coarse = force(model, fine.at(rows, places)), force(thin, TemplateFilter(thin).at(rows, places))
+    true, coarse = force(model, fine.match_at(rows, places)), force(thin, TemplateFilter(thin).match_at(rows, places))
     there = np.isfinite(coarse)
     error = coarse[there] / true[there] - 1
     lost = int(np.count_nonzero(~there))
@@ -140,25 +140,25 @@ def _model(calibration: Calibration) -> ForceModel:
     return calibration.force
 
 
-def _chosen(calibration: Calibration, stride: int | None) -> tuple[int, ForceModel, Loss]:
+def _choose_stride(calibration: Calibration, stride: int | None) -> tuple[int, ForceModel, Loss]:
     model = _model(calibration)
     for each in _STRIDES if stride is None else (stride,):
         if each < 1 or min(model.lattice.columns, model.lattice.rows) // each < 4:
             most = min(model.node.shape) // 4
             raise CalibrationError(f"a stride of {each} leaves no lattice; 1 to {most} are allowed")
-        thin = thinned(model, each)
+        thin = thin_model(model, each)
         if not (thin.node >= 0).any():
             continue
-        loss = lost_by(calibration, thin)
+        loss = measure_loss(calibration, thin)
         if stride is not None or (loss.places_lost == 0 and loss.relative_force_error_worst <= _WORST):
             return each, thin, loss
     if stride is not None:
         raise CalibrationError(f"a stride of {stride} leaves no place on the sheet")
-    thin = thinned(model, 1)
-    return 1, thin, lost_by(calibration, thin)
+    thin = thin_model(model, 1)
+    return 1, thin, measure_loss(calibration, thin)
 
 
-def _calibrated_places(calibration: Calibration, model: ForceModel, fine: TemplateFilter) -> Array:
+def _find_calibrated_places(calibration: Calibration, model: ForceModel, fine: TemplateFilter) -> Array:
     everywhere = model.lattice.places_mm()
     node = model.node.ravel()
     fits = np.where(node >= 0, model.fits[node], False)
@@ -171,7 +171,7 @@ def _calibrated_places(calibration: Calibration, model: ForceModel, fine: Templa
     return np.asarray(reached, dtype=np.float64)
 
 
-def _in_steps(templates: Array) -> dict[str, Any]:
+def _quantise(templates: Array) -> dict[str, Any]:
     steps = np.round(templates * _STEPS).astype(np.int64)
     return {
         "units": "1",

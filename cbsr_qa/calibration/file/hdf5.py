@@ -36,7 +36,7 @@ from cbsr_qa.calibration.file.content import (
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.calibration.file.keys import SigningKey
-from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature, with_signature
+from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature, with_signature
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
 from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
@@ -62,7 +62,7 @@ _NOT_WHOLE: Final = "not a whole HDF5 file (truncated, damaged or something else
 _COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
-def stamped(calibration: _Kind) -> _Kind:
+def stamp(calibration: _Kind) -> _Kind:
     """Return a calibration with its digests and the bytes of its file filled in.
 
     CalibrationError if it contradicts itself, or has a text that HDF5 cannot hold.
@@ -73,7 +73,7 @@ def stamped(calibration: _Kind) -> _Kind:
     return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file, signature=None)
 
 
-def signed(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
+def sign_calibration(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
     """Return an issued calibration with its signature, and the bytes of its signed file.
 
     CalibrationError if its content was changed since it was issued.
@@ -108,13 +108,13 @@ def write_calibration(path: Path, calibration: Issued) -> str:
 
 def _whole_file(entries: Mapping[str, Entry], digest: str, signature: Signature | None = None) -> bytes:
     try:
-        image = _in_memory(entries, digest, signature)
+        image = _write_to_memory(entries, digest, signature)
     except ValueError as error:
         raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
     return _block(image) + image
 
 
-def _in_memory(entries: Mapping[str, Entry], digest: str, signature: Signature | None) -> bytes:
+def _write_to_memory(entries: Mapping[str, Entry], digest: str, signature: Signature | None) -> bytes:
     """Return the file's bytes, built in memory because a full disk would crash HDF5."""
     with h5py.File("calibration.h5", "w", driver="core", backing_store=False, userblock_size=_BLOCK_BYTES) as file:
         _write(file, entries, digest)
@@ -134,16 +134,16 @@ def read_calibration(path: Path) -> Calibration:
     """
     issued = read_issued(path)
     with _naming(path):
-        return of_run(issued)
+        return require_run_calibration(issued)
 
 
 def read_issued(path: Path) -> Issued:
     """Read a calibration file, of a run or of labelled presses. CalibrationError if it is not sound."""
     with _naming(path):
-        return replace(_issued_in(file_bytes(path)), file=b"")  # a robot does not need megabytes of it
+        return replace(_decode_file(file_bytes(path)), file=b"")  # a robot does not need megabytes of it
 
 
-def of_run(issued: Issued) -> Calibration:
+def require_run_calibration(issued: Issued) -> Calibration:
     """Return a run's calibration; CalibrationError if it was learned from labelled presses."""
     if isinstance(issued, PressCalibration):
         raise CalibrationError(
@@ -159,15 +159,15 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
     CalibrationError as for :func:`read_calibration`, and if its digest differs from the issued one.
     """
-    held = _issued_in(data)
+    held = _decode_file(data)
     if issued and held.digest != issued:
         raise CalibrationError(
             f"its file holds another calibration: its SHA-256 is {held.digest}, {issued} was issued"
         )
-    return of_run(held)
+    return require_run_calibration(held)
 
 
-def _issued_in(data: bytes) -> Issued:
+def _decode_file(data: bytes) -> Issued:
     entries, digest, _, signature = _read(data)
     issued = decode(entries)
     return replace(issued, digest=digest, record_digest=record_digest(entries), file=data, signature=signature)
@@ -239,7 +239,7 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
             format_, version = _version(file)
             held = members(file, len(data))
             entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
-            stated = _stated(file)
+            stated = _read_stated_digest(file)
             parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
@@ -254,7 +254,7 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
         raise CalibrationError(
             f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
         )
-    return entries, digest, checked, stated_signature(parts)
+    return entries, digest, checked, read_signature(parts)
 
 
 def _block(image: bytes) -> bytes:
@@ -303,7 +303,7 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
-def _stated(file: h5py.File) -> str:
+def _read_stated_digest(file: h5py.File) -> str:
     """Return the digest stated in a file; empty if it is not one."""
     stated = attribute(file, "digest")
     return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""

@@ -76,7 +76,7 @@ class _Walk:
             raise RefusedError(
                 f"more than {_MOST_TEXTS} texts up to {path}: no such file of this program has so many"
             )
-        held = _unpacked_bytes(dataset)
+        held = _count_unpacked_bytes(dataset)
         if dataset.size is None or held > self._left:
             raise RefusedError(
                 f"{path} of the shape {dataset.shape} is empty or too large: all datasets of a file of this size"
@@ -90,7 +90,7 @@ class _Walk:
             raise RefusedError(f"{path} is packed otherwise than with gzip")
 
 
-def _unpacked_bytes(dataset: h5py.Dataset) -> int:
+def _count_unpacked_bytes(dataset: h5py.Dataset) -> int:
     """Size of all values, or of one chunk if that is larger [bytes]; all types become float64."""
     count = 1
     for length in dataset.chunks or (0,):

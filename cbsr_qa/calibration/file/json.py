@@ -30,7 +30,7 @@ from cbsr_qa.calibration.file.content import (
 )
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
-from cbsr_qa.calibration.file.signing import SIGNATURE, stated_signature
+from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import Signature, VerifiedFile
 from cbsr_qa.system import parsed_json
@@ -132,7 +132,7 @@ def _signature(document: dict[str, Any]) -> Signature | None:
     stated = document["signature"]
     if not isinstance(stated, dict) or set(stated) - set(SIGNATURE) or not stated:
         raise CalibrationError("its signature is damaged: it has other parts than a signature", remedy=_AS_WRITTEN)
-    return stated_signature(stated)
+    return read_signature(stated)
 
 
 def _document(path: Path) -> dict[str, Any]:

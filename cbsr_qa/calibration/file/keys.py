@@ -121,7 +121,7 @@ def signing_key(path: Path) -> SigningKey:
             secret = passphrase()
             if secret is None:
                 raise ConfigError(f"key {path}: it has a passphrase, and none is set", remedy=_REMEDY) from None
-            key = _unlocked(path, data, secret, serial)
+            key = _unlock(path, data, secret, serial)
     except (ValueError, library("exceptions").UnsupportedAlgorithm) as error:
         raise _unreadable(path, "private") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
@@ -129,7 +129,7 @@ def signing_key(path: Path) -> SigningKey:
     return SigningKey(key)
 
 
-def _unlocked(path: Path, data: bytes, secret: bytes, serial: Any) -> Any:
+def _unlock(path: Path, data: bytes, secret: bytes, serial: Any) -> Any:
     try:
         return serial.load_pem_private_key(data, secret)
     except ValueError as error:

@@ -44,7 +44,7 @@ def with_signature(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind:
     return replace(calibration, digest=digest, signature=signature)
 
 
-def stated_signature(stated: Mapping[str, Any]) -> Signature | None:
+def read_signature(stated: Mapping[str, Any]) -> Signature | None:
     """Return the signature that a file states; None if it states no part of one.
 
     CalibrationError if a part is missing or malformed.

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         MeasuredRelaxation as MeasuredRelaxation,
         RelaxationAgreement as RelaxationAgreement,
         compare_relaxations as compare_relaxations,
-        not_compared as not_compared,
+        refuse_comparison as refuse_comparison,
     )
     from .common_relaxation import (
         CommonRelaxation as CommonRelaxation,
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
         change_between as change_between,
         creep as creep,
         creep_at_constant_stress as creep_at_constant_stress,
-        held_alike as held_alike,
         last_cycles as last_cycles,
         last_stresses as last_stresses,
+        select_equal_holds as select_equal_holds,
         trace_of as trace_of,
         zero_return as zero_return,
     )
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     )
     from .relaxation_kernel import learn_kernel as learn_kernel
     from .settling import (
+        estimate_restricted_mean as estimate_restricted_mean,
         relaxation_start as relaxation_start,
-        restricted_mean as restricted_mean,
         settling_time as settling_time,
         window_s as window_s,
     )
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
         constants_of as constants_of,
         fit_step as fit_step,
         separate_steps as separate_steps,
-        separated_with as separated_with,
-        shifted_constants as shifted_constants,
+        separate_with_constants as separate_with_constants,
+        shift_constants as shift_constants,
     )
 
 door(__name__, __file__)

@@ -47,7 +47,7 @@ class ComparableRelaxation(Protocol):
     def relative(self, time_s: Array) -> tuple[Array, Array]:
         """Return the curve over the steady (or released) change, and its variance, (n,) each."""
 
-    def settled(self, tolerance: float) -> tuple[float, float] | None:
+    def settling_time(self, tolerance: float) -> tuple[float, float] | None:
         """Return the settling time and its standard error [s]; None without a plain number."""
 
 
@@ -96,7 +96,7 @@ class MeasuredRelaxation:
         gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
         return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
 
-    def settled(self, tolerance: float) -> tuple[float, float] | None:
+    def settling_time(self, tolerance: float) -> tuple[float, float] | None:
         """Return the settling time of the mean trace and its standard error [s]; None without a plain number."""
         settling, stderr = common_settling_time(
             self.common, window_s=self.window_s, tolerance=tolerance, loaded_change=self.loaded_change
@@ -160,7 +160,7 @@ class RelaxationAgreement:
     why: str = ""
 
 
-def not_compared(why: str) -> RelaxationAgreement:
+def refuse_comparison(why: str) -> RelaxationAgreement:
     """Return a missing comparison with its reason."""
     undecided = Agreement.UNDECIDED
     return RelaxationAgreement(undecided, None, None, None, None, undecided, None, None, why=why)
@@ -185,10 +185,10 @@ def compare_relaxations(
     """
     for which, measured in (("first", first), ("second", second)):
         if measured.why_not:
-            return not_compared(f"the {which} relaxation {measured.why_not}")
+            return refuse_comparison(f"the {which} relaxation {measured.why_not}")
     start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
     if not start_s < end_s:
-        return not_compared(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
+        return refuse_comparison(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
     curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
     difference, stderr = curves.difference, curves.stderr
     reach = np.abs(difference) + ndtri(1 - LEVEL) * stderr
@@ -196,7 +196,7 @@ def compare_relaxations(
     worst = int(np.argmax(reach))
     ratio, ratio_stderr, ratio_reach, time = _times(first, second, tolerance)
     return RelaxationAgreement(
-        _decided(bool(reach[worst] <= SHAPE_MARGIN), bool(surely.max() > SHAPE_MARGIN)),
+        _decide(bool(reach[worst] <= SHAPE_MARGIN), bool(surely.max() > SHAPE_MARGIN)),
         float(difference[worst]),
         float(stderr[worst]),
         float(curves.time_s[worst]),
@@ -218,7 +218,7 @@ def _times(
     first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
     """Ratio of the settling times, its standard error, its bound, and the conclusion."""
-    earlier, other = first.settled(tolerance), second.settled(tolerance)
+    earlier, other = first.settling_time(tolerance), second.settling_time(tolerance)
     if earlier is None or other is None:
         return None, None, None, Agreement.UNDECIDED
     (one_s, one_stderr), (other_s, other_stderr) = earlier, other
@@ -226,11 +226,11 @@ def _times(
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(TIME_MARGIN))
     reach = abs(log_ratio) + float(ndtri(1 - LEVEL)) * log_stderr
-    agreement = _decided(reach <= limit, abs(log_ratio) - float(ndtri(1 - LEVEL / 2)) * log_stderr > limit)
+    agreement = _decide(reach <= limit, abs(log_ratio) - float(ndtri(1 - LEVEL / 2)) * log_stderr > limit)
     return other_s / one_s, other_s / one_s * log_stderr, float(np.exp(min(reach, 50.0))), agreement
 
 
-def _decided(within: bool, beyond: bool) -> Agreement:
+def _decide(within: bool, beyond: bool) -> Agreement:
     if within:
         return Agreement.EQUIVALENT
     return Agreement.DIFFERENT if beyond else Agreement.UNDECIDED

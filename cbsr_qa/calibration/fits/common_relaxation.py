@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.fits.joint import JointExponentials, TimedValues, fit_joint
-from cbsr_qa.calibration.fits.relaxation import checked_trace
+from cbsr_qa.calibration.fits.relaxation import check_trace
 from cbsr_qa.calibration.fits.separable import LOG_ERROR, SEPARATION, SIGNIFICANCE, chance_of_gain
 from cbsr_qa.calibration.fits.settling import settling_time
 from cbsr_qa.domain import Array
@@ -62,21 +62,21 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no significant relaxation), DRIFTING (slower than the
     traces are long) or REJECTED (no trace, or no time constant is determined).
     """
-    used = [checked_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
+    used = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
     if not used:
-        return _without_curve(FitStatus.REJECTED, used, f"no trace of at least {_FEWEST} points")
+        return _refuse_curve(FitStatus.REJECTED, used, f"no trace of at least {_FEWEST} points")
     level = np.concatenate([values - values.mean() for _, values in used])
     rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used)
     if np.abs(level).max() <= rounding:
-        return _without_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
+        return _refuse_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
     bounds_s = _bounds_s(used)
     single = _one(used, bounds_s)
     small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
     if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > SIGNIFICANCE:
-        return _without_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
+        return _refuse_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
     two = _two(used, bounds_s, float(np.log(single.time_constants_s[0])))
     why = _why_not_two(single, two, bounds_s, _parameters(used, 3), rounding)
-    return _kept(single if why else two, used, bounds_s, why)
+    return _accept_fit(single if why else two, used, bounds_s, why)
 
 
 def common_settling_time(
@@ -113,11 +113,11 @@ def _slope(common: CommonRelaxation, index: int, settled: "partial[SettlingTime]
     step = 0.1 * float(np.sqrt(common.covariance[index, index]))
     if step == 0:
         return 0.0
-    late, early = (settled(_moved(common.fit, index, sign * step)).value_s for sign in (1, -1))
+    late, early = (settled(_shift_parameter(common.fit, index, sign * step)).value_s for sign in (1, -1))
     return 0.0 if late is None or early is None else (late - early) / (2 * step)
 
 
-def _moved(fit: RelaxationFit, index: int, step: float) -> RelaxationFit:
+def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationFit:
     count = len(fit.amplitudes)
     if index == 0:
         return replace(fit, offset=fit.offset + step)
@@ -165,14 +165,14 @@ def _why_not_two(
     return next((why for failed, why in checks if failed), "")
 
 
-def _kept(
+def _accept_fit(
     joint: JointExponentials, traces: Sequence[TimedValues], bounds_s: tuple[float, float], why: str
 ) -> CommonRelaxation:
     slowest, error = float(joint.time_constants_s[-1]), float(joint.log_stderr[-1])
     if slowest > 0.99 * bounds_s[1] or (error > LOG_ERROR and slowest > bounds_s[1] / 10):
-        return _without_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
+        return _refuse_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
     if error > LOG_ERROR:
-        return _without_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
+        return _refuse_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
     every = np.concatenate([values - values.mean() for _, values in traces])
     fit = RelaxationFit(
         status=FitStatus.TWO if len(joint.shares) == 2 else FitStatus.ONE,
@@ -187,7 +187,7 @@ def _kept(
     return CommonRelaxation(fit, joint.offsets, joint.scales, joint.shares, joint.mean_covariance, traces=len(traces))
 
 
-def _without_curve(status: FitStatus, traces: Sequence[TimedValues], why: str) -> CommonRelaxation:
+def _refuse_curve(status: FitStatus, traces: Sequence[TimedValues], why: str) -> CommonRelaxation:
     ends = np.array([np.median(values[-max(len(values) // 4, 1) :]) for _, values in traces])
     offset = float(ends.mean()) if len(ends) else 0.0
     stderr = float(ends.std(ddof=1) / np.sqrt(len(ends))) if len(ends) > 1 else 0.0

@@ -35,7 +35,7 @@ def level_at(trace: Trace, time_s: float) -> float | None:
     return float(np.interp(time_s, trace.time_s, finite_numbers(trace.values, f"values of the {trace.name}")))
 
 
-def held_alike(
+def select_equal_holds(
     loads: Iterable[LoadObservation], duration_s: Callable[[LoadObservation], float]
 ) -> tuple[tuple[LoadObservation, ...], float]:
     """Return the loads with the most common length of hold (or rest), within a second, and that time [s].
@@ -66,7 +66,7 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
     """
     changes = [_creep(load, signal, from_s, frames) for load in loads]
     pairs = [pair for pair in changes if pair is not None]
-    return _ratio(pairs, _no_trace(signal, from_s))
+    return _ratio(pairs, _describe_missing_trace(signal, from_s))
 
 
 def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float, frames: int) -> Estimate:
@@ -85,7 +85,7 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
             continue
         pairs.append((signal[0] - signal[1] * stress[0] / stress[1], signal[1]))
     missing = STRESS if any(_creep(load, SIGNAL, from_s, frames) for load in loads) else SIGNAL
-    return _ratio(pairs, _no_trace(missing, from_s))
+    return _ratio(pairs, _describe_missing_trace(missing, from_s))
 
 
 def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
@@ -112,7 +112,7 @@ def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, t
     -------
     Locations at which both were sensed, in the order of their first press.
     """
-    return _last_two(loads, lambda load: _held_level(load, frames))
+    return _last_two(loads, lambda load: _measure_held_level(load, frames))
 
 
 def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, float]]:
@@ -148,12 +148,12 @@ def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tu
     return end - early, end
 
 
-def _no_trace(signal: str, from_s: float) -> str:
+def _describe_missing_trace(signal: str, from_s: float) -> str:
     what = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
     return f"{what} that begins before {from_s:g} s and lasts clearly longer"
 
 
-def _held_level(load: LoadObservation, frames: int) -> float | None:
+def _measure_held_level(load: LoadObservation, frames: int) -> float | None:
     trace = trace_of(load, SIGNAL, loading=True)
     return None if trace is None else end_level(trace, frames)
 

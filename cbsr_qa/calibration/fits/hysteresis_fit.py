@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.fits.superposition import Levels, levels_read, relaxed_levels
+from cbsr_qa.calibration.fits.superposition import Levels, estimate_levels, levels_read
 from cbsr_qa.calibration.sheet import Estimate
 from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.results import LoopObservation
@@ -87,13 +87,13 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
     assert loop.stress is not None
     records = loop.records
     if relaxed:
-        output = relaxed_levels(records, loop.output, rests=True)
-        stress = relaxed_levels(records, loop.stress, rests=False)
+        output = estimate_levels(records, loop.output, rests=True)
+        stress = estimate_levels(records, loop.stress, rests=False)
     else:
         output = levels_read(records, loop.output, last_s, loop.noise)
         stress = levels_read(records, loop.stress, last_s)
     each = _differences(output.values, stress.values, peak)
-    of_errors = _propagated(output, stress, peak, each.mean(axis=0))
+    of_errors = _propagate_errors(output, stress, peak, each.mean(axis=0))
     count = len(records)
     of_cycles = each.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.zeros_like(of_errors)
     place = records[0].load
@@ -179,7 +179,7 @@ def _differences(output: Array, stress: Array, peak: int) -> Array:
     return np.array(differences)
 
 
-def _propagated(output: Levels, stress: Levels, peak: int, plain: Array) -> Array:
+def _propagate_errors(output: Levels, stress: Levels, peak: int, plain: Array) -> Array:
     """Standard error of the mean difference (falling strains,) from every cause, one after the other."""
     moved = [
         *(_differences(output.values + error, stress.values, peak) for error in output.errors),

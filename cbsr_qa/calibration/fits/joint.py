@@ -60,7 +60,7 @@ def fit_joint(
     lower, upper = ([lowest], [highest]) if len(starts[0]) == 1 else ([lowest] * 2 + [-2.0], [highest] * 2 + [3.0])
     bounds = np.array(lower), np.array(upper)
     begun = [np.clip(start, *bounds) for start in starts]
-    return problem.assembled(best_fit(problem.residual, problem.jacobian, begun, bounds))
+    return problem.assemble(best_fit(problem.residual, problem.jacobian, begun, bounds))
 
 
 class _Joint:
@@ -79,19 +79,19 @@ class _Joint:
         self._size = float(np.sqrt(self._centred @ self._centred)) or 1.0
 
     def residual(self, shape: Array) -> Array:
-        basis, scales = self._projected(shape)
+        basis, scales = self._project(shape)
         return (self._centred - self._spread(scales) * basis) / self._size
 
     def jacobian(self, shape: Array) -> Array:
-        basis, scales = self._projected(shape)
+        basis, scales = self._project(shape)
         slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
         along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
         return (basis[:, None] * self._spread(along) - slope) / self._size
 
-    def assembled(self, shape: Array) -> JointExponentials:
+    def assemble(self, shape: Array) -> JointExponentials:
         if len(shape) == 3 and shape[0] > shape[1]:
             shape = np.array([shape[1], shape[0], 1 - shape[2]])
-        _, scales = self._projected(shape)
+        _, scales = self._project(shape)
         levels = self._sums(_shape(self._time_s, shape)) / self._counts
         residual = self.residual(shape) * self._size
         spare = max(len(residual) - 2 * len(scales) - len(shape), 1)
@@ -106,7 +106,7 @@ class _Joint:
             variance * self._covariance(shape, scales),
         )
 
-    def _projected(self, shape: Array) -> tuple[Array, Array]:
+    def _project(self, shape: Array) -> tuple[Array, Array]:
         """Centred basis of all points, and scale of every trace."""
         basis = self._less_means(_shape(self._time_s, shape))
         return basis, self._sums(basis * self._centred) / self._squares(basis)

@@ -73,7 +73,7 @@ def fit_quasi_static(
         If the lengths differ, a number is not finite, x or changes are beyond 1e±70, fewer than two levels are left,
         or their x coincide, so that slope and intercept cannot be separated.
     """
-    level, place, value = _checked(strain, x, change)
+    level, place, value = _check_points(strain, x, change)
     given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
     strains = np.unique(level)
     means = np.array([value[level == s].mean() for s in strains])
@@ -90,7 +90,7 @@ def fit_quasi_static(
             f"all loads lie at x = {places[0]:g}: slope and intercept cannot be told apart",
             remedy="press at clearly different strains",
         )
-    solution, covariance, chi_squared = _weighted_line(places, means[kept], errors[kept])
+    solution, covariance, chi_squared = _fit_weighted_line(places, means[kept], errors[kept])
     degrees = int(kept.sum()) - 2
     return QuasiStaticFit(
         float(solution[0]),
@@ -103,7 +103,7 @@ def fit_quasi_static(
     )
 
 
-def _checked(strain: Sequence[float], x: Sequence[float], change: Sequence[float]) -> tuple[Array, Array, Array]:
+def _check_points(strain: Sequence[float], x: Sequence[float], change: Sequence[float]) -> tuple[Array, Array, Array]:
     level, place, value = (np.asarray(part, dtype=np.float64) for part in (strain, x, change))
     if not len(level) == len(place) == len(value):
         raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
@@ -135,7 +135,7 @@ def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[A
     return np.maximum(errors, least), deviations
 
 
-def _weighted_line(x: Array, y: Array, error: Array) -> tuple[Array, Array, float]:
+def _fit_weighted_line(x: Array, y: Array, error: Array) -> tuple[Array, Array, float]:
     """Slope and intercept, their covariance and χ², by QR of the weighted design centred at its mean."""
     weight = 1 / error
     middle = float(np.average(x, weights=weight**2))

@@ -36,12 +36,14 @@ def exponentials(
     frame_s : P; 0 for values of the frame's middle.
     """
     late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
-    factor, slope = seen_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
+    factor, slope = observable_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
     values = np.exp(-late) * factor
     return values, values * (late - slope)
 
 
-def seen_share(time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0) -> tuple[Array, Array]:
+def observable_share(
+    time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0
+) -> tuple[Array, Array]:
     """Factor of e^(−t/τ) by ramp and frame, and minus its logarithm's derivative by log τ, (..., k).
 
     NumericsError if a frame lasts a thousand time constants: its mean is that of its first instant alone.
@@ -130,24 +132,24 @@ def fit_relaxation(
     attempt. A drifting one is slower than its window by an unknown amount: it has no curve, and its offset is the
     level at its end. Time constants lie within half the median frame interval and ten times the window.
     """
-    time_s, values = checked_trace(time_s, values)
+    time_s, values = check_trace(time_s, values)
     if len(values) == 0:
-        return _without_curve(FitStatus.REJECTED, values, 0.0, "the trace is empty")
+        return _refuse_curve(FitStatus.REJECTED, values, 0.0, "the trace is empty")
     rounding = 4 * float(np.finfo(np.float64).eps * np.abs(values).max())
     final = float(np.median(values[-max(len(values) // 4, 1) :]))
     if np.abs(values - final).max() <= max(flat_within, 4 * rounding):
-        return _without_curve(FitStatus.FLAT, values, rounding, "no relaxation: within the band from the start")
+        return _refuse_curve(FitStatus.FLAT, values, rounding, "no relaxation: within the band from the start")
     if len(values) < _FEWEST[1]:
-        return _without_curve(
+        return _refuse_curve(
             FitStatus.REJECTED, values, rounding, f"{len(values)} points are too few; {_FEWEST[1]} are needed"
         )
     bounds_s = _bounds_s(time_s)
     single = fit_exponentials(time_s, values, 1, bounds_s, rounding)
     if len(values) < _FEWEST[2]:
-        return _kept(single, values, bounds_s, r_squared_gate, "too few points for a second exponential")
+        return _accept_fit(single, values, bounds_s, r_squared_gate, "too few points for a second exponential")
     two = fit_exponentials(time_s, values, 2, bounds_s, rounding)
     why = _why_not_two(single, two, bounds_s, rounding)
-    return _kept(single if why else two, values, bounds_s, r_squared_gate, why)
+    return _accept_fit(single if why else two, values, bounds_s, r_squared_gate, why)
 
 
 def relaxation_curve(fit: RelaxationFit, time_s: Array) -> Array:
@@ -158,7 +160,7 @@ def relaxation_curve(fit: RelaxationFit, time_s: Array) -> Array:
     return curve
 
 
-def checked_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
+def check_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
     """Return a trace as float64; NumericsError names the sample that makes it unusable."""
     time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if time_s.ndim != 1 or time_s.shape != values.shape:
@@ -175,11 +177,11 @@ def checked_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
             f" follows {time_s[first]:.13g} s",
             remedy="drop or re-time the repeated samples before fitting",
         )
-    _in_range(time_s, values)
+    _check_range(time_s, values)
     return time_s, values
 
 
-def _in_range(time_s: Array, values: Array) -> None:
+def _check_range(time_s: Array, values: Array) -> None:
     window_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     if window_s > 0 and abs(time_s[0]) > _LATEST * window_s:
         raise NumericsError(
@@ -222,7 +224,7 @@ def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float,
     return next((why for failed, why in checks if failed), "")
 
 
-def _kept(
+def _accept_fit(
     fit: Exponentials,
     values: Array,
     bounds_s: tuple[float, float],
@@ -237,7 +239,7 @@ def _kept(
     if r_squared < r_squared_gate:
         status, why = FitStatus.REJECTED, f"R² {r_squared:.3f} is below {r_squared_gate:g}"
     elif count == 1 and _drifts(fit, bounds_s):
-        return _without_curve(
+        return _refuse_curve(
             FitStatus.DRIFTING, values[-max(len(values) // 4, 1) :], 0.0, _DRIFTING, r_squared=r_squared
         )
     elif count == 1 and fit.stderr[2] > 1.0:
@@ -261,7 +263,7 @@ def _drifts(fit: Exponentials, bounds_s: tuple[float, float]) -> bool:
     return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(fit.stderr[2]) > 1.0)
 
 
-def _without_curve(
+def _refuse_curve(
     status: FitStatus, values: Array, rounding: float, why: str, *, r_squared: float = 0.0
 ) -> RelaxationFit:
     offset = float(values.mean()) if len(values) else 0.0

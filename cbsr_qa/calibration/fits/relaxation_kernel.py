@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
-from cbsr_qa.calibration.fits.relaxation import checked_trace, exponentials
+from cbsr_qa.calibration.fits.relaxation import check_trace, exponentials
 from cbsr_qa.domain import Array, Mask, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationKernel
 
@@ -38,7 +38,7 @@ class KernelTrace:
     released: float | None
 
 
-def _shared_kernel(
+def _estimate_shared_kernel(
     traces: Sequence[KernelTrace],
     weights: Array,
     time_constants_s: Array,
@@ -66,7 +66,7 @@ def _shared_kernel(
     precision = 1 / prior_stderr[free] ** 2
     for _ in range(_ROUNDS):
         reduced = _Reduced(traces, mean, frame_s, noise)
-        steps, inverse, likely = reduced.searched(free, precision, (start - mean)[free])
+        steps, inverse, likely = reduced.search_scatter(free, precision, (start - mean)[free])
         mean = mean.copy()
         mean[free] += likely @ steps
     around = steps - likely @ steps
@@ -102,7 +102,7 @@ class _Reduced:
     ) -> None:
         half = len(mean) // 2
         self.weights = mean[:half]
-        loads = [_projected(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
+        loads = [_project_trace(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
         self.data, self.level, self.parts, self.slopes, self.size = (
             np.array(row) for row in zip(*(load[:5] for load in loads), strict=True)
         )
@@ -113,7 +113,7 @@ class _Reduced:
         least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
         self.variance = np.maximum(given, least)
 
-    def searched(self, free: Mask, precision: Array, back: Array) -> tuple[Array, Array, Array]:
+    def search_scatter(self, free: Mask, precision: Array, back: Array) -> tuple[Array, Array, Array]:
         """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
 
         ``back`` leads from the present mean to the prior's.
@@ -140,7 +140,7 @@ class _Reduced:
         return steps, posterior, likely / likely.sum()
 
 
-def _projected(
+def _project_trace(
     trace: KernelTrace, weights: Array, time_constants_s: Array, frame_s: float
 ) -> tuple[Array, Array, Array, Array, float, float, int]:
     """Coordinates of values, level, exponentials and slopes; the size; residual, and its degrees of freedom."""
@@ -213,7 +213,7 @@ def learn_kernel(
     -------
     RelaxationKernel; unusable, with the reason ``why``, if the traces drift or show no time constant.
     """
-    loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
+    loads, unit = _scale_loads(_loads(traces, ramp_s, released, start_s))
     usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
     used = [loads[index] for index in usable]
     common = fit_common_relaxation([(load.time_s, load.values) for load in used])
@@ -221,10 +221,12 @@ def learn_kernel(
     if not why and not _stands_out(used, common):
         why = "no load stands out of its noise"
     if why:
-        return _no_kernel(released is None, len(used), start_s, why)
+        return _refuse_kernel(released is None, len(used), start_s, why)
     weights, time_constants_s, prior = _beginning(used, common, frame_s)
     own = None if noise is None else [noise[index] * unit for index in usable]
-    return _shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own, start_s=start_s)
+    return _estimate_shared_kernel(
+        used, weights, time_constants_s, prior, frame_s=frame_s, noise=own, start_s=start_s
+    )
 
 
 def _loads(
@@ -238,13 +240,13 @@ def _loads(
     for (time_s, values), ramp, change in zip(traces, ramps, changes, strict=True):
         if not (np.isfinite(ramp) and ramp >= 0 and (change is None or np.isfinite(change))):
             raise NumericsError(f"a ramp of {ramp} s, or a released change of {change}, is no finite number")
-        times, taken = checked_trace(time_s, values)
+        times, taken = check_trace(time_s, values)
         counts = times >= start_s
         loads.append(KernelTrace(times[counts], taken[counts], ramp, change))
     return loads
 
 
-def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
+def _scale_loads(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
     """Loads in a unit in which the largest is about one, and that unit: a power of two, to avoid rounding."""
     largest = max((float(np.abs(load.values).max(initial=0.0)) for load in loads), default=0.0)
     unit = float(np.ldexp(1.0, -int(np.frexp(largest)[1])))
@@ -285,6 +287,6 @@ def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: 
     return np.zeros(2), both, np.array([_HIDDEN, _HIDDEN, 0.0, 0.0])
 
 
-def _no_kernel(loading: bool, loads: int, start_s: float, why: str) -> RelaxationKernel:
+def _refuse_kernel(loading: bool, loads: int, start_s: float, why: str) -> RelaxationKernel:
     none = np.zeros(0)
     return RelaxationKernel(loading, none, none, np.zeros((0, 0)), none, 1.0, loads, start_s, why)

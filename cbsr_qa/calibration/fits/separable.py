@@ -84,7 +84,7 @@ def fit_exponentials(
         if here not in kept:
             kept.clear()
             basis = _basis(time_s, log_tau)
-            kept[here] = (basis, *np.linalg.qr(_centred(basis)))
+            kept[here] = (basis, *np.linalg.qr(_subtract_means(basis)))
         return kept[here]
 
     def residual(log_tau: Array) -> Array:
@@ -94,11 +94,11 @@ def fit_exponentials(
 
     def jacobian(log_tau: Array) -> Array:
         basis, q, r = factors(log_tau)
-        slope = _centred(_slopes(time_s, basis, log_tau)) * _back_substitute(r, q.T @ y)
+        slope = _subtract_means(_slopes(time_s, basis, log_tau)) * _back_substitute(r, q.T @ y)
         return q @ (q.T @ slope) - slope
 
     best = best_fit(residual, jacobian, _starts(time_s, y, count, (lowest, highest)), (lowest, highest))
-    return _assembled(time_s, values, np.sort(best), rounding)
+    return _assemble(time_s, values, np.sort(best), rounding)
 
 
 Bounds = tuple[float | Array, float | Array]
@@ -115,12 +115,12 @@ def best_fit(
     starts : (k,) each, within the bounds.
     bounds : lowest and highest values, of all parameters or (k,) of each.
     """
-    places = [_searched(residual, jacobian, start, bounds, _NEAR) for start in starts]
+    places = [_search(residual, jacobian, start, bounds, _NEAR) for start in starts]
     best = min(places, key=lambda place: float(np.square(residual(place)).sum()))
-    return _polished(residual, jacobian, _searched(residual, jacobian, best, bounds, _GAIN), bounds)
+    return _polish(residual, jacobian, _search(residual, jacobian, best, bounds, _GAIN), bounds)
 
 
-def _searched(
+def _search(
     residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], place: Array, bounds: Bounds, least: float
 ) -> Array:
     """Levenberg–Marquardt with steps cut off at the bounds, damped as in Nielsen 1999 (IMM-REP-1999-05).
@@ -154,7 +154,7 @@ def _searched(
     return place
 
 
-def _polished(
+def _polish(
     residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], place: Array, bounds: Bounds
 ) -> Array:
     """Continue from the end of a search by plain Gauss–Newton steps while they gain."""
@@ -194,7 +194,7 @@ def _basis(time_s: Array, log_tau: Array) -> Array:
     return np.exp(-time_s[:, None] / np.exp(log_tau)[None, :])
 
 
-def _centred(columns: Array) -> Array:
+def _subtract_means(columns: Array) -> Array:
     centred: Array = columns - np.add.reduce(columns) / len(columns)
     return centred
 
@@ -215,7 +215,7 @@ def _back_substitute(r: Array, right: Array) -> Array:
 
 def _starts(time_s: Array, values: Array, count: int, bounds: tuple[float, float]) -> list[Array]:
     grid = np.linspace(*bounds, _GRID + 2)[1:-1]
-    basis = _centred(_basis(time_s, grid))
+    basis = _subtract_means(_basis(time_s, grid))
     basis = basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
     first = basis.T @ values
     if count == 1:
@@ -229,9 +229,9 @@ def _starts(time_s: Array, values: Array, count: int, bounds: tuple[float, float
     return [grid[list(np.unravel_index(int(index), gain.shape))] for index in best]
 
 
-def _assembled(time_s: Array, values: Array, log_tau: Array, rounding: float) -> Exponentials:
+def _assemble(time_s: Array, values: Array, log_tau: Array, rounding: float) -> Exponentials:
     basis = _basis(time_s, log_tau)
-    q, r = np.linalg.qr(_centred(basis))
+    q, r = np.linalg.qr(_subtract_means(basis))
     amplitudes = _back_substitute(r, q.T @ (values - values.mean()))
     offset = values.mean() - float(basis.mean(axis=0) @ amplitudes)
     residual = (values - values.mean()) - (basis - basis.mean(axis=0)) @ amplitudes

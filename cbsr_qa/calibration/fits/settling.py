@@ -65,7 +65,7 @@ def window_s(time_s: Array) -> float:
     return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
 
 
-def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
+def estimate_restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
     """Mean and standard deviation of times, some of them censored (Kaplan & Meier 1958).
 
     The survival curve is integrated up to the longest observed time, so with censored times, which count as at least

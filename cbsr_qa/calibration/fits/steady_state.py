@@ -5,7 +5,7 @@ from typing import Final, Self
 import numpy as np
 from scipy.special import stdtrit
 
-from cbsr_qa.calibration.fits.relaxation import seen_share
+from cbsr_qa.calibration.fits.relaxation import observable_share
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import RelaxationKernel, SteadyPrediction
@@ -109,12 +109,12 @@ class HoldsSoFar:
             )
         self._kernel = kernel
         ramps = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
-        self._share, self._slope = seen_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
+        self._share, self._slope = observable_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
         self._root = _root(kernel)
         # All rows and values as the triangle of their QR: sums of squares would keep half of the digits.
         self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
-        #: Of holds, up to the last frame: what :meth:`_of_holds` regressed, whatever the time that is predicted.
+        #: What :meth:`_predict_from_holds` regressed, up to the last frame, whatever the time that is predicted.
         self._regression: tuple[Array, tuple[Array, Array, Array]] | None = None
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
@@ -157,7 +157,7 @@ class HoldsSoFar:
         if not at_s >= 0:
             raise NumericsError(f"there is no change at {at_s} s", remedy="it is at least 0 after the ramp's end")
         if released is None:
-            return self._of_holds(at_s)
+            return self._predict_from_holds(at_s)
         shape = self._frames.shape
         change, stderr = (
             np.broadcast_to(np.asarray(number, dtype=np.float64), shape) for number in (released, released_stderr)
@@ -165,9 +165,9 @@ class HoldsSoFar:
         if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
             raise NumericsError("a released change or its standard error is not a finite number")
         unknown = self._unknown(0.0, change, stderr)
-        return self._predicted(unknown, change, self._rows(np.full(shape, at_s)), self._regressed(unknown, change))
+        return self._predict(unknown, change, self._rows(np.full(shape, at_s)), self._regress(unknown, change))
 
-    def _of_holds(self, at_s: float) -> SteadyPrediction:
+    def _predict_from_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so A is predicted iteratively."""
         none = np.zeros(self._frames.shape)
         if self._regression is None:
@@ -175,11 +175,11 @@ class HoldsSoFar:
             size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
             for _ in range(_ROUNDS):
                 unknown = self._unknown(1.0, size, none)
-                regressed = self._regressed(unknown, none)
+                regressed = self._regress(unknown, none)
                 size = regressed[1][:, 0]
             self._regression = unknown, regressed
         unknown, regressed = self._regression
-        return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)), regressed)
+        return self._predict(unknown, none, self._rows(np.full(none.shape, at_s)), regressed)
 
     def _rows(self, time_s: Array) -> Array:
         """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
@@ -206,7 +206,7 @@ class HoldsSoFar:
         unknown[:, 1, -1] = stderr
         return unknown
 
-    def _regressed(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
+    def _regress(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
         """Root L (m, u, u) of the unknowns' covariance L Lᵀ, their values (m, u), and χ² (m,) with their prior's."""
         rows = self._triangle[:, :, :-1] @ unknown
         left = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
@@ -218,7 +218,7 @@ class HoldsSoFar:
         root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
         return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
-    def _predicted(
+    def _predict(
         self, unknown: Array, known: Array, wanted: Array, regressed: tuple[Array, Array, Array]
     ) -> SteadyPrediction:
         root, solution, left = regressed

@@ -75,22 +75,22 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     SeparatedSteps. If a direction has no exponential, a step's level is the mean of its last quarter.
     """
     traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
-    common = _fitted(steps, traces)
+    common = _fit_directions(steps, traces)
     for _ in range(_PASSES):
-        traces = _without_carried(steps, constants_of(common))
-        refitted = _fitted(steps, traces)
+        traces = _subtract_residues(steps, constants_of(common))
+        refitted = _fit_directions(steps, traces)
         settled = _alike(common, refitted)
         common = refitted
         if settled:
             break
-    return separated_with(steps, common, constants_of(common))
+    return separate_with_constants(steps, common, constants_of(common))
 
 
-def separated_with(
+def separate_with_constants(
     steps: Sequence[StepTrace], common: dict[bool, CommonRelaxation], constants_s: dict[bool, Array]
 ) -> SeparatedSteps:
     """Separate steps with given time constants of each direction, e.g. for the effect of errors on the levels."""
-    traces = _without_carried(steps, constants_s)
+    traces = _subtract_residues(steps, constants_s)
     fits = [fit_step(trace, constants_s[step.loading]) for step, trace in zip(steps, traces, strict=True)]
     return SeparatedSteps(
         traces,
@@ -101,7 +101,7 @@ def separated_with(
     )
 
 
-def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
+def shift_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
     """Move time constants by one standard error along each of their independent directions, one set each."""
     plain = constants_of(common)
     moved = []
@@ -121,7 +121,7 @@ def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
     return nothing | {loading: np.array(fit.fit.time_constants_s) for loading, fit in common.items()}
 
 
-def _fitted(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[bool, CommonRelaxation]:
+def _fit_directions(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[bool, CommonRelaxation]:
     by_direction = {
         loading: [trace for step, trace in zip(steps, traces, strict=True) if step.loading is loading]
         for loading in (True, False)
@@ -129,7 +129,7 @@ def _fitted(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[b
     return {loading: fit_common_relaxation(members) for loading, members in by_direction.items() if members}
 
 
-def _without_carried(steps: Sequence[StepTrace], constants_s: dict[bool, Array]) -> tuple[TimedValues, ...]:
+def _subtract_residues(steps: Sequence[StepTrace], constants_s: dict[bool, Array]) -> tuple[TimedValues, ...]:
     every_s = np.concatenate([constants_s[True], constants_s[False]])
     carried = np.zeros(len(every_s))
     before_s = steps[0].start_s if steps else 0.0
@@ -226,7 +226,7 @@ def _check_finite(trace: Trace) -> None:
     finite_numbers(trace.values, f"values of the {trace.name}")
 
 
-def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
+def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
     """Final level of every hold of some loops, without residues of earlier steps.
 
     Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step are ignored, since a fast exponential
@@ -264,17 +264,17 @@ def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) ->
     known = constants_of(separated.common)
     unseen = np.array([_UNSEEN * held_s])
     constants = {way: next((c for c in (known[way], known[not way]) if len(c)), unseen) for way in (True, False)}
-    plain = separated_with(steps, separated.common, constants)
+    plain = separate_with_constants(steps, separated.common, constants)
     moved = [
-        separated_with(
+        separate_with_constants(
             steps, separated.common, {way: near[way] if len(known[way]) else constants[way] for way in near}
         )
-        for near in shifted_constants(separated.common)
+        for near in shift_constants(separated.common)
     ]
     width = len(loops[0].held)
-    own = _shaped(plain.level_stderr, len(loops), width)
-    shifts = [_shaped(near.levels - plain.levels, len(loops), width)[None] for near in moved]
-    return Levels(_shaped(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
+    own = _shape_levels(plain.level_stderr, len(loops), width)
+    shifts = [_shape_levels(near.levels - plain.levels, len(loops), width)[None] for near in moved]
+    return Levels(_shape_levels(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
 
 
 def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:
@@ -299,7 +299,7 @@ def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepT
     return StepTrace(start_s, loading, time_s, values, int((time_s < FROM_S).sum()))
 
 
-def _shaped(levels: Array, loops: int, width: int) -> Array:
+def _shape_levels(levels: Array, loops: int, width: int) -> Array:
     return levels.reshape(loops, -1)[:, :width]
 
 

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
         RESIDUE_SHARE as RESIDUE_SHARE,
         TemplateBank as TemplateBank,
         begin_templates as begin_templates,
-        prepared_force as prepared_force,
+        make_even_model as make_even_model,
+        prepare_force as prepare_force,
         template_bank as template_bank,
-        unlearned_model as unlearned_model,
     )
     from .validity import (
         force_reductions as force_reductions,
+        list_missing_forces as list_missing_forces,
+        list_untrained_ranges as list_untrained_ranges,
         prediction_words as prediction_words,
         reading_reductions as reading_reductions,
-        tried_beyond as tried_beyond,
-        unmeasured as unmeasured,
     )
 
 door(__name__, __file__)

@@ -11,7 +11,7 @@ from cbsr_qa.calibration.force.templates import (
     RESIDUE_SHARE,
     RESIDUE_STDERR,
     TemplateBank,
-    unlearned_model,
+    make_even_model,
 )
 from cbsr_qa.calibration.runtime import TemplateFilter
 from cbsr_qa.calibration.sheet import (
@@ -19,7 +19,7 @@ from cbsr_qa.calibration.sheet import (
     ResponseMap,
     intercept_column,
     learn_response,
-    predicted_change,
+    predict_change,
 )
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
@@ -60,7 +60,7 @@ class CalibrationLoads:
     def select(self, which: Mask) -> "CalibrationLoads":
         return CalibrationLoads(*(getattr(self, column.name)[which] for column in fields(self)))
 
-    def changed(self) -> tuple[Array, Array]:
+    def subtract_residues(self) -> tuple[Array, Array]:
         """Rows (n, r) without residues of earlier loads, and their noise variance (n,)."""
         there = self.frames_before > 0
         share = np.where(there, RESIDUE_SHARE, 0.0)
@@ -116,10 +116,10 @@ def learn_force(
     CalibrationError
         If fewer than three loads are usable; the message gives the reasons for the others.
     """
-    even = unlearned_model(bank, merging)
+    even = make_even_model(bank, merging)
     filter_ = TemplateFilter(even)
     stress = loads.force_N / head.area_mm2 * 1e3
-    seen = _seen(filter_, loads)
+    seen = _match_loads(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
     error = _relative_error(seen, loads, line, stress, predicted)
     refused = _refusals(seen, predicted, line, stress, error)
@@ -166,11 +166,11 @@ class _Seen:
     detectability: Array
 
 
-def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
-    rows, noise = loads.changed()
-    matches = filter_.at(rows, loads.place_mm)
+def _match_loads(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
+    rows, noise = loads.subtract_residues()
+    matches = filter_.match_at(rows, loads.place_mm)
     strength = matches.strength
-    left = filter_.at(loads.before, loads.place_mm).strength
+    left = filter_.match_at(loads.before, loads.place_mm).strength
     variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * left) ** 2
     return _Seen(
         2 * strength / (2 - strength),
@@ -181,9 +181,9 @@ def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
 
 def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Largest share of a single load's signal, as energy, that a second head explains, beyond noise."""
-    rows, noise = loads.changed()
+    rows, noise = loads.subtract_residues()
     matches = filter_.search(rows[used])
-    second, _ = filter_.beside(rows[used], matches.place_mm, matches.strength)
+    second, _ = filter_.match_beside(rows[used], matches.place_mm, matches.strength)
     # Noise at the best of all places is below the threshold except for one frame in thousands.
     extra = np.maximum(second - noise[used] * filter_.threshold**2, 0.0)
     return float((extra / matches.gain).max())
@@ -191,7 +191,7 @@ def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) 
 
 def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Distance of found from pressed places, beyond noise; loads out of reach do not count."""
-    rows, noise = loads.changed()
+    rows, noise = loads.subtract_residues()
     matches = filter_.search(rows[used])
     error = ((matches.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
     expected = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise[used]
@@ -203,7 +203,7 @@ def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: Ma
     there = used & (loads.frames_before > 0)
     if not there.any():
         return 0.0
-    left = filter_.at(loads.before[there], loads.place_mm[there])
+    left = filter_.match_at(loads.before[there], loads.place_mm[there])
     squared = left.strength**2 - left.covariance[:, 0, 0] / loads.frames_before[there]
     return float(np.sqrt(max(float(squared.mean()), 0.0)))
 
@@ -219,7 +219,7 @@ def _relative_error(
 
 def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, error: Array) -> tuple[str, ...]:
     unclear = [
-        abs(p) < _CLEAR * predicted_change(line, at)[1] for p, at in zip(predicted, stress.tolist(), strict=True)
+        abs(p) < _CLEAR * predict_change(line, at)[1] for p, at in zip(predicted, stress.tolist(), strict=True)
     ]
     reasons = []
     for number in range(len(predicted)):

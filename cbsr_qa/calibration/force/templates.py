@@ -79,12 +79,12 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
     node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
     places = everywhere[inside]
-    templates, log_size, size_slope, slopes = _joined(_templates(readings, p) for p in _everywhere(model, head))
+    templates, log_size, size_slope, slopes = _join(_templates(readings, p) for p in _everywhere(model, head))
     fits = clear_mm[inside] >= head.radius_mm
     return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
-def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
+def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
@@ -97,22 +97,22 @@ def begin_templates(sensor_type: SensorType, head: Indenter) -> None:
     model = load_model(sensor_type)
     if (model, head) not in _kept:
         _kept.clear()
-        _kept[model, head] = Ahead(partial(_computed, model, head)).result
+        _kept[model, head] = Ahead(partial(_compute_templates, model, head)).result
 
 
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
     if (model, head) not in _kept:
-        computed = _computed(model, head)
+        computed = _compute_templates(model, head)
         _kept.clear()
         _kept[model, head] = lambda: computed
     return _kept[model, head]()
 
 
-def _computed(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
+def _compute_templates(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
-    return tuple(_pressed(model, everywhere[inside], head))
+    return tuple(_press_lattice(model, everywhere[inside], head))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +124,7 @@ class _Pressed:
     square_mm2: float
 
 
-def _pressed(model: RoundLoadModel, places_mm: Array, head: Indenter) -> "Iterator[_Pressed]":
+def _press_lattice(model: RoundLoadModel, places_mm: Array, head: Indenter) -> "Iterator[_Pressed]":
     square, strength = head.squared_radius_mm2, CONTRAST / (2 + CONTRAST) * head.area_mm2 / np.pi
     for first in range(0, len(places_mm), _AT_ONCE):
         places = places_mm[first : first + _AT_ONCE]
@@ -144,8 +144,8 @@ def _lattice(model: RoundLoadModel) -> Lattice:
 
 def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Array, Array, Array]:
     per = 2 * CONTRAST / (2 + CONTRAST)
-    by_x, by_y, _, by_square = (readings.of_model(pressed.readings.slope[:, k]) / per for k in range(4))
-    rows = readings.of_model(pressed.readings.change) / per + by_square * pressed.beyond_mm2[:, None]
+    by_x, by_y, _, by_square = (readings.merge_frames(pressed.readings.slope[:, k]) / per for k in range(4))
+    rows = readings.merge_frames(pressed.readings.change) / per + by_square * pressed.beyond_mm2[:, None]
     size = np.linalg.norm(rows, axis=1)
     rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
     along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
@@ -155,7 +155,7 @@ def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Arra
     return rows, np.log(size), by_square * pressed.square_mm2, slopes
 
 
-def unlearned_model(bank: TemplateBank, merging: Array) -> ForceModel:
+def make_even_model(bank: TemplateBank, merging: Array) -> ForceModel:
     """Return the force model of an even sheet, before learning from loads."""
     nothing = np.zeros(len(bank.templates))
     return ForceModel(
@@ -195,7 +195,7 @@ def _threshold(bank: TemplateBank) -> float:
     return level
 
 
-def prepared_force(
+def prepare_force(
     sensor_type: SensorType, used: Mask, merging: Array, reference: Array, head: Indenter
 ) -> ForceModel:
     """Prepare the templates of a stored calibration; its map is left empty.
@@ -215,10 +215,10 @@ def prepared_force(
             f"a merging of {merging.shape} does not make {len(first)} rows of {int(used.sum())} readings"
         )
     model = load_model(sensor_type)
-    expected = model.unloaded()[used]
+    expected = model.solve_unloaded()[used]
     scale = float(reference[used] @ expected / (expected @ expected))
     drive, measure = np.nonzero(used)
     weight = abs(scale) * np.abs(merging).sum(axis=1)
     readings = MergedReadings(used, merging * scale, drive[first], measure[first], weight)
     bank = template_bank(model, readings, head)
-    return as_filed(unlearned_model(bank, merging))
+    return as_filed(make_even_model(bank, merging))

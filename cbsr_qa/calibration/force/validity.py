@@ -53,7 +53,7 @@ def prediction_words(learned: LearnedForce) -> str:
     )
 
 
-def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
+def list_untrained_ranges(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
     """Yield ranges covered only by loads (``confirmed``) used to test the force, not to learn it."""
     forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
     if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
@@ -69,7 +69,7 @@ def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObserv
         )
 
 
-def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
+def list_missing_forces(loads: Sequence[LoadObservation]) -> Iterator[str]:
     """Yield why loads have no force although a load cell recorded one, each reason once."""
     silent: dict[str, list[LoadObservation]] = {}
     for load in loads:

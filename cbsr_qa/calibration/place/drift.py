@@ -69,7 +69,7 @@ class Session:
         """Sessions after the last press that a calibration is stated for."""
         return 1.0 if self.late else SESSIONS
 
-    def of(self, presses: Indices) -> "Session":
+    def select(self, presses: Indices) -> "Session":
         """The same of some presses, in rising order."""
         late = int(np.count_nonzero(presses >= len(self.time) - self.late))
         return Session(self.time[presses], late)
@@ -83,7 +83,7 @@ def session_of(errors: Array, time_s: Array | None) -> Session:
     errors : (n, m) of presses that were left out, seen less expected features.
     time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
     """
-    return Session(*_sessions(_in_deviations(errors)[0], time_s, _orders(len(errors))))
+    return Session(*_sessions(_scale_to_unit_rms(errors)[0], time_s, _orders(len(errors))))
 
 
 def find_drift(errors: Array, expected: Array, session: Session, *, certain: bool = False) -> Drift | None:
@@ -94,23 +94,23 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
     errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
     certain : whether the presses are known to drift, by others of their features.
     """
-    scaled, deviation = _in_deviations(errors)
-    relative, _ = _in_deviations(expected)
+    scaled, deviation = _scale_to_unit_rms(errors)
+    relative, _ = _scale_to_unit_rms(expected)
     walk, late = _Walk.over(session.time), session.late
     if not certain and walk.score(scaled, relative) <= max(
         replace(walk, at=walk.at[order]).score(scaled, relative) for order in _orders(len(errors))
     ):
         return None
     variances, expected_variances = walk.likely(scaled, relative)
-    found = walk.fitted(scaled, relative, variances)
-    since = _added(walk.at[-1] - walk.at, found, relative)
+    found = walk.fit(scaled, relative, variances)
+    since = _evaluate_drift(walk.at[-1] - walk.at, found, relative)
     for press in range(len(scaled) - late, len(scaled)):
         others = np.delete(np.arange(len(scaled)), press)
-        less = replace(walk, at=walk.at[others]).fitted(scaled[others], relative[others], variances) - found
-        since[press] -= _added(
+        less = replace(walk, at=walk.at[others]).fit(scaled[others], relative[others], variances) - found
+        since[press] -= _evaluate_drift(
             walk.at[[press]] - walk.at[: len(scaled) - late].mean(axis=0), less, relative[[press]]
         )[0]
-    further = _added((walk.at[-1] - walk.at[0])[None], found, relative)
+    further = _evaluate_drift((walk.at[-1] - walk.at[0])[None], found, relative)
     sessions = session.horizon / float(np.ptp(session.time))
     return Drift(
         deviation * since,
@@ -121,7 +121,7 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
     )
 
 
-def _in_deviations(values: Array) -> tuple[Array, Array]:
+def _scale_to_unit_rms(values: Array) -> tuple[Array, Array]:
     """Values (n, m) over their root mean squares (m,), and these; one where all are zero."""
     deviation = np.sqrt((values**2).mean(axis=0))
     return values / np.where(deviation > 0, deviation, 1.0), deviation
@@ -133,7 +133,7 @@ def _orders(count: int) -> list[Indices]:
     return [random.permutation(count) for _ in range(_SHUFFLES)]
 
 
-def _added(functions: Array, coefficients: Array, relative: Array) -> Array:
+def _evaluate_drift(functions: Array, coefficients: Array, relative: Array) -> Array:
     """Drift (n, m) of relative features (n, m) by the walk's functions (n, k) and coefficients (2, k, m)."""
     offset, gain = functions @ coefficients
     added: Array = offset + relative * gain
@@ -168,15 +168,15 @@ class _Walk:
         """
         problem = self._problem(scaled, relative)
         tried = [(offset, gain) for offset in _WALKS for gain in _WALKS]
-        solved = [self._solved(problem, variances) for variances in tried]
+        solved = [self._solve(problem, variances) for variances in tried]
         likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solved]).T
         weights = np.exp((likelihoods - likelihoods.max()) / 2)
         means: Array = (weights / weights.sum() * noise) @ np.array(tried)
         return tried[int(likelihoods.argmax())], means
 
-    def fitted(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
+    def fit(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
         """Coefficients (2, k, m) of offset and gain."""
-        means = self._solved(self._problem(scaled, relative), variances)[1]
+        means = self._solve(self._problem(scaled, relative), variances)[1]
         return means.T.reshape(2, len(self.variances) + 1, -1)[:, 1:]
 
     def _problem(self, scaled: Array, relative: Array) -> tuple[Array, Array, Array]:
@@ -193,7 +193,7 @@ class _Walk:
         along = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
         return gram, along, (scaled**2).sum(axis=0)
 
-    def _solved(
+    def _solve(
         self, problem: tuple[Array, Array, Array], variances: tuple[float, float]
     ) -> tuple[float, Array, Array]:
         """Twice the logarithm of the likelihood, means (m, 2 k + 2), and each reading's variance of noise (m,)."""

@@ -8,19 +8,19 @@ import numpy as np
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
 from cbsr_qa.calibration.place.features import (
     LEAST_LIKENESS,
+    compute_squared_distances,
     features_of,
     more_than_spikes,
     size_factors,
     spikes_in,
-    squared_distances,
     strengths,
 )
 from cbsr_qa.calibration.place.held_out import evenly
-from cbsr_qa.calibration.place.mixture import mixed
+from cbsr_qa.calibration.place.mixture import mix_places
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.place.process import located
-from cbsr_qa.calibration.place.templates import at_places, expected_features, filled, likeness, match
+from cbsr_qa.calibration.place.process import locate
+from cbsr_qa.calibration.place.templates import fill_missing, interpolate_at_places, likeness, match, predict_features
 from cbsr_qa.calibration.runtime import LEFT_OUT, Flag, FrameFaults
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
@@ -70,7 +70,7 @@ class PlaceEstimator:
             most_mm = max(_MISSED_REACH * model.reach_mm, _MISSED_TIMES * held_out_mm)
             self._modelled = modelled if modelled.error_mm <= most_mm else None
         self._kept: dict[bytes, tuple[Array, float]] = {}
-        self._expected = expected_features(model.templates)
+        self._expected = predict_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
     def __call__(self, changes: Array, faults: FrameFaults | None = None) -> Places:
@@ -92,7 +92,7 @@ class PlaceEstimator:
             faults = FrameFaults(np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64))
         starts = range(0, max(len(changes), 1), _AT_ONCE)
         several = [slice(first, first + _AT_ONCE) for first in starts]
-        parts = [self._located(changes[some], faults.left_out[some], faults.flags[some]) for some in several]
+        parts = [self._locate(changes[some], faults.left_out[some], faults.flags[some]) for some in several]
         places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         return places if self._modelled is None else self._beyond(places, self._modelled(changes))
 
@@ -111,24 +111,24 @@ class PlaceEstimator:
         """Which places (n, 2) in the frame of the presses are far from all of them."""
         model = self._model
         about = (place_mm - model.centre_mm) @ model.axes.T
-        nearest = np.sqrt(squared_distances(about, model.process.places_mm).min(axis=1, initial=np.inf))
+        nearest = np.sqrt(compute_squared_distances(about, model.process.places_mm).min(axis=1, initial=np.inf))
         return np.asarray(nearest > model.reach_mm)
 
-    def _located(
+    def _locate(
         self, changes: Array, left_out: Mask, faults: Indices
     ) -> tuple[Array, Array, Array, Array, Indices, Array]:
         model = self._model
         used = model.scaling.ceiling > 0
-        lost, remarks = self._lost(changes, left_out)
+        lost, remarks = self._find_lost(changes, left_out)
         whole: Mask = np.asarray(lost[:, used].mean(axis=1) <= MOST_FAULTY)
         lost &= whole[:, None]
         changes = np.where(whole[:, None] & used & ~lost, changes, 0.0)
         features = features_of(changes, model.scaling)
         more = more_than_spikes(lost, used)
         few, less = lost.any(axis=1) & ~more, np.ones(len(features))
-        features[few] = filled(model.templates, self._expected, features[few], lost[few])
-        features[more], less[more] = self._without(features[more], lost[more])
-        place, covariance, misfit = self._mixed(features)
+        features[few] = fill_missing(model.templates, self._expected, features[few], lost[few])
+        features[more], less[more] = self._replace_lost(features[more], lost[more])
+        place, covariance, misfit = self._mix(features)
         unsure = np.zeros(len(features))
         for frame in np.flatnonzero(more).tolist():
             further, unsure[frame] = self._unsure(lost[frame])
@@ -136,7 +136,7 @@ class PlaceEstimator:
         size = np.sqrt((changes**2).sum(axis=1) / (~lost).sum(axis=1))
         judged = np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
         judged |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
-        like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
+        like = interpolate_at_places(model.templates.grid_mm, likeness(self._expected, features), place)
         place = place @ model.axes + model.centre_mm
         judged |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
         flags = faults | remarks | np.where(whole, judged, int(Flag.UNREADABLE))
@@ -159,34 +159,34 @@ class PlaceEstimator:
             whole = process.features[evenly(len(process.features), _PRESSES)]
             known = np.where(lost, 0.0, whole)
             smaller = size_factors(known, whole, scaling)  # such a frame is divided by the size of its known readings
-            fewer, less = self._without(known / smaller[:, None], np.tile(lost, (len(whole), 1)))
-            (here, likely), (there, expected) = (self._found(features) for features in (fewer, whole))
+            fewer, less = self._replace_lost(known / smaller[:, None], np.tile(lost, (len(whole), 1)))
+            (here, likely), (there, expected) = (self._match(features) for features in (fewer, whole))
             apart = here - there
             weaker = np.log(likely * smaller / (less * expected)) / scaling.exponent
             covariance = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
             self._kept[key] = covariance, float(np.sqrt((weaker**2).mean()))
         return self._kept[key]
 
-    def _found(self, features: Array) -> tuple[Array, Array]:
+    def _match(self, features: Array) -> tuple[Array, Array]:
         """Places (n, 2) about the centre, and the likeness (n,) to the templates there."""
-        place, like = self._mixed(features)[0], likeness(self._expected, features)
-        return place, np.maximum(at_places(self._model.templates.grid_mm, like, place), LEAST_LIKENESS)
+        place, like = self._mix(features)[0], likeness(self._expected, features)
+        return place, np.maximum(interpolate_at_places(self._model.templates.grid_mm, like, place), LEAST_LIKENESS)
 
-    def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
+    def _replace_lost(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
         known = np.where(lost, 0.0, features)
-        new = filled(self._model.templates, self._expected, known, lost)
+        new = fill_missing(self._model.templates, self._expected, known, lost)
         factor = size_factors(known, new, self._model.scaling)
         return new * factor[:, None], factor
 
-    def _mixed(self, features: Array) -> tuple[Array, Array, Array]:
+    def _mix(self, features: Array) -> tuple[Array, Array, Array]:
         """Places (n, 2) about the centre, their covariances and misfits."""
         model = self._model
         second, covariance, misfit = match(model.templates, features)
-        first = located(model.process, model.turns, features)
-        return (*mixed(model.mixture, first, second, covariance), misfit)
+        first = locate(model.process, model.turns, features)
+        return (*mix_places(model.mixture, first, second, covariance), misfit)
 
-    def _lost(self, changes: Array, left_out: Mask) -> tuple[Mask, Indices]:
+    def _find_lost(self, changes: Array, left_out: Mask) -> tuple[Mask, Indices]:
         """Readings (n, m) of frames that say nothing, and flags (n,); ``left_out`` is (n, m)."""
         ceiling = self._model.scaling.ceiling
         missing: Mask = (ceiling > 0) & ~np.isfinite(changes)

@@ -147,7 +147,7 @@ def ring_axes(layout: ElectrodeLayout) -> Array:
     return axes
 
 
-def squared_distances(a: Array, b: Array) -> Array:
+def compute_squared_distances(a: Array, b: Array) -> Array:
     """Squared Euclidean distances (n, k) of rows (n, m) and (k, m); rounding errors below zero are cut."""
     squares: Array = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return np.maximum(squares, 0.0)

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
-from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
-from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, filled, likeness, match
+from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mix_places
+from cbsr_qa.calibration.place.process import condition_on_presses, leave_out, likely_scales
+from cbsr_qa.calibration.place.templates import TemplateLearning, fill_missing, likeness, match, predict_features
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
@@ -71,7 +71,7 @@ class LeftOut:
     misfit: Array
     likeness: Array
 
-    def of(self, chosen: Indices | Mask) -> "LeftOut":
+    def select(self, chosen: Indices | Mask) -> "LeftOut":
         """Some of them."""
         return LeftOut(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
@@ -82,7 +82,7 @@ class LeftOut:
 
     def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
         """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
-        found, covariance = mixed(mixture, self.process, self.templates, self.templates_covariance)
+        found, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
         error = places_mm[self.presses] - found
         return error, mahalanobis(error, covariance)
 
@@ -121,28 +121,28 @@ class PressedSheet:
         groups = np.array_split(firsts, min(most, len(firsts)))
         return [np.flatnonzero(np.isin(visits, group)) for group in groups]
 
-    def filled(self, missing: Mask) -> "PressedSheet":
+    def fill(self, missing: Mask) -> "PressedSheet":
         """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
         learning, features = self.template_learning(), self.features.copy()
         for block in self.blocks():
             some = block[missing[block].any(axis=1)]
             if len(some):
-                templates = learning.without(block)
-                features[some] = filled(templates, expected_features(templates), features[some], missing[some])
+                templates = learning.leave_out_block(block)
+                features[some] = fill_missing(templates, predict_features(templates), features[some], missing[some])
         return replace(self, features=features)
 
-    def left_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
+    def leave_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
         count, blocks = len(self.places_mm), self.blocks()
         places = np.full((count, 2), np.nan)
         parts = self.presses_for_scales()
         for learned, located in parts:
-            process, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
-            predicted = left_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
+            process, inverse = condition_on_presses(self.likely(learned), self.turns, self.features, self.places_mm)
+            predicted = leave_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
             places[located] = predicted[located]
         if len(parts) > 1:
             scales = self.likely(evenly(count, _FOR_SCALES))
-            process, _ = given_presses(scales, self.turns, self.features, self.places_mm)
+            process, _ = condition_on_presses(scales, self.turns, self.features, self.places_mm)
         some = np.flatnonzero(np.isfinite(places[:, 0]))
         second = (each[some] for each in self._from_templates(learning, blocks, later))
         return LeftOut(some, places[some], *second), process
@@ -185,8 +185,8 @@ class PressedSheet:
     ) -> tuple[Array, Array, Array, Array]:
         found: list[tuple[Array, Array, Array, Array]] = []
         for block in blocks:
-            templates, features = learning.without(block, later), self.features[block]
-            found.append((*match(templates, features), likeness(expected_features(templates), features)))
+            templates, features = learning.leave_out_block(block, later), self.features[block]
+            found.append((*match(templates, features), likeness(predict_features(templates), features)))
         order = np.argsort(np.concatenate(blocks))
         place, covariance, misfit, like = (np.concatenate(part)[order] for part in zip(*found, strict=True))
         return place, covariance, misfit, like
@@ -209,8 +209,8 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
     found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
         located = np.flatnonzero(half_of == half)
-        mixture = out.of(half_of != half).mixture(places_mm, _LEVELS)
-        apart, ratio = out.of(located).apart(mixture, places_mm)
+        mixture = out.select(half_of != half).mixture(places_mm, _LEVELS)
+        apart, ratio = out.select(located).apart(mixture, places_mm)
         found[located] = places_mm[out.presses[located]] - apart
         inside[located] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm[out.presses] - found, axis=1)

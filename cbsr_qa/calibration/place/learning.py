@@ -22,12 +22,12 @@ from cbsr_qa.calibration.place.features import (
 from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly, late_growth
 from cbsr_qa.calibration.place.mixture import few_presses_tell
 from cbsr_qa.calibration.place.process import (
-    at_edges,
     frames_likelihoods,
     likely_scales,
+    list_edge_hyperparameters,
     start_scales,
 )
-from cbsr_qa.calibration.place.templates import NO_PRESS, at_places
+from cbsr_qa.calibration.place.templates import NO_PRESS, interpolate_at_places
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import (
     FeatureScaling,
@@ -141,12 +141,12 @@ def learn_place(
     about = places_mm - centre
     sheet, less = _sheet(turns, changes, about @ axes.T, missing, scaling)
     tell("finding how readings drift")
-    noisy = noisy_readings(pairs, sheet.features, sheet.template_learning().left_out()[0])
+    noisy = noisy_readings(pairs, sheet.features, sheet.template_learning().leave_out_each()[0])
     if noisy.any():
         changes = np.where(noisy, 0.0, changes)
         sheet, less = _sheet(turns, changes, about @ axes.T, missing | noisy, scaling)
     learning = sheet.template_learning()
-    apart = learning.left_out()
+    apart = learning.leave_out_each()
     session = session_of(apart[0], time_s)
     drift = find_drift(*apart, session)
     growth, later = 1.0, None
@@ -156,13 +156,13 @@ def learn_place(
         sheet = replace(sheet, features=sheet.features + drift.since)
         learning = sheet.template_learning()
     tell("locating presses that were left out")
-    out, process = sheet.left_out(learning, later)
+    out, process = sheet.leave_out(learning, later)
     tell("learning from all presses")
     rechecks = out.presses >= len(about) - late
-    early = out.of(~rechecks)
+    early = out.select(~rechecks)
     mixture, wider = early.mixture(sheet.places_mm), np.ones(2)
     if rechecks.any():
-        growth = late_growth(mixture, early, out.of(rechecks), sheet.places_mm)
+        growth = late_growth(mixture, early, out.select(rechecks), sheet.places_mm)
         wider = few_presses_tell(int(rechecks.sum()))
     mixture = replace(mixture, quantiles=mixture.quantiles * wider)
     size = np.sqrt((changes**2).mean(axis=1))
@@ -170,7 +170,7 @@ def learn_place(
         scaling,
         turns,
         process,
-        learning.without(NO_PRESS, later),
+        learning.leave_out_block(NO_PRESS, later),
         replace(mixture, spread=growth * mixture.spread),
         centre,
         axes,
@@ -181,14 +181,14 @@ def learn_place(
     held_out = coverage_of(early, sheet.places_mm)
     left_mm = sheet.places_mm[out.presses] - out.apart(mixture, sheet.places_mm)[0]
     left_mm[~rechecks] = held_out.found_mm
-    like = at_places(model.templates.grid_mm, out.likeness, left_mm) / less[out.presses]
+    like = interpolate_at_places(model.templates.grid_mm, out.likeness, left_mm) / less[out.presses]
     strength, visits = strengths(changes[out.presses], like, scaling), sheet.visits[out.presses]
     found = FoundPresses(
         order[out.presses],
         left_mm @ axes + centre,
         strength,
         visits,
-        session.of(out.presses),
+        session.select(out.presses),
         drifts=drift is not None,
     )
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=held_out.found_mm @ axes + centre)
@@ -204,7 +204,7 @@ def _sheet(
     sheet, less = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
     missing = missing & (scaling.ceiling > 0)
     if missing.any():
-        known, sheet = sheet.features, sheet.filled(missing)
+        known, sheet = sheet.features, sheet.fill(missing)
         fault = more_than_spikes(missing, scaling.ceiling > 0)
         less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
         sheet = replace(sheet, features=sheet.features * less[:, None])
@@ -252,7 +252,7 @@ def _frame(
     centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
     about = places_mm[some] - centre
     stderr_mm = float(np.linalg.norm(about, axis=1).max()) * (_CENTRE if centre_mm is None else _KNOWN_CENTRE)
-    tried = _half_turn() if axes is None else np.concatenate([_beside(axes), _half_turn()])
+    tried = _half_turn() if axes is None else np.concatenate([_turn_axes(axes), _half_turn()])
     found = []
     for damping in _DAMPINGS:
         scaling = FeatureScaling(_EXPONENT, damping, ceilings_of(changes))
@@ -266,7 +266,7 @@ def _frame(
     _, scaling, likely, shift = max(found, key=lambda each: each[0])
     features = features_of(changes[some], scaling)
     scales = likely_scales(turns, features, (about - shift) @ likely.T)
-    tried = np.concatenate([tried, _beside(likely)])
+    tried = np.concatenate([tried, _turn_axes(likely)])
     likelihoods, centres = frames_likelihoods(scales, turns, features, about, tried, stderr_mm)
     best = int(likelihoods.argmax())
     return scaling, tried[best], centre + centres[best]
@@ -277,7 +277,7 @@ def _half_turn() -> Array:
     return np.array([turn_by(angle, mirrored=mirrored) for mirrored in (False, True) for angle in angles])
 
 
-def _beside(axes: Array) -> Array:
+def _turn_axes(axes: Array) -> Array:
     """Axes (a, 2, 2) within 10° of known ones, themselves first."""
     angles = np.radians([0.0, -10, -7.5, -5, -2.5, 2.5, 5, 7.5, 10])
     return np.array([turn_by(angle, mirrored=False) @ axes for angle in angles])
@@ -306,7 +306,7 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales) -> It
             f"the readings hardly depend on the place: the mean error of presses left out is {held_out.mean_mm:.1f}"
             f" mm; always guessing the middle of the presses gives {spread_mm:.1f} mm"
         )
-    at_edge = at_edges(scales, sheet.turns, sheet.features, sheet.places_mm)
+    at_edge = list_edge_hyperparameters(scales, sheet.turns, sheet.features, sheet.places_mm)
     if at_edge:
         yield f"hyperparameters at the edge of their range: {', '.join(at_edge)}; press at more places"
 

@@ -22,7 +22,7 @@ _LARGE: Final = 3.0
 _FURTHEST: Final = 10.0
 
 
-def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
+def mix_places(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
     """Mix places (n, 2) and (n, 2); returns places (n, 2) and covariances Σ (n, 2, 2)."""
     apart = second - first
     return first + mixture.share * apart, _covariance(mixture.spread, apart, second_covariance)
@@ -45,22 +45,22 @@ def learn_mixture(
     ratio, numbers = np.empty(len(places_mm)), np.unique(visits, return_inverse=True)[1]
     for number in range(min(_FOLDS, int(numbers.max()) + 1)):
         held = numbers % _FOLDS == number
-        share, spread = _fitted(*(part[np.logical_not(held)] for part in parts))
+        share, spread = _fit_mixture(*(part[np.logical_not(held)] for part in parts))
         mixture = PlaceMixture(share, spread, np.zeros(len(LEVELS)))
-        found, covariance = mixed(mixture, first[held], second[held], second_covariance[held])
+        found, covariance = mix_places(mixture, first[held], second[held], second_covariance[held])
         ratio[held] = mahalanobis(places_mm[held] - found, covariance)
-    share, spread = _fitted(*parts)
+    share, spread = _fit_mixture(*parts)
     return PlaceMixture(share, spread, np.array([quantile(ratio, level, visits) for level in levels]))
 
 
-def _fitted(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
+def _fit_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
     share, apart = _share(first, second, places_mm), second - first
     return share, _spread(places_mm - first - share * apart, apart, second_covariance)
 
 
 def mahalanobis(error: Array, covariance: Array) -> Array:
     """Return dᵀΣ⁻¹d (n,) of errors (n, 2) with covariances (n, 2, 2)."""
-    squares: Array = np.einsum("na,nab,nb->n", error, _inverted(covariance)[0], error)
+    squares: Array = np.einsum("na,nab,nb->n", error, _invert(covariance)[0], error)
     return squares
 
 
@@ -113,7 +113,7 @@ def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
 
     def surprise(logs: Array) -> tuple[float, Array]:
         weights = np.exp(logs)
-        inverse, determinant = _inverted(np.tensordot(weights, parts, axes=1))
+        inverse, determinant = _invert(np.tensordot(weights, parts, axes=1))
         turned = np.einsum("nab,nb->na", inverse, error)
         value = np.einsum("na,na->", turned, error) + np.log(determinant).sum()
         slope = np.einsum("knab,nab->k", parts, inverse - turned[:, :, None] * turned[:, None, :])
@@ -124,7 +124,7 @@ def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
     return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 
-def _inverted(covariance: Array) -> tuple[Array, Array]:
+def _invert(covariance: Array) -> tuple[Array, Array]:
     """Inverses (n, 2, 2) and determinants (n,) of covariances (n, 2, 2)."""
     determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] ** 2
     adjugate = covariance[:, ::-1, ::-1] * [[1, -1], [-1, 1]]

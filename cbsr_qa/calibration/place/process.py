@@ -14,7 +14,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import Bounds, minimize
 
-from cbsr_qa.calibration.place.features import matern, matern_and_slope, squared_distances
+from cbsr_qa.calibration.place.features import compute_squared_distances, matern, matern_and_slope
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceProcess, PlaceScales
 
@@ -34,38 +34,38 @@ _AT_ONCE: Final = 2**16
 _NOISE_SHARE: Final = 0.005
 
 
-def located(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array:
+def locate(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array:
     """Expected places (k, 2) of features (k, m), about the centre in the electrodes' axes."""
     scales = process.scales
     own = np.sqrt(scales.own)
-    near = matern(squared_distances(features * own, process.features * own))
+    near = matern(compute_squared_distances(features * own, process.features * own))
     places: Array = scales.own_variance * near @ process.weights
     scale = np.sqrt(scales.turning)
     learned = process.features * scale
     step = max(_AT_ONCE // (len(turns) * len(learned)), 1)
     for first in range(0, len(features), step):
         turned = features[first : first + step, turns.permuted] * (turns.signs * scale)
-        near = matern(squared_distances(turned.reshape(-1, turned.shape[-1]), learned))
+        near = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned))
         by_turn = (near @ process.weights).reshape(-1, len(turns), 2)
         places[first : first + step] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
     return places
 
 
-def given_presses(
+def condition_on_presses(
     scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array
 ) -> tuple[PlaceProcess, Array]:
     """Return the process given presses (n, m) at places (n, 2), and the inverse of its covariance (2n, 2n)."""
-    _, inverse = _inverted(_covariance(scales, turns, features))
+    _, inverse = _invert(_covariance(scales, turns, features))
     weights = (inverse @ places_mm.ravel()).reshape(-1, 2)
     return PlaceProcess(scales, features, places_mm, weights), inverse
 
 
-def left_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) -> Array:
+def leave_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) -> Array:
     """Places (n, 2) of blocks of presses, each from all others in closed form (Rasmussen & Williams 2006, Eq. 5.12).
 
     Parameters
     ----------
-    inverse : of the covariance, as :func:`given_presses` returns it.
+    inverse : of the covariance, as :func:`condition_on_presses` returns it.
 
     Returns
     -------
@@ -83,14 +83,14 @@ def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Ar
     count = len(features)
     own = features * np.sqrt(scales.own)
     covariance = np.zeros((count, 2, count, 2))
-    near = scales.own_variance * matern(squared_distances(own, own))
+    near = scales.own_variance * matern(compute_squared_distances(own, own))
     covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = near
     scaled = features * np.sqrt(scales.turning)
     for number, turn in enumerate(turns.turns):
         opposite = int(np.abs(turns.turns - turn.T).sum(axis=(1, 2)).argmin())
         if number > opposite:
             continue
-        near = scales.turning_variance * matern(squared_distances(turns.back(scaled, number), scaled))
+        near = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
         covariance += near[:, None, :, None] * turn[None, :, None, :]
         if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
             covariance += near.T[:, None, :, None] * turn.T[None, :, None, :]
@@ -99,7 +99,7 @@ def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Ar
     return full
 
 
-def _inverted(covariance: Array) -> tuple[Array, Array]:
+def _invert(covariance: Array) -> tuple[Array, Array]:
     """Lower Cholesky factor and inverse of a covariance, which is overwritten. LinAlgError if it has none."""
     factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
     inverse, _ = dpotri(factor, lower=True)
@@ -122,7 +122,9 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
     return likelihood.scales(best.x)
 
 
-def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array) -> list[str]:
+def list_edge_hyperparameters(
+    scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array
+) -> list[str]:
     """Hyperparameters at the edge of their search range, in words.
 
     One part, one reading or the noise may vanish: that is not an edge.
@@ -183,11 +185,11 @@ class _Likelihood:
         turned = turned.reshape(-1, self._readings)
         self._apart = np.stack(
             [
-                squared_distances(features[:, among], turned[:, among]).ravel()
+                compute_squared_distances(features[:, among], turned[:, among]).ravel()
                 for among in (self._orbit == number for number in range(self._orbits))
             ]
         )
-        apart = squared_distances(features, features)[np.triu_indices(len(features), 1)]
+        apart = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
         different = apart[apart > _ALIKE * apart.max()]
         self._log_scale = -float(np.log(np.median(different))) if len(different) else 0.0
         self._log_variance = float(np.log(np.mean(self._y**2)))
@@ -210,10 +212,10 @@ class _Likelihood:
         gradient = np.zeros_like(logs)
         own = self._features * np.sqrt(scales.own)
         count, by_orbit = len(own), np.exp(logs[3 + self._readings :])
-        near, near_slope = matern_and_slope(squared_distances(own, own))
+        near, near_slope = matern_and_slope(compute_squared_distances(own, own))
         turned, turned_slope = matern_and_slope(by_orbit @ self._apart)
         try:
-            factor, inverse = _inverted(self._covariance(scales, near, turned.reshape(count * count, -1)))
+            factor, inverse = _invert(self._covariance(scales, near, turned.reshape(count * count, -1)))
         except np.linalg.LinAlgError:
             return 1e10, gradient
         weights = inverse @ self._y
@@ -223,7 +225,7 @@ class _Likelihood:
         both = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
         along = (blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)).ravel()
         gradient[:3] = (both * near).sum(), along @ turned, scales.noise_variance * np.trace(slope)
-        gradient[3 : 3 + self._readings] = scales.own * self._by_scale(both * near_slope)
+        gradient[3 : 3 + self._readings] = scales.own * self._differentiate_by_scale(both * near_slope)
         gradient[3 + self._readings :] = by_orbit * (self._apart @ (along * turned_slope))
         prior, prior_slope = self._prior(logs)
         return -(value + prior), -(gradient + prior_slope)
@@ -238,7 +240,7 @@ class _Likelihood:
         full[np.diag_indices(2 * count)] += scales.noise_variance
         return full
 
-    def _by_scale(self, slope: Array) -> Array:
+    def _differentiate_by_scale(self, slope: Array) -> Array:
         """Σᵢⱼ slopeᵢⱼ (xᵢ − xⱼ)² for every reading, of a symmetric slope."""
         by: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
             "nm,nm->m", self._features, slope @ self._features

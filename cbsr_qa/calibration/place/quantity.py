@@ -23,7 +23,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import stdtrit
 
 from cbsr_qa.calibration.place.drift import Drift, Session, find_drift
-from cbsr_qa.calibration.place.features import matern, squared_distances
+from cbsr_qa.calibration.place.features import compute_squared_distances, matern
 from cbsr_qa.calibration.place.held_out import evenly, mean_by_place
 from cbsr_qa.calibration.place.mixture import LEVELS
 from cbsr_qa.calibration.place.places import Places
@@ -78,22 +78,22 @@ class QuantityEstimator:
     """
 
     def __init__(self, learned: LearnedQuantity) -> None:
-        self._learned, self._process = learned, _Process.given(learned)
+        self._learned, self._process = learned, _Process.from_learned(learned)
 
     def __call__(self, places: Places) -> Quantities:
         """Return the quantity of presses at places."""
         pressed = (places.flags & _NO_PRESS) == 0
         unsure = np.broadcast_to(places.unsure, pressed.shape)[pressed]
-        found = self._of_presses(places.strength[pressed], places.place_mm[pressed], unsure)
+        found = self._estimate_presses(places.strength[pressed], places.place_mm[pressed], unsure)
         values, within_68, within_95 = (
-            _at(pressed, each, np.nan) for each in (found.values, found.within_68, found.within_95)
+            _spread_rows(pressed, each, np.nan) for each in (found.values, found.within_68, found.within_95)
         )
-        below, above = (_at(pressed, each, False) for each in (found.below, found.above))
+        below, above = (_spread_rows(pressed, each, False) for each in (found.below, found.above))
         return Quantities(values, within_68, within_95, below, above)
 
-    def _of_presses(self, strength: Array, place_mm: Array, unsure: Array) -> Quantities:
+    def _estimate_presses(self, strength: Array, place_mm: Array, unsure: Array) -> Quantities:
         process = self._process
-        y, stderr = process.expected(strength, place_mm)
+        y, stderr = process.predict(strength, place_mm)
         least, most = process.y.min(), process.y.max()
         beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
         for_lost = process.change(strength, place_mm, unsure)
@@ -101,8 +101,8 @@ class QuantityEstimator:
         half = (
             np.hypot(self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(for_lost, later)) + beyond
         )
-        inner, outer = (process.unscaled(np.stack([y - each, y + each], axis=1)) for each in half)
-        return Quantities(process.unscaled(y), inner, outer, below=y < least, above=y > most)
+        inner, outer = (process.unscale(np.stack([y - each, y + each], axis=1)) for each in half)
+        return Quantities(process.unscale(y), inner, outer, below=y < least, above=y > most)
 
 
 def learn_quantity(
@@ -134,20 +134,20 @@ def learn_quantity(
     drift = None
     if session is not None:
         weak = np.median(data.strength) / data.strength
-        drift = find_drift(errors[:, None], weak[:, None], session.of(some), certain=drifts)
+        drift = find_drift(errors[:, None], weak[:, None], session.select(some), certain=drifts)
     added = (0.0, 0.0)
     if drift is not None:
-        added = _added_later(drift, errors, weak)
+        added = _estimate_later_drift(drift, errors, weak)
         process = _Process(_likely_scales(data, np.arange(len(some))), data)
-        data = replace(data, values=process.unscaled(process.y + drift.since[:, 0]))
+        data = replace(data, values=process.unscale(process.y + drift.since[:, 0]))
         errors = _errors(data, visits)
     scales = _likely_scales(data, np.arange(len(some)))
     process = _Process(scales, data)
-    stderr = process.left_out(visits)[1]
+    stderr = process.leave_out(visits)[1]
     early = np.arange(len(some) - late)
     ratio, missed = (
         (np.abs(errors) / stderr)[early],
-        np.abs(data.values - process.unscaled(process.y - errors))[early],
+        np.abs(data.values - process.unscale(process.y - errors))[early],
     )
     half = visits[early] % 2 == 1
     covered = [
@@ -177,11 +177,11 @@ def _errors(data: "_Data", visits: Indices) -> Array:
     for half in (0, 1):
         here = np.flatnonzero(visits % 2 == half)
         process = _Process(_likely_scales(data, np.flatnonzero(visits % 2 != half)), data)
-        errors[here] = process.left_out(visits)[0][here]
+        errors[here] = process.leave_out(visits)[0][here]
     return errors
 
 
-def _added_later(drift: Drift, errors: Array, weak: Array) -> tuple[float, float]:
+def _estimate_later_drift(drift: Drift, errors: Array, weak: Array) -> tuple[float, float]:
     """Standard deviations of what drift adds later, to all values and, times 1 / strength, to a median press."""
     size = np.sqrt(drift.variances * (errors**2).mean())
     return float(size[0]), float(size[1] / np.sqrt((weak**2).mean()))
@@ -197,7 +197,7 @@ class _Data:
     places_mm: Array
     values: Array
 
-    def of(self, presses: Indices) -> "_Data":
+    def select(self, presses: Indices) -> "_Data":
         return replace(
             self, strength=self.strength[presses], places_mm=self.places_mm[presses], values=self.values[presses]
         )
@@ -212,7 +212,7 @@ class _Process:
         transformed = np.log(data.values) if data.logarithmic else data.values
         self._middle, self._spread = float(np.median(transformed)), float(transformed.std())
         self.y: Array = (transformed - self._middle) / self._spread
-        self._u, self._about = self._scaled(data.strength, data.places_mm)
+        self._u, self._about = self._scale(data.strength, data.places_mm)
         covariance = _covariance(scales, self._u, self._about, self._u, self._about)
         covariance[np.diag_indices(len(self.y))] += _noise(scales, self._u)
         factor = cholesky(covariance, lower=True, check_finite=False)
@@ -221,13 +221,13 @@ class _Process:
         self.log_likelihood = -0.5 * float(self.y @ self._weights) - float(np.log(np.diag(factor)).sum())
 
     @classmethod
-    def given(cls, learned: LearnedQuantity) -> "_Process":
+    def from_learned(cls, learned: LearnedQuantity) -> "_Process":
         data = learned.logarithmic, learned.centre_mm, learned.strength, learned.places_mm, learned.values
         return cls(learned.scales, _Data(*data))
 
-    def expected(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
+    def predict(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         """Scaled values (k,) and their standard errors."""
-        u, about = self._scaled(strength, places_mm)
+        u, about = self._scale(strength, places_mm)
         near = _covariance(self._scales, u, about, self._u, self._about)
         alone = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
         known = np.einsum("kn,kn->k", near @ self._inverse, near)
@@ -237,7 +237,7 @@ class _Process:
         """Change (k,) of scaled values by a standard deviation of the logarithm of the strength."""
         if not np.any(deviation):
             return np.zeros(len(strength))
-        above, below = (self.expected(strength * np.exp(way * deviation), places_mm)[0] for way in (1, -1))
+        above, below = (self.predict(strength * np.exp(way * deviation), places_mm)[0] for way in (1, -1))
         return np.asarray(above - below) / 2
 
     def later(self, strength: Array, drift: float, weak_drift: float) -> Array:
@@ -246,7 +246,7 @@ class _Process:
         added: Array = np.hypot(drift, weak_drift * weak)
         return added
 
-    def left_out(self, visits: Indices) -> tuple[Array, Array]:
+    def leave_out(self, visits: Indices) -> tuple[Array, Array]:
         """Errors (n,) of presses estimated from those of other visits (n,), and stated ones.
 
         Rasmussen & Williams 2006, Eq. 5.12, for blocks.
@@ -258,16 +258,16 @@ class _Process:
             errors[block], stderr[block] = covariance @ self._weights[block], np.sqrt(np.diag(covariance))
         return errors, stderr
 
-    def unscaled(self, y: Array) -> Array:
+    def unscale(self, y: Array) -> Array:
         transformed: Array = self._middle + self._spread * y
         return np.exp(transformed) if self._logarithmic else transformed
 
-    def _scaled(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
+    def _scale(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         least = np.finfo(float).tiny
         return np.log(np.maximum(strength, least)) - self._log_strength, places_mm - self._centre_mm
 
 
-def _at(rows: Mask, values: Any, other: float) -> Any:
+def _spread_rows(rows: Mask, values: Any, other: float) -> Any:
     """Values in chosen rows (n,), and another value in the rest."""
     filled = np.full((len(rows), *values.shape[1:]), other, dtype=values.dtype)
     filled[rows] = values
@@ -278,7 +278,7 @@ def _covariance(scales: QuantityScales, u: Array, about: Array, v: Array, others
     r, s = np.linalg.norm(about, axis=1), np.linalg.norm(others, axis=1)
     covariance: Array = _LINE * (1 + np.outer(u, v)) + scales.curve * matern((u[:, None] - v) ** 2)
     covariance += scales.ring * matern((r[:, None] - s) ** 2 / scales.length_mm**2)
-    covariance += scales.relief * matern(squared_distances(about, others) / scales.length_mm**2)
+    covariance += scales.relief * matern(compute_squared_distances(about, others) / scales.length_mm**2)
     return covariance
 
 
@@ -288,7 +288,7 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
 
 def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:
     """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
-    some = data.of(presses[evenly(len(presses), _FOR_SCALES)])
+    some = data.select(presses[evenly(len(presses), _FOR_SCALES)])
     start = np.log(_MEDIANS)
     start[-1] += np.log(np.linalg.norm(data.places_mm - data.centre_mm, axis=1).max())
 

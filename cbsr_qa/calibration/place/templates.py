@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from cbsr_qa.calibration.place.features import matern, squared_distances
+from cbsr_qa.calibration.place.features import compute_squared_distances, matern
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
 
@@ -53,10 +53,10 @@ def match(templates: PlaceTemplates, features: Array) -> tuple[Array, Array, Arr
     return mean, second - mean[:, :, None] * mean[:, None, :], squared.min(axis=1) / features.shape[1]
 
 
-def filled(templates: PlaceTemplates, expected: Array, features: Array, missing: Mask) -> Array:
+def fill_missing(templates: PlaceTemplates, expected: Array, features: Array, missing: Mask) -> Array:
     """Features (n, m) whose missing ones are those expected where the others place the frame.
 
-    ``expected`` (k, m): :func:`expected_features` of the templates.
+    ``expected`` (k, m): :func:`predict_features` of the templates.
     """
     if not len(features):
         return features
@@ -71,13 +71,13 @@ def filled(templates: PlaceTemplates, expected: Array, features: Array, missing:
 def _posterior(templates: PlaceTemplates, features: Array) -> tuple[Array, Array]:
     """Probabilities (n, k) of the places of the grid, and squared misfits."""
     certain = 1 / (1 + templates.uncertainty)
-    squared = squared_distances(features @ templates.whitening, templates.templates) * certain
+    squared = compute_squared_distances(features @ templates.whitening, templates.templates) * certain
     log = TEMPERING * 0.5 * (_DETERMINANT * features.shape[1] * np.log(certain) - squared)
     likely = np.exp(log - log.max(axis=1, keepdims=True))
     return likely / likely.sum(axis=1, keepdims=True), squared
 
 
-def expected_features(templates: PlaceTemplates) -> Array:
+def predict_features(templates: PlaceTemplates) -> Array:
     """Expected features (k, m) over the grid."""
     return solve_triangular(templates.whitening, templates.templates.T, trans="T", lower=True).T
 
@@ -88,10 +88,10 @@ def likeness(expected: Array, features: Array) -> Array:
     return times
 
 
-def at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
+def interpolate_at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
     """Values (n, k) over a grid at a place (n, 2) each: a mean with Gaussian weights."""
     spacing_mm = float(np.diff(np.unique(grid_mm[:, 0])).min())
-    apart = squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
+    apart = compute_squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
     near = np.exp(apart.min(axis=1, keepdims=True) - apart)
     mean: Array = (near * values).sum(axis=1) / near.sum(axis=1)
     return mean
@@ -112,17 +112,19 @@ class TemplateLearning:
         self._features = features
         self._grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
         self._shared = _Shared(turns, features, places_mm, self._grid, radius_mm * _MARGIN)
-        rest, _ = self._without_shared(NO_PRESS)
+        rest, _ = self._subtract_shared(NO_PRESS)
         own = smoothness(rest, places_mm, radius_mm)
         self._ratio = own.ratio
-        self._inverse = np.linalg.inv(_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest)))
-        near = _between(self._grid, places_mm, own.length_mm)
+        self._inverse = np.linalg.inv(
+            _covariance_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest))
+        )
+        near = _covariance_between(self._grid, places_mm, own.length_mm)
         self._near = near @ self._inverse
         self._explained = np.einsum("kn,kn->k", self._near, near)
 
-    def without(self, block: Indices, later: Array | None = None) -> PlaceTemplates:
+    def leave_out_block(self, block: Indices, later: Array | None = None) -> PlaceTemplates:
         """Templates of all presses but those of a block; ``later`` (n, m): a standard deviation of drift to come."""
-        rest, on_grid = self._without_shared(block)
+        rest, on_grid = self._subtract_shared(block)
         weights = self._inverse @ rest
         near = self._near[:, block]
         taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], near.T]))
@@ -134,14 +136,14 @@ class TemplateLearning:
         uncertainty = np.maximum(1 - explained, 0.0) / self._ratio
         return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
 
-    def left_out(self) -> tuple[Array, Array]:
+    def leave_out_each(self) -> tuple[Array, Array]:
         """What every press (n, m) differs by from the templates of all others, and those templates."""
-        errors = self._errors(NO_PRESS, self._inverse @ self._without_shared(NO_PRESS)[0])
+        errors = self._errors(NO_PRESS, self._inverse @ self._subtract_shared(NO_PRESS)[0])
         return errors, self._features - errors
 
-    def _without_shared(self, block: Indices) -> tuple[Array, Array]:
+    def _subtract_shared(self, block: Indices) -> tuple[Array, Array]:
         """What the shared part of all presses but a block leaves of features (n, m), and that part on the grid."""
-        there, on_grid = self._shared.without(block)
+        there, on_grid = self._shared.leave_out_block(block)
         rest = self._features - there
         others = len(rest) - len(block)
         offset = (rest.sum(axis=0) - rest[block].sum(axis=0)) / (others + _TRUST)
@@ -177,7 +179,7 @@ def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
     rest, places_mm = rest[some], places_mm[some]
     best = (-np.inf, Smoothness(radius_mm, 1.0))
     for length in radius_mm * np.array(_LENGTHS):
-        eigenvalues, vectors = np.linalg.eigh(_between(places_mm, places_mm, length))
+        eigenvalues, vectors = np.linalg.eigh(_covariance_between(places_mm, places_mm, length))
         squared = (vectors.T @ rest) ** 2
         for ratio in _RATIOS:
             spread = np.maximum(eigenvalues, 0) + ratio
@@ -209,17 +211,17 @@ class _Shared:
             by[made], self._sign[made] = number, turns.signs[number][first]
         self._values = np.stack([turns.forth(features, number)[:, first] for number in range(len(turns))])
         self._basis = np.stack([nodes.basis(places_mm @ turn.T) for turn in turns.turns])
-        self._sums = self._summed(np.arange(len(places_mm)))
+        self._sums = self._sum_moments(np.arange(len(places_mm)))
         self._made = [
             (readings, orbit[readings], nodes.basis(places_mm @ turn), nodes.basis(grid_mm @ turn))
             for number, turn in enumerate(turns.turns)
             if len(readings := np.flatnonzero(by == number))
         ]
 
-    def without(self, block: Indices) -> tuple[Array, Array]:
+    def leave_out_block(self, block: Indices) -> tuple[Array, Array]:
         """Features at the presses (n, m) and on the grid (k, m), learned from all presses but those of a block."""
         squares, along, basis, total, values = (
-            of_all - of_block for of_all, of_block in zip(self._sums, self._summed(block), strict=True)
+            of_all - of_block for of_all, of_block in zip(self._sums, self._sum_moments(block), strict=True)
         )
         presses = self._basis.shape[1] - len(block)
         count = presses * len(self._basis)  # each press once in every turn
@@ -231,7 +233,7 @@ class _Shared:
             on_grid[:, readings] = grid @ weights[:, orbit] + mean[orbit]
         return there * self._sign, on_grid * self._sign
 
-    def _summed(self, block: Indices) -> tuple[Array, ...]:
+    def _sum_moments(self, block: Indices) -> tuple[Array, ...]:
         """Moments of a block's basis functions and values, in every turn."""
         basis = self._basis[:, block].reshape(-1, self._basis.shape[-1])
         values = self._values[:, block].reshape(-1, self._values.shape[-1])
@@ -246,12 +248,12 @@ class _Nodes:
         apart = radius_mm / _NODES_ALONG_RADIUS
         self._nodes_mm = _disc(radius_mm + 1.2 * apart, apart)
         self._length_mm = _SHARED_LENGTH * radius_mm
-        covariance = _between(self._nodes_mm, self._nodes_mm, self._length_mm)
+        covariance = _covariance_between(self._nodes_mm, self._nodes_mm, self._length_mm)
         self._factor = cholesky(covariance + 1e-6 * np.eye(len(covariance)), lower=True)
 
     def basis(self, places_mm: Array) -> Array:
         """Values (n, nodes) at places (n, 2) of functions that are independent of one another, of variance one."""
-        near = _between(self._nodes_mm, places_mm, self._length_mm)
+        near = _covariance_between(self._nodes_mm, places_mm, self._length_mm)
         return solve_triangular(self._factor, near, lower=True, check_finite=False).T
 
 
@@ -293,8 +295,8 @@ def _shrunk_covariance(errors: Array) -> Array:
     return covariance
 
 
-def _between(a: Array, b: Array, length_mm: float) -> Array:
-    return matern(squared_distances(a, b) / length_mm**2)
+def _covariance_between(a: Array, b: Array, length_mm: float) -> Array:
+    return matern(compute_squared_distances(a, b) / length_mm**2)
 
 
 def _disc(radius_mm: float, spacing_mm: float) -> Array:

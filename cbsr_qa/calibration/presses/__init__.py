@@ -17,9 +17,9 @@ if TYPE_CHECKING:
         issue_from_presses as issue_from_presses,
         learn_presses as learn_presses,
     )
-    from .likeness import AnsweringSide as AnsweringSide, compared_sides as compared_sides
+    from .likeness import AnsweringSide as AnsweringSide, compare_sides as compare_sides
     from .number_tables import NumberTable as NumberTable
-    from .pairs import DistinctPairs as DistinctPairs, matched_readings as matched_readings
+    from .pairs import DistinctPairs as DistinctPairs, match_readings as match_readings
     from .tables import (
         PressTable as PressTable,
         read_pairs as read_pairs,

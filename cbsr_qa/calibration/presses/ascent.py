@@ -17,7 +17,7 @@ _STIFFNESS: Final = 1e-2
 _LESS, _MORE = 0.2, 6.0
 
 
-def ascended(jet: Jet, starts: Array) -> tuple[Array, Array]:
+def ascend(jet: Jet, starts: Array) -> tuple[Array, Array]:
     """Nearest maxima: parameters (n, p) and values (n,), from starts (n, p).
 
     Curvatures count by their size, so that steps lead up from saddles too.

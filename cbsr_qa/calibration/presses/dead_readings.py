@@ -61,7 +61,7 @@ def find_dead_readings(
     faulty, flags, spikes = _faulty(pairs, changes, rest, noise)
     still = np.ptp(changes, axis=0) == 0
     changes = np.where(spikes | faulty, 0.0, changes)
-    followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
+    followed = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
     followed[still] = 0.0
     followed[faulty.mean(axis=0) > _MOSTLY] = 0.0
     dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
@@ -129,7 +129,7 @@ def _fault_words(flags: int) -> str:
     return "; ".join(why for flag, why in words.items() if flag & flags)
 
 
-def clipped_share(changes: Array, rest: Array | None) -> float:
+def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
     """Share of readings at an end of their range that the front end cuts off; 0 where it does not seem to.
 
     Parameters
@@ -148,7 +148,7 @@ def clipped_share(changes: Array, rest: Array | None) -> float:
     return float(sum(count for count in cut if count > _CLIPPED * frames.size)) / frames.size
 
 
-def _followed(changes: Array, place_mm: Array) -> Array:
+def _share_of_neighbours(changes: Array, place_mm: Array) -> Array:
     """Share (m,) of each reading's variance that neighbouring presses have in common; about 0 for noise.
 
     One less the ratio of von Neumann (1941) with neighbours in place instead of time, for frames of equal size.

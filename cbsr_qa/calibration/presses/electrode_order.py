@@ -14,7 +14,7 @@ import numpy as np
 from cbsr_qa.calibration.place import evenly, log_likelihood
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
-from cbsr_qa.calibration.presses.registration import Registered, register_presses, turned_likelihood
+from cbsr_qa.calibration.presses.registration import Registered, maximise_over_turns, register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices
 
@@ -60,14 +60,14 @@ def find_electrode_order(
     order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
     order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
     for _ in range(_MOST_EXCHANGES):
-        better = _exchanged(sheet, order, changes, place_mm, radius_stated=radius_stated)
+        better = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
         if better is None:
             break
         order = better
     return order
 
 
-def _exchanged(
+def _find_exchange(
     sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder | None:
     """The best single exchange of two electrodes, if it explains the presses clearly better."""
@@ -79,12 +79,12 @@ def _exchanged(
     evidence_of = _Evidence(sheet, order.registered, changes, chosen)
     before = evidence_of(order.pairs).sum()
     exchanges = list(combinations(np.unique(order.pairs).tolist(), 2))  # one that is in no pair shows in no reading
-    evidence = [evidence_of(_swapped(order.pairs, pair)).sum() for pair in exchanges]
+    evidence = [evidence_of(_swap(order.pairs, pair)).sum() for pair in exchanges]
     for number in np.argsort(evidence)[::-1][:_REGISTERED]:
         pair = exchanges[number]
         if evidence[number] <= before:
             break
-        pairs = _swapped(order.pairs, pair)
+        pairs = _swap(order.pairs, pair)
         registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
         if _clearly_better(sheet, order, registered, pairs, changes):
             found = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
@@ -104,9 +104,9 @@ def _other_numbering(
     if _leaves_out_driven(order.pairs):
         return None
     few, near = evenly(len(changes), _FEW), order.registered.registration
-    before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
+    before = maximise_over_turns(sheet, order.pairs, changes[few], place_mm[few], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
-    values = [turned_likelihood(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
+    values = [maximise_over_turns(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
     if max(values) <= before:
         return None
     # With opposite drive, half a turn of the measuring electrodes equals the other polarity.
@@ -140,7 +140,7 @@ def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
             yield np.column_stack([pairs[:, :2], measured]), words
 
 
-def _swapped(pairs: Indices, exchange: tuple[int, int]) -> Indices:
+def _swap(pairs: Indices, exchange: tuple[int, int]) -> Indices:
     first, second = exchange
     return np.where(pairs == first, second, np.where(pairs == second, first, pairs))
 

@@ -103,7 +103,7 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
     RecordingError
         If a table cannot be read, a cell is not a finite number, or the columns are not those of the pairs.
     """
-    distinct = DistinctPairs.of(pairs)
+    distinct = DistinctPairs.from_pairs(pairs)
     readings = _columns(path, len(pairs)) @ distinct.merging
     if rest is None:
         return PressReadings(path, distinct, readings)
@@ -139,7 +139,7 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             else f"{readings.path}: only one row with changes",
             remedy=_WHAT_READINGS,
         )
-    for first, second in _repeated(changes):
+    for first, second in _find_repeated(changes):
         if some[second]:
             at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"
             raise RecordingError(
@@ -149,7 +149,7 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             )
     if presses.time_s is not None:
         labels = np.column_stack([presses.place_mm, presses.time_s])
-        for first, second in _repeated(labels):
+        for first, second in _find_repeated(labels):
             raise RecordingError(
                 f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}; the"
                 " press appears twice",
@@ -206,7 +206,7 @@ def _columns(path: Path, count: int) -> Array:
     return table.numbers()
 
 
-def _repeated(rows: Array) -> Iterator[tuple[int, int]]:
+def _find_repeated(rows: Array) -> Iterator[tuple[int, int]]:
     """Yield rows that are equal to an earlier one, as (earlier, later)."""
     seen: dict[bytes, int] = {}
     for number, row in enumerate(np.ascontiguousarray(rows + 0.0)):

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.calibration.place import (
     ModelledEstimator,
     PlaceLearned,
@@ -15,15 +15,15 @@ from cbsr_qa.calibration.place import (
     ring_axes,
     with_variance,
 )
-from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
+from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.likeness import answering_side
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
-    ignored_columns,
+    list_ignored_columns,
+    list_unused_electrodes,
     off_the_sheet,
-    unused_electrodes,
 )
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, CalibrationError, Mask, NumericsError, RecordingError
@@ -117,17 +117,17 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     dead = find_dead_readings(
         readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
     )
-    clipped = clipped_share(readings.changes, readings.rest)
+    clipped = estimate_clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
-    order = _ordered(replace(labelled, readings=readings), sheet)
+    order = _check_electrode_order(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
     used = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used]
     place_mm, missing = presses.place_mm[used], dead.dead[used]
-    learned = _learned(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
+    learned = _learn_place(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
     if readings.noise is not None:
         noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
         least = max(learned.model.least_size, noise_size(noise))
@@ -142,11 +142,17 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     about_presses = (*far_from_their_labels(presses, np.flatnonzero(used)[held_out.presses], held_out.found_mm),)
     if registration.trusted:
         about_presses += (*off_the_sheet(presses, registration),)
-    unused = unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
-    about_readings = *ignored_columns(presses), *unused, *dead.findings, *_range_findings(clipped), *about_presses
+    unused = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
+    about_readings = (
+        *list_ignored_columns(presses),
+        *unused,
+        *dead.findings,
+        *_range_findings(clipped),
+        *about_presses,
+    )
     about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
-    modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
+    modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
     left_out = zip(used.tolist(), dead.left_out, strict=True)
     why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)
     return PressesLearned(registration, findings, used, why_not, learned, modelled, quantities)
@@ -156,7 +162,7 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
     """Issue a calibration learned from labelled presses."""
     sensor_type, readings, distinct = labelled.sensor_type, labelled.readings, labelled.readings.distinct
     held_out = learned.place.held_out
-    return stamped(
+    return stamp(
         PressCalibration(
             calibration=identity.calibration,
             issued_at=identity.issued_at,
@@ -194,7 +200,7 @@ def noise_size(noise: Array) -> float:
     return float(np.sqrt(variance.mean() + _NOISE_ROOM * np.sqrt(2 * (variance**2).sum()) / len(noise)))
 
 
-def _learned(
+def _learn_place(
     sensor_type: SensorType,
     order: ElectrodeOrder,
     changes: Array,
@@ -223,7 +229,7 @@ def _learned(
     )
 
 
-def _modelled(
+def _model_place(
     labelled: LabelledPresses, sheet: ModelledSheet, order: ElectrodeOrder, quantiles: Array
 ) -> ModelledPlace:
     """Templates of the registered sheet, with the errors of the presses used to register it."""
@@ -264,7 +270,7 @@ def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
         )
 
 
-def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
+def _check_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
     readings, presses = labelled.readings, labelled.presses
     try:
         order = find_electrode_order(
@@ -278,7 +284,7 @@ def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
         raise RecordingError(
             f"{presses.table.path}, columns x_mm and y_mm: {error.reason}", remedy=error.remedy
         ) from error
-    small = _in_metres(presses.place_mm)
+    small = _warn_of_metres(presses.place_mm)
     if not small:
         return order
     registration = replace(order.registered.registration, trusted=False, why=small)
@@ -294,7 +300,7 @@ def _range_findings(clipped: float) -> Iterator[str]:
         )
 
 
-def _in_metres(place_mm: Array) -> str:
+def _warn_of_metres(place_mm: Array) -> str:
     """Say that places are in another unit; empty where they seem to be in millimetres."""
     extent_mm = float(np.linalg.norm(np.ptp(place_mm, axis=0)))
     if extent_mm >= _SMALL_MM:

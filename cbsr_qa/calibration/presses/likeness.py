@@ -50,11 +50,11 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
     alive: Mask = np.any(changes != 0, axis=0)
     modelled = np.median(np.abs(sheet.lattice.readings(pairs)), axis=0)
     answer = np.median(np.abs(changes), axis=0) / np.maximum(modelled, np.finfo(np.float64).tiny)
-    side = compared_sides(answer, sheet.unloaded(pairs) > 0)
+    side = compare_sides(answer, sheet.solve_unloaded(pairs) > 0)
     return AnsweringSide(alive & side.answers, side.words)
 
 
-def compared_sides(answer: Array, positive: Mask) -> AnsweringSide:
+def compare_sides(answer: Array, positive: Mask) -> AnsweringSide:
     """Compare readings of both modelled polarities.
 
     Parameters
@@ -105,7 +105,7 @@ class Likeness:
         self._maps = np.ascontiguousarray(maps[:, *nearest])  # an index of arrays leaves presses last in memory
         self._rough = np.where(self._on_sheet > 0, log_likelihood(self._maps), _OFF_SHEET)
 
-    def of(self, presses: Indices) -> "Likeness":
+    def select(self, presses: Indices) -> "Likeness":
         """The same for some of the presses."""
         some = copy(self)
         some._maps, some._alike = self._maps[presses], self._alike[presses]
@@ -114,23 +114,23 @@ class Likeness:
 
     def roughly(self, places: Array) -> Array:
         """As :meth:`at`, linear between nodes and a fifth of the time: to choose where to begin."""
-        (x, y), first = self._between(places)
+        (x, y), first = self._locate_in_grid(places)
         flat, width = self._rough.ravel(), self._width
         near = (1 - y) * flat.take(first) + y * flat.take(first + 1)
         far = (1 - y) * flat.take(first + width) + y * flat.take(first + width + 1)
         value: Array = (1 - x) * near + x * far
         return value
 
-    def at(self, places: Array) -> Array:
+    def evaluate(self, places: Array) -> Array:
         """Log likelihood of each press at its place (…, n, 2) in radii, with its derivatives: (6, …, n).
 
         These are the value, the slopes along x and y, and the second derivatives by xx, xy and yy. Cosines are cubic
         between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on a grid would be
         found on one of the lattice, however far apart they are. Beyond the sheet likelihoods fade over one node.
         """
-        between, node = self._between(places)
-        alike, x, y, xx, xy, yy = self._interpolated(self._maps, between, node - self._width - 1, _CUBIC)
-        on, on_x, on_y, on_xx, on_xy, on_yy = self._interpolated(
+        between, node = self._locate_in_grid(places)
+        alike, x, y, xx, xy, yy = self._interpolate(self._maps, between, node - self._width - 1, _CUBIC)
+        on, on_x, on_y, on_xx, on_xy, on_yy = self._interpolate(
             self._on_sheet, between, node % self._width**2, _SMOOTH
         )
         more = log_likelihood(alike) - _OFF_SHEET
@@ -146,7 +146,7 @@ class Likeness:
             ]
         )
 
-    def _interpolated(self, maps: Array, between: Array, first: Indices, polynomials: Array) -> Array:
+    def _interpolate(self, maps: Array, between: Array, first: Indices, polynomials: Array) -> Array:
         """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`at`.
 
         Parameters
@@ -167,7 +167,7 @@ class Likeness:
             found[k] /= STEP ** (i + j)
         return found
 
-    def _between(self, places: Array) -> tuple[Array, Indices]:
+    def _locate_in_grid(self, places: Array) -> tuple[Array, Indices]:
         """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
         at = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
         node = at.astype(np.int64)

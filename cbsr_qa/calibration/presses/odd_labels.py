@@ -26,7 +26,7 @@ def off_the_sheet(presses: PressTable, registration: SheetRegistration) -> Itera
     beyond_mm = away_mm - registration.radius_mm
     rows = np.flatnonzero(beyond_mm > _CLEARLY * np.sqrt(variance) / registration.scale)
     if rows.size:
-        named = _named(rows, [f", {beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
+        named = _name_rows(rows, [f", {beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
         yield f"{_count(rows)} outside the sheet of {registration.radius_mm:.3g} mm radius: {named}; check the labels"
 
 
@@ -43,7 +43,7 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
     odd = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
     odd = odd[np.argsort(-error_mm[odd], kind="stable")]
     if odd.size:
-        named = _named(rows[odd], [f" by {error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
+        named = _name_rows(rows[odd], [f" by {error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
         others = "the other presses place it" if len(odd) == 1 else "the others place them"
         yield (
             f"{_count(odd)} far from where {others}, {named}; the median is {usual_mm:.2g} mm:"
@@ -51,14 +51,14 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
         )
 
 
-def ignored_columns(presses: PressTable) -> Iterator[str]:
+def list_ignored_columns(presses: PressTable) -> Iterator[str]:
     """Name columns of the table that are no labels."""
     others = [name for name in presses.table.columns if name not in LABELS]
     if others:
         yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, others[:_MOST_NAMED]))}"
 
 
-def unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
+def list_unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
     """Name electrodes of the sensor type that no pair (m, 4) uses."""
     unused = np.setdiff1d(np.arange(electrodes), pairs)
     if unused.size:
@@ -74,6 +74,6 @@ def _count(rows: Indices) -> str:
     return "1 press is" if len(rows) == 1 else f"{len(rows)} presses are"
 
 
-def _named(rows: Indices, words: list[str]) -> str:
+def _name_rows(rows: Indices, words: list[str]) -> str:
     more = ", …" if len(rows) > len(words) else ""
     return ", ".join(f"row {row + 1}{each}" for row, each in zip(rows, words, strict=False)) + more

@@ -28,7 +28,7 @@ class DistinctPairs:
     merging: Array
 
     @classmethod
-    def of(cls, pairs: Indices) -> "DistinctPairs":
+    def from_pairs(cls, pairs: Indices) -> "DistinctPairs":
         """Return the distinct ones of pairs (columns, 4); a reversed pair differs, since a front end may rectify."""
         _, first, which = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
         order = np.argsort(first)
@@ -45,7 +45,7 @@ def measures_at_driven(pairs: Indices) -> Mask:
     return at_driven
 
 
-def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:
+def match_readings(wanted: Indices, given: DistinctPairs) -> Array:
     """Return the matrix (k, m) from rows of distinct readings (…, k) to those of a calibration.
 
     A reading is taken from the same pair, or from one with the measured, the driven or both pairs reversed, with the

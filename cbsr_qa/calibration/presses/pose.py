@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.place import evenly
-from cbsr_qa.calibration.presses.ascent import ascended
+from cbsr_qa.calibration.presses.ascent import ascend
 from cbsr_qa.calibration.presses.likeness import Likeness
 from cbsr_qa.domain import Array, Indices
 
@@ -49,10 +49,12 @@ class Pose:
         z = (labelled - x - 1j * y) * np.exp(-1j * angle - size)
         return np.stack([z.real, -z.imag if self.mirrored else z.imag], axis=-1)
 
-    def labelled(self, places: Array) -> Complex:
+    def to_labels(self, places: Array) -> Complex:
         """Labels (n,) of places (n, 2) on the sheet."""
         x, y, angle, size = self.numbers
-        z: Complex = in_plane(places * [1, -1] if self.mirrored else places) * np.exp(1j * angle + size) + x + 1j * y
+        z: Complex = (
+            to_complex(places * [1, -1] if self.mirrored else places) * np.exp(1j * angle + size) + x + 1j * y
+        )
         return z
 
 
@@ -66,7 +68,7 @@ class PoseSearch:
     """
 
     def __init__(self, place_mm: Array, stated_mm: float | None) -> None:
-        self.labelled = in_plane(place_mm)
+        self.labelled = to_complex(place_mm)
         self._stated_mm = stated_mm
         low, high = place_mm.min(axis=0), place_mm.max(axis=0)
         self._middle = complex(*((low + high) / 2))
@@ -76,7 +78,7 @@ class PoseSearch:
     def best(self, likeness: Likeness, *, mirrored: bool) -> tuple[Pose, float]:
         """The most likely pose that was found, and its log likelihood."""
         starts = self._candidates(likeness, mirrored=mirrored)
-        numbers, values = self._refined(likeness, starts, mirrored=mirrored)
+        numbers, values = self._refine(likeness, starts, mirrored=mirrored)
         return Pose(mirrored, numbers[values.argmax()]), float(values.max())
 
     def errors(self, likeness: Likeness, pose: Pose) -> Array:
@@ -91,7 +93,7 @@ class PoseSearch:
             times[draw] = np.bincount(random.integers(count, size=count), minlength=count)[place]
             radius_off[draw] = _RADIUS_ERROR * random.standard_normal()
         starts = np.tile(pose.numbers, (_BOOTSTRAPS, 1))
-        drawn = self._refined(likeness, starts, mirrored=pose.mirrored, times=times, radius_off=radius_off)[0]
+        drawn = self._refine(likeness, starts, mirrored=pose.mirrored, times=times, radius_off=radius_off)[0]
         low, high = np.quantile(drawn - pose.numbers, [0.16, 0.84], axis=0)
         half: Array = (high - low) / 2
         half[3] = np.hypot(half[3], _HEAD_ERROR)
@@ -100,7 +102,7 @@ class PoseSearch:
     def _candidates(self, likeness: Likeness, *, mirrored: bool) -> Array:
         """Numbers (k, 4) of the poses on the lattice to begin from."""
         some = evenly(len(self.labelled), _SEARCHED)
-        fewer, labelled = likeness.of(some), self.labelled[some]
+        fewer, labelled = likeness.select(some), self.labelled[some]
         sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
         values = np.empty((len(sizes), len(shifts), len(ROTATIONS)))
         for i, length in enumerate(sizes):
@@ -113,7 +115,7 @@ class PoseSearch:
         starts: Array = np.column_stack([shifts[shift].real, shifts[shift].imag, ROTATIONS[rotation], sizes[size]])
         return starts
 
-    def _refined(
+    def _refine(
         self,
         likeness: Likeness,
         starts: Array,
@@ -135,8 +137,8 @@ class PoseSearch:
         def jet(steps: Array, which: Indices) -> tuple[Array, Array, Array]:
             which = which // len(_STARTS)
             numbers, weight = starts[which] + steps * self._steps, weights[which]
-            places, moved = self._placed(numbers, mirrored=mirrored)
-            likely, x, y, xx, xy, yy = weight * likeness.at(places)
+            places, moved = self._place_presses(numbers, mirrored=mirrored)
+            likely, x, y, xx, xy, yy = weight * likeness.evaluate(places)
             value, slope, bend = self._prior(numbers[:, 3] - off[which])
             along, across = (self._steps * part for part in moved)
             slopes = (x[:, None] @ along + y[:, None] @ across)[:, 0]
@@ -146,11 +148,11 @@ class PoseSearch:
             bends[:, 3, 3] += self._steps[3] ** 2 * bend
             return likely.sum(axis=1) + value, slopes, bends
 
-        steps, values = ascended(jet, np.tile(_STARTS, (len(starts), 1)))
+        steps, values = ascend(jet, np.tile(_STARTS, (len(starts), 1)))
         best = values.reshape(-1, len(_STARTS)).argmax(axis=1) + len(_STARTS) * np.arange(len(starts))
         return starts + steps[best] * self._steps, values[best]
 
-    def _placed(self, numbers: Array, *, mirrored: bool) -> tuple[Array, tuple[Array, Array]]:
+    def _place_presses(self, numbers: Array, *, mirrored: bool) -> tuple[Array, tuple[Array, Array]]:
         """Places (k, n, 2) of the presses in poses (k, 4), and how x and y move with their numbers (k, n, 4).
 
         Second derivatives are left out of bends: where slopes sum to zero, theirs do.
@@ -178,7 +180,7 @@ class PoseSearch:
         return -2 * np.log(spread), slope, (away**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
 
 
-def in_plane(places: Array) -> Complex:
+def to_complex(places: Array) -> Complex:
     """Places (…, 2) as complex numbers."""
     z: Complex = places @ np.array([1, 1j])
     return z

@@ -11,7 +11,7 @@ import numpy as np
 
 from cbsr_qa.calibration.place import evenly
 from cbsr_qa.calibration.presses.likeness import Likeness, alikeness, answering_side
-from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, in_plane
+from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, to_complex
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import SheetRegistration
@@ -79,8 +79,8 @@ def register_presses(
     best = {case: search.best(likeness[case[0]], mirrored=case[1]) for case in cases}
     sign, mirrored = max(best, key=lambda case: best[case][1])
     pose, value = best[sign, mirrored]
-    seen = pose.labelled(likeness[sign].best_places())
-    places = pose.places(in_plane(place_mm))
+    seen = pose.to_labels(likeness[sign].best_places())
+    places = pose.places(to_complex(place_mm))
     registration = _registration(
         pose,
         search.errors(likeness[sign], pose),
@@ -92,7 +92,7 @@ def register_presses(
     return Registered(registration, sign, places, value, (side.words,) if side.words else ())
 
 
-def turned_likelihood(
+def maximise_over_turns(
     sheet: ModelledSheet, pairs: Indices, changes: Array, place_mm: Array, near: SheetRegistration
 ) -> float:
     """Largest log likelihood of presses with the centre and size of a registration, over all rotations and mirrors.
@@ -101,7 +101,7 @@ def turned_likelihood(
     """
     side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
-    turned = (in_plane(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
+    turned = (to_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
     values = []
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])

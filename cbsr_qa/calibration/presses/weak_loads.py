@@ -60,9 +60,9 @@ class ModelledSheet:
         pattern = DrivePattern(count, to_earth, to_earth)
         self._model = RoundLoadModel(load_model(sensor_type).surroundings, pattern)
 
-    def unloaded(self, pairs: Indices) -> Array:
+    def solve_unloaded(self, pairs: Indices) -> Array:
         """Readings (m,) of pairs (m, 4) without a load, per current."""
-        readings: Array = _readings(_with_earth(self._model.unloaded()[None]), pairs)[0]
+        readings: Array = _readings(_with_earth(self._model.solve_unloaded()[None]), pairs)[0]
         return readings
 
     def loads(self, places: Array) -> WeakLoads:

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
         least_force_N as least_force_N,
         map_tables as map_tables,
     )
-    from .interpolation import interpolated as interpolated
+    from .interpolation import interpolate as interpolate
     from .pressed_place import PressedPlace as PressedPlace, row_readings as row_readings
     from .runtime import Calibration as Calibration
     from .settling_forces import SettlingForces as SettlingForces
     from .template_matching import (
         Matches as Matches,
         TemplateFilter as TemplateFilter,
-        scattered as scattered,
+        add_scatter as add_scatter,
     )
     from .tracking import ForceStream as ForceStream
 

@@ -75,7 +75,7 @@ class FaultFinder:
         """Find the faults of frames (n, m); in frames that lost most readings, those that are not finite count."""
         missing: Mask = ~np.isfinite(readings)
         readings = np.where(missing, self._reference, readings)
-        clipped = self._clipped(readings)
+        clipped = self._find_clipped(readings)
         missing &= (missing.mean(axis=1) <= _MOST_MISSING)[:, None]
         left_out: Mask = clipped | missing
         flags: Indices = np.where(clipped.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
@@ -88,7 +88,7 @@ class FaultFinder:
                 flags[frame] |= flag
         return FrameFaults(left_out, flags)
 
-    def _clipped(self, readings: Array) -> Mask:
+    def _find_clipped(self, readings: Array) -> Mask:
         """Which readings (n, m) stand at one extreme value. A pair that does so with all of its own is silent."""
         clipped = np.zeros(readings.shape, dtype=np.bool_)
         for extreme in (readings.max(axis=1), readings.min(axis=1)):

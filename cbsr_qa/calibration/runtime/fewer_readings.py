@@ -29,7 +29,7 @@ def reading_noise(merging: Array) -> Array:
     return noise
 
 
-def without_readings(model: ForceModel, kept: Mask) -> ForceModel:
+def drop_readings(model: ForceModel, kept: Mask) -> ForceModel:
     """Return the model of frames with fewer readings: ``kept`` (m,) bool of its own."""
     weight = np.abs(model.merging)
     whole = weight.sum(axis=1)  # the root of a row's precision
@@ -39,7 +39,7 @@ def without_readings(model: ForceModel, kept: Mask) -> ForceModel:
     return _with_rows(model, merging, model.templates[:, rows] * left[rows], model.size_slope[:, rows] * left[rows])
 
 
-def without_offset(model: ForceModel) -> ForceModel:
+def ignore_offset(model: ForceModel) -> ForceModel:
     """Return the model of frames with an unknown offset on all readings."""
     along = offset_row(model)
     merging = model.merging - np.outer(along, along @ model.merging)

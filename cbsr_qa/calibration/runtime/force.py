@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime.interpolation import interpolated
+from cbsr_qa.calibration.runtime.interpolation import interpolate
 from cbsr_qa.calibration.runtime.multi_load import Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches
 from cbsr_qa.domain import Array, Indices, Mask
@@ -100,7 +100,7 @@ class Forces:
         return self.force_N - half, self.force_N + half
 
 
-def joined(parts: Sequence[tuple[Indices, Forces]]) -> Forces:
+def join_forces(parts: Sequence[tuple[Indices, Forces]]) -> Forces:
     """Return forces of some frames each, with their numbers, in the order of the frames."""
     if len(parts) == 1:
         return parts[0][1]
@@ -165,7 +165,7 @@ class ForceInverse:
     def newtons(self, matches: Matches) -> Newtons:
         """Forces (n,). A strength near 2 or above, which is unphysical, counts as a force far above any range."""
         model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
-        mapped = interpolated(model, self.tables, matches.place_mm)
+        mapped = interpolate(model, self.tables, matches.place_mm)
         log_response, stderr, slope = mapped[:, 0], mapped[:, 1], mapped[:, 2:]
         response = np.exp(-log_response)
         relative = 2 * strength / (2 - strength) * response

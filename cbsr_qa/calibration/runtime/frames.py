@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from cbsr_qa.calibration.runtime.faults import FaultFinder
 from cbsr_qa.calibration.runtime.fewer_readings import (
     FEWEST_ROWS,
+    drop_readings,
+    ignore_offset,
     reading_noise,
-    without_offset,
-    without_readings,
 )
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag
 from cbsr_qa.calibration.runtime.spikes import SpikeFilter
@@ -137,7 +137,7 @@ class SensorFrames:
             fewer, used = copy(self), self._used.copy()
             used[used] = kept
             fewer._level, fewer._fewer = None, True
-            fewer._use(without_readings(self.model, kept), used)
+            fewer._use(drop_readings(self.model, kept), used)
             self._without[key] = fewer
         return self._without[key]
 
@@ -145,7 +145,7 @@ class SensorFrames:
         """Return this calibration for frames with an unknown offset on all readings."""
         if self._level is None:
             level = copy(self)
-            level._compare(without_offset(self.model))
+            level._compare(ignore_offset(self.model))
             self._level = level._level = level
         return self._level
 

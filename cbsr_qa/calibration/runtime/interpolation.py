@@ -67,7 +67,7 @@ def cells(lattice: Lattice, places_mm: Array) -> tuple[Indices, Array, Mask]:
     return cell, at - cell, inside
 
 
-def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
+def interpolate(model: ForceModel, values: Array, places_mm: Array) -> Array:
     """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN if a node is missing."""
     cell, offset, inside = cells(model.lattice, places_mm)
     part = np.stack([1 - offset, offset], axis=2)

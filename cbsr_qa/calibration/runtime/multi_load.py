@@ -83,7 +83,7 @@ class Heads:
         variance[:, 0] = (error * self.strength) ** 2
         return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
 
-    def scattered(self, size_slope: Array, scatter_mm: float) -> Self:
+    def add_scatter(self, size_slope: Array, scatter_mm: float) -> Self:
         """The same with additional scatter of places beyond noise, as by ``scattered`` for one head."""
         covariance = self.covariance.copy()
         for k, slope in enumerate(size_slope):
@@ -133,7 +133,7 @@ class HeadCounter:
         -------
         None if no head explains more than noise; 0 if no further head does.
         """
-        heads = self._fitted(rows, first_mm[None])
+        heads = self._fit(rows, first_mm[None])
         if heads is None or heads.gain < self._least:
             return None, 0.0
         while True:
@@ -147,19 +147,19 @@ class HeadCounter:
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one more head, from several starts."""
         beside = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
-        starts = [beside, self._in_turn(rows, beside)]
+        starts = [beside, self._place_in_turn(rows, beside)]
         angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         for number in range(len(heads)):
-            apart = [self._taken_apart(heads.place_mm, number, angle) for angle in angles]
+            apart = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
             starts.append(apart[int(np.argmax([self._gain(rows, places) for places in apart]))])
-        fits = [fit for fit in (self._fitted(rows, places) for places in starts) if fit is not None]
+        fits = [fit for fit in (self._fit(rows, places) for places in starts) if fit is not None]
         return max(fits, key=lambda fit: fit.gain, default=None)
 
-    def _taken_apart(self, places_mm: Array, number: int, angle: float) -> Array:
+    def _take_apart(self, places_mm: Array, number: int, angle: float) -> Array:
         half = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
         return np.vstack([np.delete(places_mm, number, axis=0), places_mm[number] + half, places_mm[number] - half])
 
-    def _in_turn(self, rows: Array, places_mm: Array) -> Array:
+    def _place_in_turn(self, rows: Array, places_mm: Array) -> Array:
         """Places on the lattice, each in turn where it explains most besides the others."""
         places = places_mm.copy()
         for _ in range(_TURNS):
@@ -187,7 +187,7 @@ class HeadCounter:
         basis = np.linalg.qr(there.T)[0]
         return float(((basis.T @ rows) ** 2).sum())
 
-    def _fitted(self, rows: Array, places_mm: Array) -> Heads | None:
+    def _fit(self, rows: Array, places_mm: Array) -> Heads | None:
         """Places and strengths of all heads together, from given places; None if no head is possible."""
         places, count = places_mm.copy(), len(places_mm)
         at = self._filter.template_and_slopes(places)

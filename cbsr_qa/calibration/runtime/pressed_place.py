@@ -51,7 +51,7 @@ class PressedPlace:
         """
         there = np.flatnonzero(found.gain >= finder.threshold**2)
         places = self._locate(row_readings(rows[there], self._merging))
-        at = finder.at(rows[there], places.place_mm)
+        at = finder.match_at(rows[there], places.place_mm)
         like: Mask = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0) & np.isfinite(at.strength)
         spread = self._locate.q68 / _ONE_SIGMA * places.covariance_mm2 + found.covariance[there, 1:, 1:]
         # A head misplaced to where changes are larger seems weaker.

@@ -18,7 +18,7 @@ from cbsr_qa.calibration.runtime.force import (
     SeveralForces,
     SizeError,
     forces_together,
-    joined,
+    join_forces,
     least_force_N,
     map_tables,
     nothing_together,
@@ -26,7 +26,7 @@ from cbsr_qa.calibration.runtime.force import (
 )
 from cbsr_qa.calibration.runtime.frames import SensorFrames
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
-from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
+from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, add_scatter
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, real_numbers, unlike_model
 from cbsr_qa.domain.results import ForceModel, LearnedPlace
 from cbsr_qa.domain.run import Indenter
@@ -65,7 +65,7 @@ class Calibration(SensorFrames):
         self._size_error = SizeError(model, self.issued.indenter.radius_mm)
         # It was learned from all readings.
         learned = self.issued.place if model is self.issued.force else None
-        self._pressed = None if learned is None else _pressed(learned.learned, model)
+        self._pressed = None if learned is None else _make_pressed_place(learned.learned, model)
         self.least_force_N = self._least_force_N()
 
     def __repr__(self) -> str:
@@ -135,11 +135,11 @@ class Calibration(SensorFrames):
             changes, bad = usable.changes_of(voltages[which])
             there = places if places is None or places.ndim == 1 else places[which]
             parts.append((which, usable._force(changes, bad | flags, there, head)))
-        return joined(parts)
+        return join_forces(parts)
 
     def _force(self, changes: Array, bad: Indices, places: Array | None, head: Indenter) -> Forces:
         finder, rows = self._filter(head), changes @ self._merging
-        matches = finder.search(rows) if places is None else finder.at(rows, places)
+        matches = finder.search(rows) if places is None else finder.match_at(rows, places)
         moved = self.moved(changes, matches, head)
         if moved.any():
             parts = []
@@ -147,11 +147,11 @@ class Calibration(SensorFrames):
                 there = places if places is None or places.ndim == 1 else places[which]
                 forces = usable._force(changes[which], bad[which] | flag, there, head)
                 parts.append((np.flatnonzero(which), forces))
-            return joined(parts)
+            return join_forces(parts)
         others = self._others(rows, matches, finder)
         if places is None:
             found = finder.ambiguous(rows, matches) if self._fewer else matches
-            modelled = scattered(found, finder.size_slope(found.place_mm), self.model.place_scatter_mm)
+            modelled = add_scatter(found, finder.size_slope(found.place_mm), self.model.place_scatter_mm)
             learned = None if finder is not self.filter else self._pressed  # it was learned with the calibrating head
             matches = modelled if learned is None else learned(rows, matches, modelled, finder)
         return self._forces(self._of_area(matches, head), bad, others, head, searched=places is None)
@@ -192,7 +192,7 @@ class Calibration(SensorFrames):
         finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows)
         least = self.model.threshold**2
-        several = finder.beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
+        several = finder.match_beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
         moved = self.moved(changes, matches, head)
         counter = HeadCounter(
             finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
@@ -219,7 +219,7 @@ class Calibration(SensorFrames):
         if heads is None:
             return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
         error = self._size_error(self._size(head), heads.place_mm)
-        heads = heads.scattered(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
+        heads = heads.add_scatter(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
         return forces_together(
             heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
             unexplained,
@@ -285,7 +285,7 @@ class Calibration(SensorFrames):
         looked = np.flatnonzero((left > freedom + self.model.misfit * gain) & (gain >= self.model.threshold**2))
         if len(looked):
             place, strength, gain_there = matches.place_mm[looked], matches.strength[looked], gain[looked]
-            further, there = finder.beside(rows[looked], place, strength)
+            further, there = finder.match_beside(rows[looked], place, strength)
             ratio = np.abs(there) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
             clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
             others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
@@ -345,7 +345,7 @@ class Calibration(SensorFrames):
         return flags
 
 
-def _pressed(learned: LearnedPlace, model: ForceModel) -> "PressedPlace":
+def _make_pressed_place(learned: LearnedPlace, model: ForceModel) -> "PressedPlace":
     # Here because it imports for a second, and few calibrations have a learned place.
     from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
 

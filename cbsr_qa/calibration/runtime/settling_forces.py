@@ -50,7 +50,7 @@ class SettlingForces:
         CalibrationError as for :meth:`ForceStream.update`.
         """
         parts = [
-            self._counted(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
+            self._sum_loads(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
             for n, (time, frame) in enumerate(zip(time_s.tolist(), frames, strict=True))
         ]
         if not parts:
@@ -58,14 +58,14 @@ class SettlingForces:
         force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*parts, strict=True))
         return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
 
-    def next(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
+    def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
         """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].
 
         As :meth:`Calibration.force`, corrected as by calling this object: the same whoever asks, to the last bit.
         """
         return self(np.array([time_s]), frame[None], self._calibration.force(frame, place_mm=place_mm))
 
-    def _counted(
+    def _sum_loads(
         self, loads: tuple[TrackedLoad, ...], single: Forces, time_s: float
     ) -> tuple[float, float, int, float]:
         """Force, error, flags and time until both can be relied on, of a frame with the loads seen in it."""

@@ -82,7 +82,7 @@ class TemplateFilter:
         steps = np.array([-1, 1, -model.lattice.columns, model.lattice.columns])
         self._next = number[self._coarse[:, None] + _STRIDE * steps]  # before and after, along x and along y
 
-    def at(self, rows: Array, place_mm: Array) -> Matches:
+    def match_at(self, rows: Array, place_mm: Array) -> Matches:
         """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
         given = np.asarray(place_mm, dtype=np.float64)
         places = np.broadcast_to(given, (len(rows), 2))
@@ -136,7 +136,7 @@ class TemplateFilter:
             *(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Matches))
         )
 
-    def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
+    def match_beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
         """Gain (n,) and strength (n,) of a second head besides the first in each frame, at the searched places."""
         gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
@@ -171,13 +171,13 @@ class TemplateFilter:
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
-        offset, there = self._scored(self._about(cell, rows), offset)
+        offset, there = self._maximise_score(self._about(cell, rows), offset)
         for _ in range(_MOVES):
             moved, aim = self._neighbours(cell, offset)
             if not moved.any():
                 break
             cell[moved] = aim[moved]
-            offset[moved], there[moved] = self._scored(
+            offset[moved], there[moved] = self._maximise_score(
                 self._about(cell[moved], rows[moved]), np.full((int(moved.sum()), 2), 0.5)
             )
         strength, covariance, gain = self._result(there)
@@ -218,7 +218,7 @@ class TemplateFilter:
         whole = self._whole[cell]
         return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
 
-    def _scored(self, about: Array, offset: Array) -> tuple[Array, Array]:
+    def _maximise_score(self, about: Array, offset: Array) -> tuple[Array, Array]:
         """Offset (n, 2) from the cell's corner, in cells, of the largest score, by Fisher scoring.
 
         A step that lowers the score is repeated with a quarter of the length: beside a pin templates vary too
@@ -277,7 +277,7 @@ def _scoring_step(at: Array, damping: Array) -> Array:
     return np.minimum(np.maximum(step, -0.5), 0.5)
 
 
-def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
+def add_scatter(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
     """Matches with additional scatter of found places beyond noise, and of their strengths.
 
     Parameters

@@ -178,14 +178,14 @@ class Track:
         """The load was there when the stream began, or after a long gap: it may have begun to settle long before."""
         self._changed = (self.since_s, 0.0)
 
-    def settled_in_s(self, model: ForceModel, share: float) -> float:
+    def time_to_settle_s(self, model: ForceModel, share: float) -> float:
         """Time until less than a share of the force is still to come, or what is left of a released load is noise.
 
         0 where that is so; NaN for a residue that stays.
         """
         if not self.pressing:
-            return self._faded_in_s(model)
-        changed_s = self._changed_s()
+            return self._time_to_fade_s(model)
+        changed_s = self._find_change_s()
         since_s = self.since_s if changed_s is None else changed_s
         end_s = model.steady_s or _PATIENCE_S
         after_s = np.linspace(0.0, end_s, _STEPS)
@@ -198,7 +198,7 @@ class Track:
         settled_s = after_s[min(int(late[-1]) + 1, _STEPS - 1)] if len(late) else 0.0
         return max(float(since_s + settled_s - self._now_s), 0.0)
 
-    def _faded_in_s(self, model: ForceModel) -> float:
+    def _time_to_fade_s(self, model: ForceModel) -> float:
         least = max(model.threshold - _ROOM, 1.0) / float(np.linalg.norm(self.template))
         if abs(self.strength) <= least:
             return 0.0
@@ -206,7 +206,7 @@ class Track:
             return max(self.since_s + _PATIENCE_S - self._now_s, 0.0) or float("nan")
         after_s = np.linspace(0.0, _FADED * _slowest_s(model.unloading), _STEPS)
         held_s = self._now_s - self.since_s
-        left = _left(model.unloading, held_s + after_s)
+        left = _remaining_share(model.unloading, held_s + after_s)
         faded = np.flatnonzero(abs(self.strength) * left <= least * left[0])
         return float(after_s[faded[0]]) if len(faded) else float("nan")
 
@@ -215,7 +215,7 @@ class Track:
         own = self.strength - self.base_now
         alone = 1 / float(np.linalg.norm(self.template))
         base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
-        if (changed_s := self._changed_s()) is not None:
+        if (changed_s := self._find_change_s()) is not None:
             change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - changed_s) / patience_s(model)))
             return own, self.noise**2 + change**2 + base
         if self._hold is None or model.loading is None:
@@ -224,7 +224,7 @@ class Track:
         value, stderr = self._hold.predict(model.steady_s)
         return value, stderr**2 + base
 
-    def _changed_s(self) -> float | None:
+    def _find_change_s(self) -> float | None:
         """When the load itself changed; now where its last frame alone says so."""
         if self._changed is not None:
             return self._changed[0]
@@ -305,7 +305,7 @@ class Track:
         self._released = self.sign * self._largest
         self._hold = self._promise = self._first = None
 
-    def _lightened(self, time_s: float) -> None:
+    def _lighten(self, time_s: float) -> None:
         self.state, self.since_s = "loading", self._pressed_s
         self._changed = (time_s, self.strength - self.base_now)
         self._largest = self.sign * self.strength
@@ -316,11 +316,11 @@ class Track:
         rate = 1.0
         if model.unloading is not None:
             held_s = time_s - self.since_s
-            left = float(_left(model.unloading, held_s))
-            rate = float(_left(model.unloading, held_s + since_last_s)) / left
+            left = float(_remaining_share(model.unloading, held_s))
+            rate = float(_remaining_share(model.unloading, held_s + since_last_s)) / left
             stays = left + _STAYS
             if self.sign * self.strength > max(stays * self._released, _CLEAR * self.noise) and held_s > 0:
-                self._lightened(time_s)
+                self._lighten(time_s)
                 return
         self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
         alone = 1 / float(np.linalg.norm(self.template))
@@ -344,7 +344,7 @@ def kernel_at(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
     return np.maximum(1 + _transient(kernel.weights, kernel, time_s), 0.05)
 
 
-def _left(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
+def _remaining_share(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
     """Share of a released load that is left."""
     return _RESIDUE + _transient(np.abs(kernel.weights), kernel, time_s)
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from cbsr_qa.calibration.runtime.fewer_readings import offset_between
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
-from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
+from cbsr_qa.calibration.runtime.template_matching import Matches, add_scatter
 from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
 from cbsr_qa.domain import Array, CalibrationError
 
@@ -128,7 +128,7 @@ class ForceStream:
         self.flags = Flag(int(left_out[0] | bad[0]))
         if not self.flags & NO_FORCE:
             self._follow(self._rows(usable, changes))
-        return tuple(self._told(track, self.flags) for track in self._tracks)
+        return tuple(self._report(track, self.flags) for track in self._tracks)
 
     def _rows(self, usable: Calibration, changes: Array) -> Array:
         """Rows (r,) of the usable readings of a frame, less an offset on all of them if there was one."""
@@ -244,7 +244,7 @@ class ForceStream:
                 if np.isfinite(template).all():
                     track.template = template
 
-    def _told(self, track: Track, bad: Flag) -> TrackedLoad:
+    def _report(self, track: Track, bad: Flag) -> TrackedLoad:
         pressing = track.pressing
         value, variance = track.steady(self._model) if pressing else (track.strength, track.noise**2)
         match, alone = self._matches(track, value, (variance, track.noise**2))
@@ -259,7 +259,7 @@ class ForceStream:
             if np.isfinite(force[0]) and force[0]
             else 1.0
         )
-        settled_in_s = track.settled_in_s(self._model, share)
+        settled_in_s = track.time_to_settle_s(self._model, share)
         if settled_in_s != 0:
             flags |= Flag.UNSETTLED
         return TrackedLoad(
@@ -285,4 +285,4 @@ class ForceStream:
             covariance[0, 0, 1:] = covariance[0, 1:, 0] = shared
             covariance[0, 1:, 1:] = track.place_covariance
             match = Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
-            yield scattered(match, slope, self._model.place_scatter_mm)
+            yield add_scatter(match, slope, self._model.place_scatter_mm)

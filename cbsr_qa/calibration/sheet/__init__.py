@@ -8,15 +8,15 @@ if TYPE_CHECKING:
     from .baseline import (
         baseline_conductance as baseline_conductance,
         load_baseline as load_baseline,
-        predicted_change as predicted_change,
+        predict_change as predict_change,
     )
     from .characteristic import (
         Characteristic as Characteristic,
         characteristics as characteristics,
+        collect_repeated_changes as collect_repeated_changes,
         data_sheet_loads as data_sheet_loads,
         mean_characteristic as mean_characteristic,
         repeatability as repeatability,
-        repeated_changes as repeated_changes,
         sheet_gauge_factor as sheet_gauge_factor,
         steady_share as steady_share,
         why_no_force as why_no_force,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         StraightLine as StraightLine,
         best_straight_line as best_straight_line,
         place_responses as place_responses,
-        pooled_deviation as pooled_deviation,
+        pool_deviations as pool_deviations,
         ratio_of_sums as ratio_of_sums,
         relative_spread as relative_spread,
         scatter_of_presses as scatter_of_presses,

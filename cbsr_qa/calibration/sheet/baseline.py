@@ -34,7 +34,7 @@ class LoadBaseline:
     why: str = ""
 
 
-def sensed_change(values: Array, blob: Blob, response: Response) -> Array:
+def measure_sensed_change(values: Array, blob: Blob, response: Response) -> Array:
     """Area-weighted mean signed change (…) of images (…, e) over a blob, noise floor *not* subtracted."""
     areas = blob.image.mesh.areas_mm2[blob.elements]
     return np.asarray(response.sign * (values[..., blob.elements] @ areas) / areas.sum())
@@ -60,20 +60,20 @@ def load_baseline(
     stress_kPa = load.stress_kPa
     if stress_kPa is None:
         return LoadBaseline(None, None, load.no_force or "no force was recorded")
-    predicted, why_not = _signed_prediction(against_stress, stress_kPa, load.response)
+    predicted, why_not = _predict_signed(against_stress, stress_kPa, load.response)
     if why_not:
         return LoadBaseline(None, None, why_not)
-    change = float(sensed_change(load.image.values, view.sensed, load.response))
+    change = float(measure_sensed_change(load.image.values, view.sensed, load.response))
     if change <= 0:
         return LoadBaseline(None, None, f"the sensed change {change:.3g} does not have the sign of the response")
     value = change / predicted
-    noise = sensed_change(noise_images, view.sensed, load.response)
+    noise = measure_sensed_change(noise_images, view.sensed, load.response)
     of_change = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change
     of_stress = _stress_error(load, against_stress.slope, predicted)
     return LoadBaseline(value, value * float(np.hypot(of_change, of_stress)), _REMARKS[load.settled])
 
 
-def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
+def predict_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
     """Relative change α_σ σ + β_σ and its standard error; an unstated error counts as zero."""
     predicted = against_stress.slope.value * stress_kPa + against_stress.intercept.value
     return predicted, float(np.sqrt(against_stress.variance(np.array(stress_kPa))))
@@ -108,9 +108,9 @@ def baseline_conductance(
     return tuple(location_baseline(*place, baseline) for place, baseline in places.items())
 
 
-def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
+def _predict_signed(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
     """Predicted change in the direction of the response, and why it is unusable; empty if it is usable."""
-    predicted, error = predicted_change(against_stress, stress_kPa)
+    predicted, error = predict_change(against_stress, stress_kPa)
     words = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
     if predicted == 0 or abs(predicted) < _CLEAR * error:
         return 0.0, f"{words} is not clear of zero"

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.fits import CommonRelaxation
-from cbsr_qa.calibration.sheet.baseline import sensed_change
-from cbsr_qa.calibration.sheet.data_sheet import Estimate, pooled_deviation
+from cbsr_qa.calibration.sheet.baseline import measure_sensed_change
+from cbsr_qa.calibration.sheet.data_sheet import Estimate, pool_deviations
 from cbsr_qa.calibration.sheet.response_map import average_response, intercept_column, learn_response
 from cbsr_qa.domain import Array, CalibrationError, Indices, NumericsError
 from cbsr_qa.domain.plan import Role
@@ -145,7 +145,7 @@ def load_change(load: LoadObservation, main_mask: float) -> float | None:
     view = load.mask(main_mask)
     if view is None or view.sensed is None:
         return None
-    return float(sensed_change(load.image.values, view.sensed, load.response))
+    return float(measure_sensed_change(load.image.values, view.sensed, load.response))
 
 
 def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple[Characteristic, ...]:
@@ -188,7 +188,7 @@ def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
     )
 
 
-def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict[float, list[list[float]]]:
+def collect_repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict[float, list[list[float]]]:
     """Sensed changes of repeatedly pressed places, by strain: the cells of repeatability.
 
     A cell is a phase, place and strain. Its values are relative to the place's own span, its mean change at the
@@ -221,8 +221,8 @@ def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimat
 
     NumericsError if nothing was pressed twice at the same place and strain.
     """
-    by_strain = repeated_changes(loads, main_mask)
-    return pooled_deviation([cell for cells in by_strain.values() for cell in cells])
+    by_strain = collect_repeated_changes(loads, main_mask)
+    return pool_deviations([cell for cells in by_strain.values() for cell in cells])
 
 
 def _characteristic(

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.sheet.baseline import load_baseline, sensed_change
+from cbsr_qa.calibration.sheet.baseline import load_baseline, measure_sensed_change
 from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.geometry import overlap_mm2
 from cbsr_qa.domain.results import LoadObservation, RunObservation
@@ -54,7 +54,7 @@ class StraightLine:
     stderr: float | None
 
 
-def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
+def pool_deviations(cells: Sequence[Sequence[float]]) -> Estimate:
     """Standard deviation within cells, pooled: s² = Σ (n_c − 1) s_c² / Σ (n_c − 1) (ISO 5725-2, 7.4.5).
 
     NumericsError if no cell has two values, or a value is not finite.
@@ -83,7 +83,7 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     x, y : (n,) n ≥ 3 points, in any order.
     stderr : (n,) standard errors of y, or None if unknown.
     """
-    place, value, error, order = _sorted_points(x, y, stderr)
+    place, value, error, order = _sort_points(x, y, stderr)
     triples = np.array(list(combinations(range(len(place)), 3)))
     first, middle, last = triples.T
     share = (place[last] - place[middle]) / (place[last] - place[first])
@@ -91,7 +91,7 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     chosen = int(np.argmax(np.abs(levelled)))
     left, _, right = triples[chosen]
     slope = float((value[right] - value[left]) / (place[right] - place[left]))
-    of_largest = _combined(error, triples[chosen], float(share[chosen]), 0.5)
+    of_largest = _combine_errors(error, triples[chosen], float(share[chosen]), 0.5)
     return _line(slope, (place[left], value[left]), float(levelled[chosen]), place, value, order, of_largest)
 
 
@@ -100,11 +100,11 @@ def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float
 
     Parameters and errors are those of :func:`best_straight_line`.
     """
-    place, value, error, order = _sorted_points(x, y, stderr)
+    place, value, error, order = _sort_points(x, y, stderr)
     slope = float((value[-1] - value[0]) / (place[-1] - place[0]))
     furthest = int(np.argmax(np.abs(value - value[0] - slope * (place - place[0]))))
     share = float((place[-1] - place[furthest]) / (place[-1] - place[0]))
-    of_largest = _combined(error, np.array([0, furthest, len(place) - 1]), share, 1.0)
+    of_largest = _combine_errors(error, np.array([0, furthest, len(place) - 1]), share, 1.0)
     return _line(slope, (place[0], value[0]), 0.0, place, value, order, of_largest)
 
 
@@ -163,7 +163,7 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
     return Estimate(rate, float(np.sqrt(left @ left / degrees / square)), degrees)
 
 
-def _sorted_points(
+def _sort_points(
     x: Sequence[float], y: Sequence[float], stderr: Sequence[float] | None
 ) -> tuple[Array, Array, Array | None, NDArray[np.intp]]:
     place, value = finite_numbers(x, "places of a characteristic"), finite_numbers(y, "its values")
@@ -181,7 +181,7 @@ def _sorted_points(
     return place[order], value[order], None if error is None else error[order], order
 
 
-def _combined(error: Array | None, triple: NDArray[np.intp], share: float, factor: float) -> float | None:
+def _combine_errors(error: Array | None, triple: NDArray[np.intp], share: float, factor: float) -> float | None:
     if error is None:
         return None
     weights = factor * np.array([share, 1.0, 1 - share])
@@ -257,7 +257,7 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
         if load.place_mm not in modelled:
             modelled[load.place_mm] = _image_of_head(run, load)
         image = modelled[load.place_mm]
-        gain = float(sensed_change(image, view.sensed, load.response))
+        gain = float(measure_sensed_change(image, view.sensed, load.response))
         if not gain > _ON_HEAD * float(np.abs(image).max()):
             why = f"{load.record.load.label} was not sensed under its head"
             continue
@@ -280,7 +280,7 @@ def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
     """Spread over an even sheet from the scatter of single presses alone, over its mean; None if unknown."""
     mean = float(np.mean([place.response for place in places]))
     try:
-        single = pooled_deviation([place.responses for place in places]).value
+        single = pool_deviations([place.responses for place in places]).value
     except NumericsError:
         return None
     return single / mean * float(np.sqrt(np.mean([1 / len(place.responses) for place in places])))

@@ -88,7 +88,7 @@ class _Member:
     mean: Array
     mean_root: Array
 
-    def seen(self, kernel: Array) -> Array:
+    def solve_kernel(self, kernel: Array) -> Array:
         return solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
 
 
@@ -140,7 +140,7 @@ class ResponseMap:
         for kind in dict.fromkeys(kinds):
             among = [number for number, other in enumerate(kinds) if other == kind]
             kernel = _covariance(self.places_mm, places_mm, kind[1], kind[0])
-            means[among], variances[among] = _predicted([self.members[number] for number in among], kernel)
+            means[among], variances[among] = _predict([self.members[number] for number in among], kernel)
         mean: Array = self.weights @ means
         variance: Array = self.weights @ (variances + (means - mean) ** 2)
         return mean, np.maximum(variance, 0.0)
@@ -161,7 +161,7 @@ class ResponseMap:
         return mean, float(self.weights @ (own + (values - mean) ** 2))
 
 
-def _predicted(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
+def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
     """Means and variances (m, n) of members with one kernel (p, n), at once, as a map may have hundreds of them."""
     deviation, root_weight, root, data, drift, mean, mean_root = (
         np.array([getattr(member, name) for member in members])
@@ -281,7 +281,7 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
     scaled = np.array([group.scaled for group in data.values()])
     # No eigenvalue below one: nearly coinciding places, and loads without noise, do no harm.
-    root, solved = _solved(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
+    root, solved = _solve(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
     products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
     known = next(iter(data.values())).known
     mean_root = np.linalg.cholesky(products[..., :-1, :-1] + known)
@@ -297,7 +297,7 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     return _Family(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
 
 
-def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
+def _solve(matrices: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k)."""
     p, k = right.shape[-2:]
     whole = np.zeros((*matrices.shape[:-2], p + k, p + k))
@@ -340,7 +340,7 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
     )
     for member in response.members:
         kind = member.smooth, member.length_mm
-        seen = member.seen(member.deviation**2 * between[kind])[:, 0]
+        seen = member.solve_kernel(member.deviation**2 * between[kind])[:, 0]
         columns = np.zeros(member.drift.shape[1])
         columns[0] = 1
         spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)

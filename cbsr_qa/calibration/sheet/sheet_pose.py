@@ -76,16 +76,16 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
     weight = 1 / (variance[sure] + float(np.median(variance[sure])))
     p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
-    weight = _without_strays(p, q, weight)
-    return _fitted(p, q, weight)
+    weight = _drop_strays(p, q, weight)
+    return _fit_pose(p, q, weight)
 
 
-def _without_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
+def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
     apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
     return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
 
 
-def _fitted(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
+def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
     total = float(weight.sum())
     middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
     size = float(weight @ np.abs(p - middle) ** 2)

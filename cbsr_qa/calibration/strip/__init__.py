@@ -11,7 +11,7 @@ if TYPE_CHECKING:
         SlowResidue as SlowResidue,
         changes_of as changes_of,
         separate_with_residue as separate_with_residue,
-        without_residue as without_residue,
+        subtract_residue as subtract_residue,
     )
 
 door(__name__, __file__)

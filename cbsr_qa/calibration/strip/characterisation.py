@@ -15,11 +15,11 @@ from cbsr_qa.calibration.fits import (
     fit_common_relaxation,
     fit_step,
     relaxation_start,
-    separated_with,
-    shifted_constants,
+    separate_with_constants,
+    shift_constants,
 )
 from cbsr_qa.calibration.strip.lines import (
-    decided_response,
+    decide_response,
     fit_line,
     fit_modulus,
     lowest_clear_strain,
@@ -28,7 +28,7 @@ from cbsr_qa.calibration.strip.lines import (
     why_refused,
 )
 from cbsr_qa.calibration.strip.relaxation import DirectedTrace, settlings, strip_relaxation, unit_kernel
-from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, without_residue
+from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, subtract_residue
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import (
     Characterisation,
@@ -95,7 +95,7 @@ def characterise(
         )
     work = _Work(list(readings), specimen, settings)
     levels = strain_levels(work.cycles)
-    response, disagreement = decided_response(levels, specimen.declared)
+    response, disagreement = decide_response(levels, specimen.declared)
     lines = work.lines(levels)
     modulus, offset, why_no_modulus = fit_modulus(work.cycles, specimen.source)
     loading, unloading, stress = work.kernels()
@@ -136,12 +136,12 @@ class _Work:
         self._settings = settings
         self._steps = [step for cycle in readings for step in _steps(cycle, specimen.strip)]
         self._separated, self.residue = separate_with_residue(self._steps)
-        self._stress_common, self._stress = self._stressed()
+        self._stress_common, self._stress = self._fit_stress()
 
     @cached_property
     def cycles(self) -> tuple[CycleChange, ...]:
         local, apparent = self._changes(self._separated)
-        errors = np.hypot(self._separated.level_stderr[0::2], self._before(self._separated.level_stderr))
+        errors = np.hypot(self._separated.level_stderr[0::2], self._values_before(self._separated.level_stderr))
         end_s = self._settings.end_s
         return tuple(
             CycleChange(
@@ -165,10 +165,12 @@ class _Work:
         return tuple(dict.fromkeys(cycle.stress_why for cycle in self._readings if cycle.stress_why))
 
     def lines(self, levels: Sequence[StrainLevel]) -> dict[str, FittedLine]:
-        used = self._used(levels)
+        used = self._select_cycles(levels)
         cycles = [self.cycles[k] for k in used]
         plain = self._changes(self._separated)
-        moved = {name: [self._changes(moved_to) for moved_to in sets] for name, sets in self._moved().items()}
+        moved = {
+            name: [self._changes(moved_to) for moved_to in sets] for name, sets in self._shift_parameters().items()
+        }
         lines = {}
         for name, values, error in (
             ("local", 0, [c.local_stderr for c in cycles]),
@@ -185,7 +187,7 @@ class _Work:
         return lines
 
     def end_of_hold(self, levels: Sequence[StrainLevel]) -> tuple[FittedLine, FittedLine]:
-        cycles = [self.cycles[k] for k in self._used(levels)]
+        cycles = [self.cycles[k] for k in self._select_cycles(levels)]
         source = self._specimen.source
         changes = ([c.from_before for c in cycles], [c.from_rested for c in cycles])
         before, rested = (
@@ -195,56 +197,60 @@ class _Work:
 
     def settlings(self) -> tuple[StrainSettling, ...]:
         return (
-            *settlings("conductance", True, self._directed(True), self._settings),
-            *settlings("conductance", False, self._directed(False), self._settings),
-            *settlings("stress", True, self._directed_stress(), self._settings),
+            *settlings("conductance", True, self._split_directions(True), self._settings),
+            *settlings("conductance", False, self._split_directions(False), self._settings),
+            *settlings("stress", True, self._split_stress(), self._settings),
         )
 
     def kernels(self) -> tuple[Relaxation | None, Relaxation | None, Relaxation | None]:
         source = self._specimen.source
         common = self._separated.common
         return (
-            unit_kernel(common.get(True), self._directed(True), source),
-            unit_kernel(common.get(False), self._directed(False), source),
-            unit_kernel(self._stress_common, self._directed_stress(), source),
+            unit_kernel(common.get(True), self._split_directions(True), source),
+            unit_kernel(common.get(False), self._split_directions(False), source),
+            unit_kernel(self._stress_common, self._split_stress(), source),
         )
 
     def relaxation(self) -> StripRelaxation | None:
-        return strip_relaxation(self._directed(True), self._directed(False), self._specimen.source)
+        return strip_relaxation(self._split_directions(True), self._split_directions(False), self._specimen.source)
 
     def facts(self) -> StripFacts:
         specimen, strip = self._specimen, self._specimen.strip
         share = strip.contact_squares / strip.squares
         return StripFacts(specimen.resistance_ohm, specimen.relative_noise, strip.squares, share, strip.share)
 
-    def _used(self, levels: Sequence[StrainLevel]) -> list[int]:
+    def _select_cycles(self, levels: Sequence[StrainLevel]) -> list[int]:
         kept = {level.strain for level in levels if not level.why}
         return [k for k, cycle in enumerate(self.cycles) if cycle.strain in kept]
 
-    def _before(self, of_steps: Array) -> Array:
+    def _values_before(self, of_steps: Array) -> Array:
         return np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
 
     def _changes(self, separated: SeparatedSteps, *, other: bool = False) -> tuple[Array, Array]:
         """Steady changes under the head and between the pins, and with other contacts if requested."""
         strip, levels = self._specimen.strip, separated.levels[0::2]
-        before = self._before(separated.levels)
+        before = self._values_before(separated.levels)
         after_pins, before_pins = strip.apparent(levels), strip.apparent(before)
         if other:
             levels, before = (self._specimen.other_contacts.local(changes) for changes in (after_pins, before_pins))
         return levels - before, _relative(after_pins, before_pins)
 
-    def _moved(self) -> dict[str, list[SeparatedSteps]]:
+    def _shift_parameters(self) -> dict[str, list[SeparatedSteps]]:
         """The separated steps with shifted time constants and residue."""
         common, local = self._separated.common, changes_of(self._separated, self._steps)
-        steps = without_residue(self._steps, local, self.residue)
-        moved = {"time constants": [separated_with(steps, common, shifted) for shifted in shifted_constants(common)]}
+        steps = subtract_residue(self._steps, local, self.residue)
+        moved = {
+            "time constants": [separate_with_constants(steps, common, shifted) for shifted in shift_constants(common)]
+        }
         if self.residue is not None:
-            fading = [without_residue(self._steps, local, shifted) for shifted in self.residue.moved()]
-            moved["slow residue"] = [separated_with(shifted, common, constants_of(common)) for shifted in fading]
+            fading = [subtract_residue(self._steps, local, shifted) for shifted in self.residue.shift_parameters()]
+            moved["slow residue"] = [
+                separate_with_constants(shifted, common, constants_of(common)) for shifted in fading
+            ]
         return moved
 
-    def _directed(self, loading: bool) -> list[DirectedTrace]:
-        before = self._before(self._separated.levels)
+    def _split_directions(self, loading: bool) -> list[DirectedTrace]:
+        before = self._values_before(self._separated.levels)
         changes = changes_of(self._separated, self._steps)
         traces = []
         for k, cycle in enumerate(self._readings):
@@ -256,7 +262,7 @@ class _Work:
             traces.append(DirectedTrace(cycle.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
         return [cycle for cycle in traces if len(cycle.trace[0])]
 
-    def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[Array, float] | None]]:
+    def _fit_stress(self) -> tuple[CommonRelaxation | None, list[tuple[Array, float] | None]]:
         """The common relaxation of stress, and every cycle's fit; the unloaded head has no residue."""
         traces = [(cycle.stress_s, cycle.stress_kPa) for cycle in self._readings]
         if not any(len(time_s) for time_s, _ in traces):
@@ -265,7 +271,7 @@ class _Work:
         constants_s = np.array(common.fit.time_constants_s)
         return common, [fit_step(trace, constants_s) if len(trace[0]) else None for trace in traces]
 
-    def _directed_stress(self) -> list[DirectedTrace]:
+    def _split_stress(self) -> list[DirectedTrace]:
         return [
             DirectedTrace(
                 cycle.strain, (cycle.stress_s, cycle.stress_kPa), float(fit[0][0]), fit[0][1:], cycle.press_ramp_s

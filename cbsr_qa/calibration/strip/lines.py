@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.fits import QuasiStaticFit, fit_quasi_static
-from cbsr_qa.calibration.sheet import predicted_change
+from cbsr_qa.calibration.sheet import predict_change
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import Characterisation, CycleChange, FittedLine, StrainLevel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
@@ -63,7 +63,7 @@ def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
     return ""
 
 
-def decided_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
+def decide_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
     """Return the material's response to a load, or AUTO if it is undetermined with the reason."""
     kept = [level for level in levels if not level.why]
     if not kept:
@@ -135,7 +135,7 @@ def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> f
 
 
 def _is_clear(line: QuasiStatic, strain: float) -> bool:
-    predicted, error = predicted_change(line, strain)
+    predicted, error = predict_change(line, strain)
     return abs(predicted) >= CLEAR * error and predicted != 0
 
 

@@ -111,12 +111,12 @@ def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace]
 
 
 def _weight(traces: Sequence[DirectedTrace], k: int, tau_s: float) -> float:
-    expected = np.array([trace.step * _ramped(trace.ramp_s / tau_s) for trace in traces])
+    expected = np.array([trace.step * _average_over_ramp(trace.ramp_s / tau_s) for trace in traces])
     amplitudes = np.array([trace.amplitudes[k] for trace in traces])
     return float(expected @ amplitudes / max(float(expected @ expected), 1e-300))
 
 
-def _ramped(length: float) -> float:
+def _average_over_ramp(length: float) -> float:
     return float(-np.expm1(-length) / length) if length > 0 else 1.0
 
 
@@ -186,19 +186,19 @@ class KernelCurve:
     level: float = 0.0
 
     @classmethod
-    def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
+    def from_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
         start_s = max(kernel.start_s, start_s)
         level = float(kernel.loading)
         return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s, level)
 
     @classmethod
-    def of_press(cls, strip: MeasuredKernel) -> Self:
+    def from_press(cls, strip: MeasuredKernel) -> Self:
         """Return the expected response of a sheet after a press."""
         weights, time_constants_s = np.array(strip.weights), np.array(strip.time_constants_s)
         return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s, 1.0)
 
     @classmethod
-    def of_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
+    def from_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
         """Return the expected response of a sheet after a hold of given length, over the change at its end.
 
         A strip's weights are relative to its steady change, which no hold quite reaches, and its creep continues
@@ -245,21 +245,24 @@ class KernelCurve:
         variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
         return self.level + each @ self.weights, np.maximum(variance, 0.0)
 
-    def settled(self, tolerance: float) -> tuple[float, float] | None:
+    def settling_time(self, tolerance: float) -> tuple[float, float] | None:
         """Return the last time outside ± ``tolerance`` of the change, and its standard error [s]."""
         time_s = np.linspace(self.start_s, self.window_s, _STEPS)
-        outside = np.flatnonzero(np.abs(self._at(time_s)) > tolerance)
+        outside = np.flatnonzero(np.abs(self._evaluate(time_s)) > tolerance)
         if not len(outside) or outside[-1] == _STEPS - 1:
             return None
-        sign = np.sign(self._at(time_s[outside[-1] : outside[-1] + 1])[0])
+        sign = np.sign(self._evaluate(time_s[outside[-1] : outside[-1] + 1])[0])
         settled_s = float(
-            brentq(lambda at: sign * self._at(np.array([at]))[0] - tolerance, *time_s[outside[-1] : outside[-1] + 2])
+            brentq(
+                lambda at: sign * self._evaluate(np.array([at]))[0] - tolerance,
+                *time_s[outside[-1] : outside[-1] + 2],
+            )
         )
         slope = float((np.exp(-settled_s / self.time_constants_s) * self.weights / self.time_constants_s).sum())
         stderr = float(np.sqrt(self.relative(np.array([settled_s]))[1][0]))
         return (settled_s, stderr / abs(slope)) if slope and stderr else None
 
-    def _at(self, time_s: Array) -> Array:
+    def _evaluate(self, time_s: Array) -> Array:
         return np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights
 
 

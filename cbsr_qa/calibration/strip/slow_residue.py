@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import fdtrc
 
-from cbsr_qa.calibration.fits import SeparatedSteps, StepTrace, constants_of, separate_steps, separated_with
+from cbsr_qa.calibration.fits import SeparatedSteps, StepTrace, constants_of, separate_steps, separate_with_constants
 from cbsr_qa.domain import Array
 
 _SIGNIFICANCE: Final = 0.01
@@ -31,7 +31,7 @@ class SlowResidue:
     decay_s: float
     covariance: Array
 
-    def moved(self) -> list["SlowResidue"]:
+    def shift_parameters(self) -> list["SlowResidue"]:
         """Return it moved by one standard error along each of its independent directions."""
         size, direction = np.linalg.eigh(self.covariance)
         shifts = np.sqrt(np.maximum(size, 0)) * direction
@@ -48,11 +48,11 @@ def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
     return changes
 
 
-def without_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowResidue | None) -> list[StepTrace]:
+def subtract_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowResidue | None) -> list[StepTrace]:
     """Subtract a residue of known changes from all steps."""
     if residue is None:
         return list(steps)
-    left = _left(steps, changes, residue.decay_s)
+    left = _unit_residues(steps, changes, residue.decay_s)
     return [replace(step, values=step.values - residue.share * rest) for step, rest in zip(steps, left, strict=True)]
 
 
@@ -71,8 +71,8 @@ def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, S
         residue = _residue(steps, as_read, changes)
         if residue is None:
             return separate_steps(steps), None
-        separated = separate_steps(without_residue(steps, changes, residue))
-        as_read = separated_with(steps, separated.common, constants_of(separated.common))
+        separated = separate_steps(subtract_residue(steps, changes, residue))
+        as_read = separate_with_constants(steps, separated.common, constants_of(separated.common))
     return separated, residue
 
 
@@ -83,9 +83,9 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
     target = levels / errors
 
     def model(log_s: float) -> Array:
-        left = _left(steps, changes, float(np.exp(log_s)))
+        left = _unit_residues(steps, changes, float(np.exp(log_s)))
         units = [replace(step, values=unit) for step, unit in zip(steps, left, strict=True)]
-        return separated_with(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
+        return separate_with_constants(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
 
     def lost(log_s: float) -> float:
         unit = model(log_s)
@@ -100,10 +100,10 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
     middle = int(np.argmin([lost(float(log_s)) for log_s in grid]))
     ends = (float(grid[max(middle - 1, 0)]), float(grid[min(middle + 1, len(grid) - 1)]))
     log_s = float(minimize_scalar(lost, bounds=ends, method="bounded").x)
-    return _kept(log_s, model, target, lost(log_s))
+    return _accept_residue(log_s, model, target, lost(log_s))
 
 
-def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: float) -> SlowResidue | None:
+def _accept_residue(log_s: float, model: Callable[[float], Array], target: Array, rest: float) -> SlowResidue | None:
     unit = model(log_s)
     share = float(unit @ target) / float(unit @ unit)
     slope = share * (model(log_s + 0.05) - model(log_s - 0.05)) / 0.1
@@ -115,7 +115,7 @@ def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: fl
     return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None
 
 
-def _left(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
+def _unit_residues(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
     """Residue of unit shares of all earlier releases at the samples of each step."""
     carried, before_s = 0.0, steps[0].start_s if steps else 0.0
     left = []

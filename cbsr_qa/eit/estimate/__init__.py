@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .readings import (
         MergedReadings as MergedReadings,
         load_model as load_model,
-        merged_readings as merged_readings,
+        merge_reciprocal as merge_reciprocal,
     )
 
 door(__name__, __file__)

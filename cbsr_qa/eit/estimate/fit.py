@@ -64,8 +64,8 @@ class LoadFitter:
         for first in range(0, len(parameters), _AT_ONCE):
             part = parameters[first : first + _AT_ONCE]
             loaded = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
-            change.append(self.readings.of_model(loaded.change))
-            slope.append(self.readings.of_model(loaded.slope).swapaxes(1, 2))
+            change.append(self.readings.merge_frames(loaded.change))
+            slope.append(self.readings.merge_frames(loaded.slope).swapaxes(1, 2))
         return np.concatenate(change), np.concatenate(slope)
 
     def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
@@ -80,9 +80,9 @@ class LoadFitter:
     def covariance(self, parameters: Array, *, square: bool) -> Array:
         """Inverse Fisher matrix (n, 4, 4) at loads (n, 4); zero for the square where it is not fitted."""
         _, slopes = self.rows(parameters)
-        return _inverted(slopes.swapaxes(1, 2) @ slopes, square=square)
+        return _invert(slopes.swapaxes(1, 2) @ slopes, square=square)
 
-    def bounded(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
+    def bound_sizes(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
         """Shrink loads whose size is fitted until they touch no electrode and no edge.
 
         Returns
@@ -105,7 +105,7 @@ class _Run:
         count = len(data)
         self.fitter, self.data, self.square = fitter, data, square
         self.free = np.tile([True, True, True, square], (count, 1))
-        self.at, *_ = fitter.bounded(start, square=square)
+        self.at, *_ = fitter.bound_sizes(start, square=square)
         rows, slopes = fitter.rows(self.at)
         self.residual = data - rows
         self.misfit = (self.residual**2).sum(axis=1)
@@ -119,7 +119,7 @@ class _Run:
     def step(self) -> None:
         which = np.flatnonzero(self.active)
         move, gain = self._moves(which)
-        aim, cut, placed = self.fitter.bounded(self.at[which] + move, square=self.square)
+        aim, cut, placed = self.fitter.bound_sizes(self.at[which] + move, square=self.square)
         newly = cut & self.free[which, 3]
         self.free[which[cut], 3] = False
         self.steps[which] += 1
@@ -132,12 +132,12 @@ class _Run:
 
     def _moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
-        normal, pull, scale = self._scaled(which)
+        normal, pull, scale = self._scale_equations(which)
         damped = normal + self.damping[which, None, None] * np.eye(4)
         move = np.linalg.solve(damped, pull[..., None])[..., 0]
         return move / scale, (move * pull).sum(axis=1)
 
-    def _scaled(self, which: Indices) -> tuple[Array, Array, Array]:
+    def _scale_equations(self, which: Indices) -> tuple[Array, Array, Array]:
         """Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move."""
         free = self.free[which]
         normal, scale = _normal(self.information[which], free)
@@ -170,7 +170,7 @@ class _Run:
     def result(self) -> Fits:
         """Fitted parameters, with covariances of all that could be fitted."""
         held = self.square & ~self.free[:, 3]
-        covariance = _inverted(self.information, square=self.square)
+        covariance = _invert(self.information, square=self.square)
         excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
         empty = (self.data**2).sum(axis=1)
         return Fits(
@@ -194,7 +194,7 @@ def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
     return np.where(both, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
 
 
-def _inverted(information: Array, *, square: bool) -> Array:
+def _invert(information: Array, *, square: bool) -> Array:
     free = np.tile([True, True, True, square], (len(information), 1))
     normal, scale = _normal(information, free)
     inverse = np.linalg.pinv(normal, hermitian=True) / (scale[:, :, None] * scale[:, None])
@@ -219,7 +219,7 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
         for side in (-1, 1):
             aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
-            beside, _, placed = fitter.bounded(aim, square=square)
+            beside, _, placed = fitter.bound_sizes(aim, square=square)
             beside[~placed] = fits.parameters[~placed]
             total += fitter.covariance(beside, square=square)
     mean = np.where(fits.held[:, None, None], covariance, total / 5)

@@ -88,7 +88,7 @@ class LoadEstimator:
         self.known = known
         self._fitter = LoadFitter(model, readings)
         self._places, weak = _weak_loads(model, expected_radius_mm)
-        self._patterns, self._size = _filters(readings.of_model(weak))
+        self._patterns, self._size = _filters(readings.merge_frames(weak))
 
     def estimate(self, changes: Array, *, start_mm: Array | None = None) -> tuple[LoadEstimate, ...]:
         """Estimate one load in each frame.
@@ -115,16 +115,16 @@ class LoadEstimator:
             )
         if not np.isfinite(changes).all():
             raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
-        data = self.readings.of_data(changes)
+        data = self.readings.merge_changes(changes)
         start, gain = self._start(data, start_mm)
-        fits = _unfitted(data, start, gain)
+        fits = _empty_fits(data, start, gain)
         hopeful = np.flatnonzero(gain > _HOPELESS_GAIN)
         if hopeful.size:
             fitted = self._fitter.fit(data[hopeful], start[hopeful], square=False)
             fits = _with(fits, hopeful, fitted)
         if not self.known:
-            fits = self._sized(data, fits)
-        return self._judged(data, fits)
+            fits = self._fit_sizes(data, fits)
+        return self._judge(data, fits)
 
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
         """Better start of the given place and the best of the grid, (n, 4), and its explained share, (n,)."""
@@ -137,7 +137,7 @@ class LoadEstimator:
             clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
             given = np.where(clear[:, None], given, place)
             patterns, size = _filters(
-                self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm))
+                self.readings.merge_frames(_weak_changes(self.model, given, self.expected_radius_mm))
             )
             own = (data * patterns).sum(axis=1)
             better = np.abs(own) > np.abs(matched)
@@ -145,14 +145,14 @@ class LoadEstimator:
             strength, matched = np.where(better, own / size, strength), np.where(better, own, matched)
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), matched**2
 
-    def _sized(self, data: Array, fits: Fits) -> Fits:
+    def _fit_sizes(self, data: Array, fits: Fits) -> Fits:
         seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
         if not seen.size:
             return fits
         sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
         return _with(fits, seen, sized)
 
-    def _judged(self, data: Array, fits: Fits) -> LoadFits:
+    def _judge(self, data: Array, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
         freedom = len(self.readings.weight) - unknowns
         probability = chdtrc(freedom, fits.misfit)
@@ -168,10 +168,10 @@ class LoadEstimator:
         finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
         fits = replace(fits, covariance=covariance)
         has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
-        shares = explained_share(explained, fits.misfit, freedom), self._unweighted(data, fits)
+        shares = explained_share(explained, fits.misfit, freedom), self._explained_share(data, fits)
         return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
 
-    def _unweighted(self, data: Array, fits: Fits) -> Array:
+    def _explained_share(self, data: Array, fits: Fits) -> Array:
         """Share (n,) of the readings' squares, each weighing alike, that the fits explain."""
         variance = self.readings.weight**-2.0
         left = fits.residual**2 @ variance
@@ -183,7 +183,7 @@ class LoadEstimator:
             return fits.covariance
         chosen = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
         spread = spread_covariance(self._fitter, chosen, detectability[unsure], square=not self.known)
-        return _replaced(fits.covariance, unsure, spread)
+        return _replace_rows(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
         """Standard error of the radius at its expected value, (n,) [mm]; infinite without one."""
@@ -193,7 +193,7 @@ class LoadEstimator:
             return stderr
         usual = fits.parameters[which].copy()
         usual[:, 3] = self.expected_radius_mm**2
-        usual, *_ = self._fitter.bounded(usual, square=True)
+        usual, *_ = self._fitter.bound_sizes(usual, square=True)
         variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
         stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr
@@ -310,7 +310,7 @@ def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> 
     return Estimated(value, stderr_mm2 / (2 * value), sqrt(max(below, 0.0)), max(sqrt(max(above, 0.0)), value))
 
 
-def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
+def _empty_fits(data: Array, start: Array, gain: Array) -> Fits:
     empty, count = (data**2).sum(axis=1), len(data)
     no = np.zeros(count, dtype=np.bool_)
     covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
@@ -318,10 +318,10 @@ def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
 
 
 def _with(fits: Fits, which: Indices, new: Fits) -> Fits:
-    return Fits(*(_replaced(getattr(fits, name), which, getattr(new, name)) for name in Fits.__slots__))
+    return Fits(*(_replace_rows(getattr(fits, name), which, getattr(new, name)) for name in Fits.__slots__))
 
 
-def _replaced(values: NDArray, which: Indices, new: NDArray) -> NDArray:  # type: ignore[type-arg]
+def _replace_rows(values: NDArray, which: Indices, new: NDArray) -> NDArray:  # type: ignore[type-arg]
     changed = values.copy()
     changed[which] = new
     return changed

@@ -51,16 +51,16 @@ class MergedReadings:
     measure: Indices
     weight: Array
 
-    def of_data(self, changes: Array) -> Array:
+    def merge_changes(self, changes: Array) -> Array:
         """Rows (n, rows) of changes (n, m) of the used readings."""
         return changes @ self.merging.T
 
-    def of_model(self, readings: Array) -> Array:
+    def merge_frames(self, readings: Array) -> Array:
         """Rows (…, rows) of whole frames (…, drives, measures) of a reciprocal model."""
         return readings[..., self.drive, self.measure] * self.weight
 
 
-def merged_readings(pattern: DrivePattern, used: Mask, variance: Array) -> MergedReadings:
+def merge_reciprocal(pattern: DrivePattern, used: Mask, variance: Array) -> MergedReadings:
     """Merge reciprocal readings.
 
     Parameters

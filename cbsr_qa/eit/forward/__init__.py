@@ -9,8 +9,8 @@ if TYPE_CHECKING:
         FEWEST_RESISTORS as FEWEST_RESISTORS,
         ConcentricSheet as ConcentricSheet,
         arc_transfer_impedance as arc_transfer_impedance,
-        grounded as grounded,
         lead_readings as lead_readings,
+        project_to_ground as project_to_ground,
         ring_impedance as ring_impedance,
         ring_readings as ring_readings,
     )
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
         Cover as Cover,
         NestedCover as NestedCover,
         cover as cover,
+        cover_by_nested_outlines as cover_by_nested_outlines,
         disc_coverage as disc_coverage,
-        nested_cover as nested_cover,
     )
     from .elements import FiniteElements as FiniteElements, reaches_mm as reaches_mm
     from .model import ForwardModel as ForwardModel, point_model as point_model

@@ -83,10 +83,10 @@ def arc_transfer_impedance(
     higher = system[:, 1:, :, 1:].reshape(unknowns, unknowns)
     coupling = system[:, 1:, :, 0].reshape(unknowns, count)
     impedance = system[:, 0, :, 0] - coupling.T @ np.linalg.solve(higher, coupling)
-    return grounded(impedance)
+    return project_to_ground(impedance)
 
 
-def grounded(impedance: Array) -> Array:
+def project_to_ground(impedance: Array) -> Array:
     """Project a transfer impedance on ΣI = 0 and ΣU = 0."""
     projected = impedance - impedance.mean(axis=0)
     return np.asarray(projected - projected.mean(axis=1, keepdims=True), dtype=np.float64)

@@ -221,7 +221,7 @@ class NestedCover:
         return change * conductance[self.elements, None, None, None]
 
 
-def nested_cover(
+def cover_by_nested_outlines(
     elements: FiniteElements, largest: Footprint, centre_mm: tuple[float, float], sizes: Array, weights: Array
 ) -> NestedCover:
     """Area of each element covered by nested outlines of one shape, exactly; triangles are taken as straight.
@@ -245,7 +245,7 @@ def nested_cover(
     cut = (share > 1e-12) & (share < WHOLE)
     if elements.order == 2:
         line = slopes(largest, grown[cut], share[cut]) @ (points - 1 / 3).T
-        spread[cut] += _held(line, share[cut])
+        spread[cut] += _limit_sum(line, share[cut])
     across = np.zeros((len(near), len(points), 2))
     some = cut.any(axis=0)
     across[some] = outline_normals(largest, mesh.corners_mm[near[some]], points)
@@ -259,7 +259,7 @@ def _layers(spread: Array) -> Array:
     return np.ascontiguousarray(layers)
 
 
-def _held(line: Array, share: Array) -> Array:
+def _limit_sum(line: Array, share: Array) -> Array:
     """Deviations (c, q) from shares (c,), reduced until their sum exceeds [0, 1] by at most the allowed amount."""
     with np.errstate(divide="ignore"):
         above, below = line.max(axis=1), -line.min(axis=1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError, real_numbers
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
-from cbsr_qa.eit.forward.closed_forms import grounded
+from cbsr_qa.eit.forward.closed_forms import project_to_ground
 from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
 from cbsr_qa.eit.forward.prepared import PreparedSheet
 from cbsr_qa.eit.forward.value_range import check_range, check_values
@@ -63,7 +63,9 @@ class ForwardModel:
         self._check()
         self._factors = prepared.factorise(self.conductance, self.contact_impedance)
 
-    def changed(self, *, conductance: Array | None = None, contact_impedance: Array | None = None) -> "ForwardModel":
+    def with_values(
+        self, *, conductance: Array | None = None, contact_impedance: Array | None = None
+    ) -> "ForwardModel":
         """Return the same sheet with other values; mesh-dependent parts are reused."""
         return ForwardModel(
             self.mesh,
@@ -73,7 +75,9 @@ class ForwardModel:
             prepared=self.prepared,
         )
 
-    def changed_on(self, elements: Indices, change: Array, contact_impedance: Array | None = None) -> "ForwardModel":
+    def with_change_on(
+        self, elements: Indices, change: Array, contact_impedance: Array | None = None
+    ) -> "ForwardModel":
         """Return the same sheet with other conductances on some elements, factorised again.
 
         Parameters
@@ -85,7 +89,7 @@ class ForwardModel:
         self.check_elements(elements)
         conductance, change = _alike(self.conductance.copy(), change, len(self.elements.shapes.points))
         np.add.at(conductance, elements, change)
-        return self.changed(conductance=conductance, contact_impedance=contact_impedance)
+        return self.with_values(conductance=conductance, contact_impedance=contact_impedance)
 
     def check_elements(self, elements: Indices) -> None:
         """Refuse numbers (m,) that are not elements of the mesh; NumericsError names the range."""
@@ -95,7 +99,7 @@ class ForwardModel:
                 f"a changed element is not one of 0 to {count - 1}", remedy="count the mesh's elements from 0"
             )
 
-    def changed_conductance(self, elements: Indices, change: Array) -> Array:
+    def conductance_after_change(self, elements: Indices, change: Array) -> Array:
         """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""
         conductance, change = _alike(self.conductance[elements], change, len(self.elements.shapes.points))
         return conductance + change
@@ -125,7 +129,7 @@ class ForwardModel:
     @cached_property
     def transfer_impedance(self) -> Array:
         """Z of U = Z·I for ΣI = 0, with ΣU = 0: (electrodes, electrodes) [Ω]."""
-        return grounded(self._sheet_impedance + np.diag(self._own_impedance))
+        return project_to_ground(self._sheet_impedance + np.diag(self._own_impedance))
 
     def voltages(self) -> Array:
         """Readings per unit current: (drives, measures) [V/A]."""
@@ -225,7 +229,7 @@ class ForwardModel:
         """Fields (n, electrodes − 1) of all electrodes but the first, by elimination, and their rounding error."""
         drives = self.prepared.ordered_drives
         return (
-            self._factors.refined_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
+            self._factors.refine_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
         )
 
     def _check(self) -> None:

@@ -24,7 +24,7 @@ _SHRINKS: Final = 0.5  # a correction not smaller than this share of the last on
 _LOST: Final = 1e-2  # of the largest potential: corrections that end above it have failed
 
 
-def refined(
+def refine(
     conductors: sparse.csc_matrix, load: Array, solve: Callable[[Array], Array], potentials: Array, ground: int
 ) -> tuple[Array, Array]:
     """Refine potentials until they are those of the conductors to rounding.
@@ -182,22 +182,20 @@ class Factors:
         self._order = np.argsort(place)
 
     def solve(self, load: Array, *, refine: bool = False) -> Array:
-        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined as in :meth:`refined_ordered`."""
+        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined as in :meth:`refine_ordered`."""
         ordered = np.take(load.T, self._order, axis=1).T  # column-major, as the solver requires
-        return (self.refined_ordered(ordered)[0] if refine else self.solve_ordered(ordered))[self._place]
+        return (self.refine_ordered(ordered)[0] if refine else self.solve_ordered(ordered))[self._place]
 
     def solve_ordered(self, load: Array) -> Array:
         """The same, both in the order of elimination."""
         return self._factors.solve(load)
 
-    def refined_ordered(self, load: Array) -> tuple[Array, Array]:
-        """The same to rounding for any values, and the rounding error; see :func:`refined`."""
+    def refine_ordered(self, load: Array) -> tuple[Array, Array]:
+        """The same to rounding for any values, and the rounding error; see :func:`refine`."""
         total = load.sum(axis=0)
         balanced = load.copy()
         balanced[self._ground] -= total
-        high, low = refined(
-            self._conductors, balanced, self.solve_ordered, self.solve_ordered(balanced), self._ground
-        )
+        high, low = refine(self._conductors, balanced, self.solve_ordered, self.solve_ordered(balanced), self._ground)
         high += total / self._held_by
         return high, low
 

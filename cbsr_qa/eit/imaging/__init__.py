@@ -8,13 +8,13 @@ if TYPE_CHECKING:
     from .blobs import (
         AnyRegion as AnyRegion,
         find_blobs as find_blobs,
-        floored as floored,
-        masked_blobs as masked_blobs,
+        find_blobs_by_mask as find_blobs_by_mask,
         nearest_blob as nearest_blob,
         noise_floor as noise_floor,
         percentage_mask as percentage_mask,
+        subtract_noise_floor as subtract_noise_floor,
     )
-    from .contours import contour_regions as contour_regions, masked_contours as masked_contours
+    from .contours import contour_regions as contour_regions, find_contours_by_mask as find_contours_by_mask
     from .multi_load import (
         Assignment as Assignment,
         assign_regions as assign_regions,

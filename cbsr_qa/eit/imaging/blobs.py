@@ -55,7 +55,7 @@ def noise_floor(images: Array) -> float:
     return float(np.abs(images).max())
 
 
-def floored(values: Array, floor: float) -> Array:
+def subtract_noise_floor(values: Array, floor: float) -> Array:
     """Subtract the noise floor from values (…, e), for masks and blobs only; zero below it.
 
     NumericsError if the floor is negative or not finite.
@@ -98,7 +98,7 @@ def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
     return _components(image, keep[None])[0]
 
 
-def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, ...], ...]:
+def find_blobs_by_mask(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, ...], ...]:
     """Find the blobs of several percentage masks of one image: one tuple per mask, as in :func:`find_blobs`.
 
     NumericsError if a fraction is outside (0, 1].

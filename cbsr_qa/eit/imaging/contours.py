@@ -94,10 +94,10 @@ def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
     NumericsError
         If the fraction is outside (0, 1).
     """
-    return masked_contours(image, (fraction,))[0]
+    return find_contours_by_mask(image, (fraction,))[0]
 
 
-def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
+def find_contours_by_mask(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
     """Find the regions of several masks: one tuple per mask, otherwise as :func:`contour_regions`."""
     if max(fractions, default=0.5) == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
@@ -157,8 +157,8 @@ class _Cut:
         count = first + second + third
         self.whole = triangles[count == 3]
         self.tips, self.stumps = (
-            _turned(triangles[count == 1], reached[count == 1]),
-            _turned(triangles[count == 2], ~reached[count == 2]),
+            _rotate_to_marked_corner(triangles[count == 1], reached[count == 1]),
+            _rotate_to_marked_corner(triangles[count == 2], ~reached[count == 2]),
         )
         self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
         self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]
@@ -203,7 +203,7 @@ def _all(flags: Mask, nodes: Indices) -> Mask:
     return marked
 
 
-def _turned(triangles: Indices, odd: Mask) -> Indices:
+def _rotate_to_marked_corner(triangles: Indices, odd: Mask) -> Indices:
     """Rotate triangles so that the single marked corner comes first."""
     return np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
 

@@ -12,7 +12,7 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import Footprint, inside_edges, overlap_mm2
 from cbsr_qa.domain.results import Blob, Image, ImagingProblem, PreparedReconstruction, Region
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.imaging.blobs import masked_blobs
+from cbsr_qa.eit.imaging.blobs import find_blobs_by_mask
 from cbsr_qa.eit.imaging.contours import contour_regions
 
 
@@ -41,12 +41,12 @@ def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
     if not blobs:
         return ()
     depth = prominence * max(float(blob.image.values[blob.elements].max()) for blob in blobs)
-    parts = [part for blob in blobs for part in _parted(blob, depth)]
+    parts = [part for blob in blobs for part in _split_blob(blob, depth)]
     return tuple(sorted(parts, key=lambda part: (-part.weight, int(part.elements[0]))))
 
 
-def _parted(blob: Blob, depth: float) -> list[Blob]:
-    basin = _flooded(blob.image.values[blob.elements], _neighbours(blob), depth)
+def _split_blob(blob: Blob, depth: float) -> list[Blob]:
+    basin = _flood_basins(blob.image.values[blob.elements], _neighbours(blob), depth)
     numbers = np.unique(basin)
     if len(numbers) == 1:
         return [blob]
@@ -64,7 +64,7 @@ def _neighbours(blob: Blob) -> list[list[int]]:
     return around
 
 
-def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
+def _flood_basins(values: Array, around: list[list[int]], depth: float) -> Indices:
     """Basin of every element, numbered by peak, as the level falls from the highest peak to the rim."""
     into = list(range(len(values)))  # a joined basin points to the basin it was joined to
     basin = np.full(len(values), -1, dtype=np.int64)
@@ -243,7 +243,7 @@ def _pair(reconstruction: PreparedReconstruction, indenter: Indenter, half: Arra
     image = Image(reconstruction.problem.mesh, np.maximum(values, 0.0))
     regions: tuple[Region, ...]
     if mask is None:
-        regions = split_blobs(masked_blobs(image, (WATERSHED_MASK,))[0], WATERSHED_DEPTH)
+        regions = split_blobs(find_blobs_by_mask(image, (WATERSHED_MASK,))[0], WATERSHED_DEPTH)
     else:
         regions = contour_regions(image, mask)
     return assign_regions(regions, loads, gate_mm=float(np.hypot(*half)))

@@ -81,7 +81,7 @@ def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
 
     NumericsError if the fraction is outside (0, 1).
     """
-    keep, level = _masked(raster, fraction)
+    keep, level = _mask_raster(raster, fraction)
     return _regions(raster, _measure.label(keep, connectivity=1), level)
 
 
@@ -94,7 +94,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     """
     if not separation_mm > 0:
         raise NumericsError(f"separation is {separation_mm} mm; it must be positive")
-    keep, level = _masked(raster, fraction)
+    keep, level = _mask_raster(raster, fraction)
     if not keep.any():
         return ()
     smooth = gaussian_filter(raster.values, separation_mm / 4 / raster.pitch_mm)
@@ -135,7 +135,7 @@ def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
     return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
 
 
-def _masked(raster: Raster, fraction: float) -> tuple[Mask, float]:
+def _mask_raster(raster: Raster, fraction: float) -> tuple[Mask, float]:
     if fraction == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)

@@ -72,7 +72,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     if _one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
         raise NumericsError("all loads are seen at one place, wherever they were pressed")
     factor = complex((centred.conj() * seen).sum() / size)
-    _not_mirrored(factor, complex((centred * seen).sum() / size), seen_size / size)
+    _refuse_mirrored(factor, complex((centred * seen).sum() / size), seen_size / size)
     offset = complex(q.mean() - factor * p.mean())
     left = seen - factor * centred
     variance = float((np.abs(left) ** 2).sum()) / (2 * count - 4)  # of one coordinate
@@ -96,7 +96,7 @@ def _one_place(places: NDArray[np.complex128], size: float) -> bool:
     return not size > len(places) * rounding**2
 
 
-def _not_mirrored(factor: complex, mirrored: complex, size: float) -> None:
+def _refuse_mirrored(factor: complex, mirrored: complex, size: float) -> None:
     """Refuse places that no rotation explains.
 
     ``factor``, ``mirrored``: maps of the places, or their mirror image, onto the measured ones; ``size``: ratio of

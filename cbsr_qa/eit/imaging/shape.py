@@ -101,11 +101,11 @@ def _overlaps_percent(
 ) -> list[float]:
     if mode == "exact":
         # Green's theorem: the overlap depends only on the region's perimeter.
-        start, end, first = _joined(rims)
+        start, end, first = _join_rims(rims)
         inside = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first), 0.0)
     elif mode == "centroid":
         inside = np.array(
-            [_counted_mm2(_of_elements(region, "clipping by centroids"), indenter) for region in regions]
+            [_overlap_of_elements_mm2(_require_blob(region, "clipping by centroids"), indenter) for region in regions]
         )
     else:
         raise NumericsError(f"unknown clipping mode {mode!r}", remedy="use 'exact' or 'centroid'")
@@ -118,12 +118,12 @@ def _deviations_mm2(
     regions: Sequence[Region], rims: Sequence[tuple[Array, Array]], indenter: Footprint, mode: str
 ) -> list[float]:
     if mode == "nodes":
-        blobs = [_of_elements(region, "a mean over nodes") for region in regions]
+        blobs = [_require_blob(region, "a mean over nodes") for region in regions]
         nodes = [blob.image.mesh.nodes_mm[np.unique(blob.rim)] for blob in blobs]
         return [float(np.mean(indenter.distance_mm(places) ** 2)) for places in nodes]
     if mode != "length":
         raise NumericsError(f"unknown perimeter mode {mode!r}", remedy="use 'length' or 'nodes'")
-    start, end, first = _joined(rims)
+    start, end, first = _join_rims(rims)
     along = end - start
     length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
     mean = np.add.reduceat(indenter.squared_distance_mm3(start, end), first) / np.add.reduceat(length, first)
@@ -131,17 +131,17 @@ def _deviations_mm2(
     return deviations
 
 
-def _joined(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Indices]:
+def _join_rims(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Indices]:
     start, end = (np.concatenate(parts) for parts in zip(*rims, strict=True))
     return start, end, np.cumsum([0, *(len(rim[0]) for rim in rims[:-1])])
 
 
-def _counted_mm2(blob: Blob, indenter: Footprint) -> float:
+def _overlap_of_elements_mm2(blob: Blob, indenter: Footprint) -> float:
     mesh = blob.image.mesh
     return float(mesh.areas_mm2[blob.elements] @ indenter.contains(mesh.centroids_mm[blob.elements]))
 
 
-def _of_elements(region: Region, what: str) -> Blob:
+def _require_blob(region: Region, what: str) -> Blob:
     if not isinstance(region, Blob):
         raise NumericsError(f"{what} needs a region of whole elements", remedy='set outline = "elements"')
     return region

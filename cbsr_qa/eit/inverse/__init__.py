@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         Correlation as Correlation,
         TemporalImages as TemporalImages,
         lasting_noise_figure as lasting_noise_figure,
-        smoothed as smoothed,
+        smooth as smooth,
     )
     from .truncation import Truncation as Truncation
     from .uncertainty import masking_effect as masking_effect

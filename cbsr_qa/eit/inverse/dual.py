@@ -39,7 +39,7 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     NumericsError
         If λ is negative or above 1e50, or so small that the readings do not determine the solution.
     """
-    return dual_spectrum(jacobian, prior, variance).determined(hyperparameter)
+    return dual_spectrum(jacobian, prior, variance).check_and_form_matrix(hyperparameter)
 
 
 def _too_small(hyperparameter: float) -> NumericsError:
@@ -77,7 +77,7 @@ class DualSpectrum:
         check_hyperparameter(hyperparameter)
         return (self.basis * self.gains(hyperparameter)) @ self.analysis
 
-    def determined(self, hyperparameter: float) -> Array:
+    def check_and_form_matrix(self, hyperparameter: float) -> Array:
         """Imaging matrix (e, m); NumericsError also if the readings do not determine it at this hyperparameter."""
         check_hyperparameter(hyperparameter)
         least, largest = self.values[[0, -1]] + hyperparameter**2
@@ -88,7 +88,7 @@ class DualSpectrum:
 
 def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None = None) -> DualSpectrum:
     """Decompose the dual system once; parameters as in :func:`dual_matrix`."""
-    return _System.of(jacobian, prior, variance).spectrum()
+    return _System.from_problem(jacobian, prior, variance).spectrum()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +111,7 @@ class _System:
     free_analysis: Array
 
     @classmethod
-    def of(cls, jacobian: Array, prior: Prior | Array, variance: Array | None) -> "_System":
+    def from_problem(cls, jacobian: Array, prior: Prior | Array, variance: Array | None) -> "_System":
         prior = prior if isinstance(prior, Prior) else Prior.diagonal(prior)
         count = len(jacobian)
         root = np.ones(count) if variance is None else 1 / np.sqrt(variance)
@@ -125,7 +125,7 @@ class _System:
                 "the readings do not respond to the image component that the prior leaves free",
                 remedy="repair the masked channels, or use a prior of full rank (gauss-newton-noser)",
             )
-        return cls._without_free(white, prior, seen, prior.free, root)
+        return cls._eliminate_free(white, prior, seen, prior.free, root)
 
     def normal(self) -> Array:
         return self.white @ self.back
@@ -154,7 +154,7 @@ class _System:
         return cls(white, prior.covariance(columns), half, analysis, free, free_analysis)
 
     @classmethod
-    def _without_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
+    def _eliminate_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
         complete, triangle = linalg.qr(seen)
         width = free.shape[1]
         triangle = triangle[:width]

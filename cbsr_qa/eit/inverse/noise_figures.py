@@ -118,13 +118,13 @@ def evidence_of(problem: ImagingProblem) -> Evidence:
     NumericsError if the sample does not fit the problem, is not finite, or is of another unit.
     """
     return (
-        simulated_evidence(problem, _FRAMES, _FRAMES)
+        simulate_evidence(problem, _FRAMES, _FRAMES)
         if problem.sample is None
-        else _measured(problem, problem.sample)
+        else _evidence_from_sample(problem, problem.sample)
     )
 
 
-def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
+def _evidence_from_sample(problem: ImagingProblem, sample: Array) -> Evidence:
     count = len(problem.reference)
     if sample.ndim != 2 or sample.shape[1] != count or not len(sample):
         raise NumericsError(
@@ -140,12 +140,12 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
             f" {_MOST_CHANGED:.0e} times the readings",
             remedy="give changes in the unit of the reference readings",
         )
-    variance, freedom = ReadingFold.of(problem).noise(sample)
+    variance, freedom = ReadingFold.from_problem(problem).noise(sample)
     frames = "1 measured change" if len(sample) == 1 else f"{len(sample)} measured changes"
     return Evidence(sample, variance if freedom else None, frames)
 
 
-def simulated_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evidence:
+def simulate_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evidence:
     """Changes for a central target in noise: a press as deep as the paper's, the noise of a good instrument.
 
     ``draws``: of noise; ``frames``: number used for the choice, for the description.
@@ -193,7 +193,7 @@ def hyperparameter_for(
     NumericsError if no λ reaches the target; names the possible range.
     """
     figure = noise_figure_of(spectrum, signal, areas, noise_variance)
-    grid = np.log(searched(spectrum))
+    grid = np.log(search_grid(spectrum))
     reached = np.array([figure(float(np.exp(at))) for at in grid])
     if not (np.isfinite(target) and reached.min() <= target <= reached.max()):
         raise NumericsError(
@@ -205,15 +205,15 @@ def hyperparameter_for(
     # smoothest.
     last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
-    return rounded(float(np.exp(root)))
+    return round_figure(float(np.exp(root)))
 
 
-def rounded(value: float) -> float:
+def round_figure(value: float) -> float:
     """Ten digits: those beyond depend on the number of threads."""
     return float(f"{value:.10g}")
 
 
-def searched(spectrum: DualSpectrum) -> Array:
+def search_grid(spectrum: DualSpectrum) -> Array:
     """Rising values of λ to search."""
     unit = float(np.sqrt(spectrum.values[-1]))
     return np.geomspace(_LOWEST * unit, _HIGHEST * unit, _STEPS)

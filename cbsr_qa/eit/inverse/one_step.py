@@ -23,8 +23,8 @@ from cbsr_qa.eit.inverse.noise_figures import (
     hyperparameter_for,
     noise_figure,
     noise_figure_of,
-    rounded,
-    searched,
+    round_figure,
+    search_grid,
 )
 from cbsr_qa.eit.inverse.priors import Prior
 from cbsr_qa.eit.inverse.readings import ReadingFold
@@ -64,7 +64,7 @@ def ridge_reconstruction(
     value, how, curve = regularisation.choose(
         problem, lambda base: own if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
     )
-    matrix = own.spectrum.determined(value)
+    matrix = own.spectrum.check_and_form_matrix(value)
     areas, variance = problem.mesh.areas_mm2, problem.noise_variance
     figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
     choice = ParameterChoice(value, how, figure, curve=curve, criterion=regularisation.decided_by)
@@ -88,7 +88,7 @@ class RidgeSearch:
     """λ on one problem: every criterion needs only products with its dual spectrum."""
 
     def __init__(self, problem: ImagingProblem, prior: Prior) -> None:
-        self._fold = ReadingFold.of(problem)
+        self._fold = ReadingFold.from_problem(problem)
         folded = dual_spectrum(self._fold.rows(problem.jacobian), prior, self._fold.variance)
         self._spectrum = replace(folded, analysis=self._fold.unfold(folded.analysis))
         self._signal = central_signal(problem)
@@ -102,7 +102,7 @@ class RidgeSearch:
     @property
     def shown(self) -> Array:
         """λ four times as close together as those searched."""
-        grid = searched(self._spectrum)
+        grid = search_grid(self._spectrum)
         return np.geomspace(grid[0], grid[-1], 4 * (len(grid) - 1) + 1)
 
     @property
@@ -117,14 +117,14 @@ class RidgeSearch:
     def for_noise_figure(self, target: float) -> float:
         return hyperparameter_for(target, self._spectrum, self._signal, self._areas, self._variance)
 
-    def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
+    def choose_from_readings(self, criterion: Criterion, evidence: Evidence) -> float:
         regularised = self._spectrum.analysis[: len(self._spectrum.values)]
         curves = RidgeCurves(self._spectrum.values, evidence.changes @ regularised.T)
         if criterion is Criterion.GCV:
-            return by_cross_validation(curves)
+            return choose_by_cross_validation(curves)
         if criterion is Criterion.L_CURVE:
-            return by_l_curve(curves)
-        return by_discrepancy(curves, noise_level(evidence, len(self._fold.first)))
+            return choose_by_l_curve(curves)
+        return choose_by_discrepancy(curves, noise_level(evidence, len(self._fold.first)))
 
 
 def noise_level(evidence: Evidence, readings: int) -> float:
@@ -166,7 +166,7 @@ class RidgeCurves:
 
     def residual(self, s: Array | float) -> Array:
         """Weighted squared residual of all frames."""
-        gone = self._gone(s)
+        gone = self._remaining_share(s)
         return np.asarray(gone**2 @ self._energy)
 
     def size(self, s: Array | float) -> Array:
@@ -176,7 +176,7 @@ class RidgeCurves:
 
     def freedom(self, s: Array | float) -> Array:
         """Degrees of freedom of one frame's residual."""
-        return np.asarray(self._gone(s).sum(axis=-1))
+        return np.asarray(self._remaining_share(s).sum(axis=-1))
 
     def cross_validation(self, s: Array | float) -> Array:
         """GCV function (Golub, Heath & Wahba 1979): residual over squared degrees of freedom."""
@@ -200,20 +200,20 @@ class RidgeCurves:
         curvature: Array = (x1 * y2 - x2 * y1) / (x1**2 + y1**2) ** 1.5
         return curvature
 
-    def _gone(self, s: Array | float) -> Array:
+    def _remaining_share(self, s: Array | float) -> Array:
         ridge = np.exp(np.asarray(s))[..., None]
         return np.asarray(ridge / (self._values + ridge))
 
 
-def by_cross_validation(curves: RidgeCurves) -> float:
+def choose_by_cross_validation(curves: RidgeCurves) -> float:
     """λ of the lowest GCV function; NumericsError if it has no minimum in the range searched."""
     where = int(np.argmin(curves.cross_validation(curves.grid)))
-    return _refined(
+    return _refine_minimum(
         curves, where, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
     )
 
 
-def by_l_curve(curves: RidgeCurves) -> float:
+def choose_by_l_curve(curves: RidgeCurves) -> float:
     """λ of the sharpest corner of the L-curve; NumericsError if it has none in the range searched."""
     bend = curves.curvature(curves.grid)
     # At both ends one of the two logarithms is constant and the quotient is rounding.
@@ -222,10 +222,10 @@ def by_l_curve(curves: RidgeCurves) -> float:
     where = int(np.argmax(bend))
     if not bend[where] > 0:
         raise NumericsError(f"the L-curve has no corner {_range(curves)}", remedy=_REMEDY)
-    return _refined(curves, where, lambda s: -float(curves.curvature(s)), "the L-curve")
+    return _refine_minimum(curves, where, lambda s: -float(curves.curvature(s)), "the L-curve")
 
 
-def by_discrepancy(curves: RidgeCurves, level: float) -> float:
+def choose_by_discrepancy(curves: RidgeCurves, level: float) -> float:
     """λ at which the residual of all frames is ``level``, number of readings times noise variance (Morozov 1966).
 
     NumericsError if no λ in the searched range leaves so much: the readings are only noise, or have none.
@@ -239,16 +239,16 @@ def by_discrepancy(curves: RidgeCurves, level: float) -> float:
             remedy=_REMEDY,
         )
     root = brentq(lambda s: float(np.log(curves.residual(s) / level)), curves.grid[0], curves.grid[-1], xtol=1e-12)
-    return rounded(float(np.exp(root / 2)))
+    return round_figure(float(np.exp(root / 2)))
 
 
-def _refined(curves: RidgeCurves, where: int, cost: Callable[[float], float], criterion: str) -> float:
+def _refine_minimum(curves: RidgeCurves, where: int, cost: Callable[[float], float], criterion: str) -> float:
     """Polish a minimum found on the grid."""
     if where in (0, len(curves.grid) - 1):
         raise NumericsError(f"{criterion} has no minimum {_range(curves)}", remedy=_REMEDY)
     bounds = (float(curves.grid[where - 1]), float(curves.grid[where + 1]))
     best = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-9})
-    return rounded(float(np.exp(best.x / 2)))
+    return round_figure(float(np.exp(best.x / 2)))
 
 
 def _range(curves: RidgeCurves) -> str:

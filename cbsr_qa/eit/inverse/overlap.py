@@ -84,7 +84,7 @@ def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
     polygon = first
     for corner in range(3):
         start = second[:, corner]
-        polygon = _clipped(polygon, start, second[:, (corner + 1) % 3] - start)
+        polygon = _clip(polygon, start, second[:, (corner + 1) % 3] - start)
     following = np.roll(polygon, -1, axis=1)
     origin = polygon[:, :1]
     u, v = polygon - origin, following - origin
@@ -95,7 +95,7 @@ def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
     return area, origin[:, 0] + moment / divisor
 
 
-def _clipped(polygon: Array, start: Array, along: Array) -> Array:
+def _clip(polygon: Array, start: Array, along: Array) -> Array:
     """Cut convex polygons (p, k, 2) left of a line: (p, k + 1, 2), where spare corners repeat the last."""
     relative = polygon - start[:, None]
     height = along[:, None, 0] * relative[..., 1] - along[:, None, 1] * relative[..., 0]

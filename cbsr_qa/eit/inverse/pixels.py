@@ -100,7 +100,7 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
     shares = _shares(problem.mesh, corner, pitch, pixels)
     places = np.flatnonzero(np.diff(shares.indptr))
     whole = np.asarray(shares @ reconstruction.matrix)
-    one, other, ratio = _pairs(whole, ReadingFold.of(problem).group)
+    one, other, ratio = _pairs(whole, ReadingFold.from_problem(problem).group)
     x, y = (corner + pitch / 2).tolist()
     return PixelImaging(
         pixels,

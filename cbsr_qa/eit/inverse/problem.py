@@ -119,9 +119,9 @@ def imaging_problem(
     )
 
 
-def masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
+def find_masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
     """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
-    usable, left = (_touched(pattern, readings) for readings in (pattern.usable(), used))
+    usable, left = (_electrodes_involved(pattern, readings) for readings in (pattern.usable(), used))
     return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
 
 
@@ -211,7 +211,7 @@ def _check_number(pattern: DrivePattern, used: Mask) -> None:
     )
 
 
-def _touched(pattern: DrivePattern, readings: Mask) -> Mask:
+def _electrodes_involved(pattern: DrivePattern, readings: Mask) -> Mask:
     """Electrodes that some readings involve, (electrodes,)."""
     driven, measured = pattern.drive_currents() != 0, pattern.measure_matrix() != 0
     touched: Mask = driven[:, readings.any(axis=1)].any(axis=1)

@@ -46,7 +46,7 @@ class ReadingFold:
     variance: Array
 
     @classmethod
-    def of(cls, problem: ImagingProblem) -> Self:
+    def from_problem(cls, problem: ImagingProblem) -> Self:
         """Fold a problem's readings; no folding if its own reference contradicts reciprocity."""
         group, first, sign = _groups(problem.sensor_type.pattern, problem.used)
         reference = problem.reference
@@ -171,7 +171,7 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
         )
     step = _converter_step(readings[:, ~silent], rounding)
     own = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
-    moderated, common, freedom = _moderated(own, count - 2)
+    moderated, common, freedom = _moderate_variances(own, count - 2)
     variance = np.full(len(silent), common)
     variance[~silent] = moderated
     return ReadingNoise(variance, common, freedom, silent)
@@ -201,7 +201,7 @@ def _scatter(readings: Array, time_s: Array, step: float) -> Array:
     return variance
 
 
-def _moderated(own: Array, freedom: int) -> tuple[Array, float, float]:
+def _moderate_variances(own: Array, freedom: int) -> tuple[Array, float, float]:
     """Return s̃², s₀² and ν₀ of variances with this many degrees of freedom each; Smyth 2004, section 6.2."""
     level = np.log(own) - digamma(freedom / 2) + np.log(freedom / 2)
     beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0

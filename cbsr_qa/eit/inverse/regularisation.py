@@ -49,7 +49,7 @@ class ParameterSearch(Protocol):
         """Value with this noise figure; NumericsError with the reachable range otherwise."""
         ...
 
-    def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
+    def choose_from_readings(self, criterion: Criterion, evidence: Evidence) -> float:
         """Value by a criterion based on readings; NumericsError if it has none."""
         ...
 
@@ -114,7 +114,7 @@ class Regularisation:
     def _value(self, criterion: Criterion, search: ParameterSearch, evidence: Evidence) -> float:
         if criterion is Criterion.NOISE_FIGURE:
             return search.for_noise_figure(self.noise_figure)
-        return search.by_readings(criterion, evidence)
+        return search.choose_from_readings(criterion, evidence)
 
     def _words(self, criterion: Criterion, problem: ImagingProblem, evidence: Evidence) -> str:
         if criterion is Criterion.NOISE_FIGURE:

@@ -26,7 +26,7 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
         If a used reading is not a finite real number, the shape is another, or the readings are orthogonal to the
         model's.
     """
-    readings = _used_once(reference_voltages, problem)
+    readings = _select_frame(reference_voltages, problem)
     scale = float(readings @ problem.reference / (problem.reference @ problem.reference))
     if abs(scale) * np.linalg.norm(problem.reference) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
         raise NumericsError(
@@ -38,7 +38,7 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
     """Cosine between a reference frame and the unit model's; near −1 the polarity is reversed."""
-    readings = _used_once(reference_voltages, problem)
+    readings = _select_frame(reference_voltages, problem)
     length = float(np.linalg.norm(readings) * np.linalg.norm(problem.reference))
     return float(readings @ problem.reference) / length if length else 0.0
 
@@ -73,7 +73,7 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     """
     _check_scale(scale)
     with np.errstate(over="ignore"):
-        changed: Array = (_used(voltages, problem) - _used_once(reference, problem)) / scale
+        changed: Array = (_select_frames(voltages, problem) - _select_frame(reference, problem)) / scale
     wrong = np.argwhere(~np.isfinite(changed))
     if wrong.size:
         frame, channel = wrong[0]
@@ -94,18 +94,18 @@ def _check_scale(scale: float) -> None:
         )
 
 
-def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
+def _select_frame(voltages: Array, problem: ImagingProblem) -> Array:
     frame = real_numbers(voltages, "voltages")
     if frame.shape != problem.used.shape:
         raise NumericsError(
             f"reference of shape {frame.shape} does not match frames of shape {problem.used.shape}",
             remedy="give one frame, by drive and measure pair",
         )
-    readings: Array = _used(frame[None], problem)[0]
+    readings: Array = _select_frames(frame[None], problem)[0]
     return readings
 
 
-def _used(voltages: Array, problem: ImagingProblem) -> Array:
+def _select_frames(voltages: Array, problem: ImagingProblem) -> Array:
     voltages = real_numbers(voltages, "voltages")
     if voltages.ndim != 3 or voltages.shape[1:] != problem.used.shape:
         raise NumericsError(

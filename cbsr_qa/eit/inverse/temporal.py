@@ -44,7 +44,7 @@ class Correlation:
         return float(-np.expm1(-2 / self.frames)) if self.frames > 0 else 1.0
 
 
-def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlation) -> Array:
+def smooth(readings: Array, values: Array, ridge: float, correlation: Correlation) -> Array:
     """Coefficients of eigenvectors from a block of frames.
 
     Parameters
@@ -67,10 +67,10 @@ def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlat
         estimate = estimate + ahead / (values * ahead + ridge) * (reading - values * estimate)
         spread = ahead * ridge / (values * ahead + ridge)
         filtered[frame] = estimate
-    return _smoothed_back(filtered, back, a, correlation.lag)
+    return _smooth_backwards(filtered, back, a, correlation.lag)
 
 
-def _smoothed_back(filtered: Array, back: Array, a: float, lag: int | None) -> Array:
+def _smooth_backwards(filtered: Array, back: Array, a: float, lag: int | None) -> Array:
     """Smooth each frame with later ones, up to a lag."""
     count = len(filtered)
     if lag is None or lag >= count - 1:
@@ -113,7 +113,7 @@ class TemporalImages:
         RefusedError if readings do not fit or are not finite.
         """
         readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
-        coefficients = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)
+        coefficients = smooth(readings, self.spectrum.values, self.choice.value**2, self.correlation)
         return coefficients @ self.spectrum.basis.T
 
 
@@ -126,7 +126,7 @@ def lasting_noise_figure(
     reach = min(_LONGEST, int(np.ceil(_LASTS * correlation.frames)) + 1)
     pulse = np.zeros((2 * reach + 1, len(spectrum.values)))
     pulse[reach] = 1
-    response = smoothed(pulse, spectrum.values, hyperparameter**2, correlation)
+    response = smooth(pulse, spectrum.values, hyperparameter**2, correlation)
     signal = central_signal(problem)
     variance = 1.0 if problem.noise_variance is None else float(problem.noise_variance.mean())
     weighted = problem.mesh.areas_mm2[:, None] * spectrum.basis

@@ -31,7 +31,7 @@ class Truncation:
     """
 
     def __init__(self, problem: ImagingProblem) -> None:
-        self._fold = ReadingFold.of(problem)
+        self._fold = ReadingFold.from_problem(problem)
         rows = self._fold.rows(problem.jacobian)
         spectrum = dual_spectrum(rows, problem.mesh.areas_mm2, self._fold.variance)
         kept = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
@@ -113,7 +113,7 @@ class Truncation:
             )
         return float(self.shown[within[-1]])
 
-    def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
+    def choose_from_readings(self, criterion: Criterion, evidence: Evidence) -> float:
         """Number of components chosen from readings; NumericsError if they determine none."""
         energy = ((self._fold.fold(evidence.changes) @ self._spectrum.analysis.T) ** 2).sum(axis=0)
         if not energy.any():
@@ -126,7 +126,7 @@ class Truncation:
             return self._cross_validated(left)
         if criterion is Criterion.DISCREPANCY:
             return self._discrepant(left, noise_level(evidence, len(self._fold.first)))
-        return self._cornered(left, np.cumsum(energy / self._values)[self.cuts - 1])
+        return self._find_corner(left, np.cumsum(energy / self._values)[self.cuts - 1])
 
     def _cross_validated(self, left: Array) -> float:
         free = len(self._values) - self.cuts
@@ -147,7 +147,7 @@ class Truncation:
             )
         return float(self.cuts[enough[0]])
 
-    def _cornered(self, left: Array, size: Array) -> float:
+    def _find_corner(self, left: Array, size: Array) -> float:
         """Corner of the discrete L-curve by the triangle method (Castellanos, Gómez & Guerra 2002)."""
         seen = left > _LEAST**2 * left[0]
         points = np.column_stack([np.log(left[seen]), np.log(size[seen])]) / 2

@@ -8,7 +8,7 @@ import numpy as np
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
-from cbsr_qa.eit.inverse.problem import masked_electrodes
+from cbsr_qa.eit.inverse.problem import find_masked_electrodes
 
 #: Places further out than this, of the radius, are the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8
@@ -70,7 +70,7 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
     ratio = some_of / all_of
     worst = int(np.argmax(ratio))
     return MaskingEffect(
-        masked_electrodes(problem.sensor_type.pattern, problem.used),
+        find_masked_electrodes(problem.sensor_type.pattern, problem.used),
         int(kept.sum()),
         len(kept),
         float(np.median(ratio)),

@@ -14,7 +14,7 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
-from cbsr_qa.eit.loads.rims import InverseEntries, own_rim, seen_outside
+from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, own_rim
 
 #: Overlapping loads are treated as residues if all together are weaker than this, up to this number.
 WEAK: Final = 2e-3
@@ -46,7 +46,7 @@ class Series:
                     raise
                 continue
             #: (terms, …)
-            self.coefficients = _transformed(values)
+            self.coefficients = _chebyshev_coefficients(values)
             size = np.abs(self.coefficients).reshape(TERMS, -1).max(axis=1)
             if size[-2:].max() <= _ROUNDING * size.max():
                 return
@@ -65,7 +65,7 @@ def polynomials(x: float | Array) -> Array:
     return values
 
 
-def _transformed(values: Array) -> Array:
+def _chebyshev_coefficients(values: Array) -> Array:
     order = np.arange(TERMS)
     matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
     matrix[0] /= 2
@@ -142,7 +142,7 @@ class Patch:
         self.families = tuple(families)
         self._elements = np.unique(np.concatenate([family.elements for family in families]))
         self._model = model
-        self._stack = PatchStack(model, [self._elements], [seen_outside(model, self._elements)])
+        self._stack = PatchStack(model, [self._elements], [find_outer_nodes(model, self._elements)])
         self._matrices = ElementChanges(model, self._elements)
         #: (b,) nodes of its rim
         self.rim: Indices = self._stack.rims[0]
@@ -193,5 +193,5 @@ class Patch:
         change = self._stacked(np.asarray(strengths))
         if not self._stacked.most(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
-        seen = self._stack.rim_changes(self._matrices.of(change))[0]
+        seen = self._stack.rim_changes(self._matrices.assemble(change))[0]
         return np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)

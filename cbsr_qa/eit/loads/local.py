@@ -45,7 +45,7 @@ class LocalUpdate:
     @property
     def nbytes(self) -> int:
         """Memory kept between calls [bytes]."""
-        return self._inverse.nbytes + self._kept_now()
+        return self._inverse.nbytes + self._cached_bytes()
 
     def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
         """Readings (drives, measures) [V/A] after conductances of some elements, or contacts, have changed.
@@ -62,7 +62,7 @@ class LocalUpdate:
         NumericsError
             If an element is not in the mesh, or a new conductance or contact impedance is not positive and finite.
         """
-        changed = self._changed(elements, conductance_change, contact_impedance)
+        changed = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(changed, ForwardModel):
             return changed.voltages()
         lost, own = changed  # separately: voltages of driven contacts cost the other readings no digits
@@ -72,23 +72,23 @@ class LocalUpdate:
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
     ) -> Array:
         """Transfer impedance (electrodes, electrodes) [V/A] after the same changes, for currents that sum to zero."""
-        change = self._changed(elements, conductance_change, contact_impedance)
+        change = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(change, ForwardModel):
             return change.transfer_impedance
         lost, own = change
         return self.model.transfer_impedance - lost + own
 
-    def _changed(
+    def _solve_change(
         self, elements: Indices, change: Array, contact_impedance: Array | None
     ) -> ForwardModel | tuple[Array, Array]:
         """Change of the transfer impedance by the sheet and by contacts; or the sheet factorised again."""
-        elements, change = self._checked(elements, change)
+        elements, change = self._check_change(elements, change)
         contact_change, own = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
             return np.zeros_like(self.model.transfer_impedance), np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
-            return self.model.changed_on(elements, change, contact_impedance)
+            return self.model.with_change_on(elements, change, contact_impedance)
         return patches.correction(change, contact_change), own
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
@@ -100,7 +100,7 @@ class LocalUpdate:
         lengths = self.model.prepared.contacts.lengths_mm
         return (before - impedance) / (before * impedance), np.diag((impedance - before) / lengths)
 
-    def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
+    def _check_change(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
         model = self.model
         shape = elements.shape if change.ndim == 1 else (*elements.shape, len(model.elements.shapes.points), 2, 2)
@@ -122,7 +122,7 @@ class LocalUpdate:
             short = dense_work(self.model, elements) < _MOST_WORK
             short = short and (not contacts or self.contacts_can_be_patches(elements))
             self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
-            while len(self._kept) > 1 and self._kept_now() > KEPT_BYTES:
+            while len(self._kept) > 1 and self._cached_bytes() > KEPT_BYTES:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
@@ -136,5 +136,5 @@ class LocalUpdate:
         lengths = self.model.prepared.contacts.lengths_mm
         return bool((self.model.contact_impedance * mean >= _LEAST_CONTACT * lengths).all())
 
-    def _kept_now(self) -> int:
+    def _cached_bytes(self) -> int:
         return sum(patches.nbytes for patches in self._kept.values() if patches is not None)

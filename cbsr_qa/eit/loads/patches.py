@@ -11,10 +11,10 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.eit.forward import ForwardModel, conducts
 from cbsr_qa.eit.loads.rims import (
     InverseEntries,
-    connected_parts,
-    coupled,
-    seen_outside,
+    couple,
+    find_outer_nodes,
     spans_of,
+    split_patches,
 )
 
 # Outside fields are smooth at a patch: of the possible fields at its rim, only few occur.
@@ -59,7 +59,7 @@ class PatchStack(Sized):
             scatter.append((number * size + place[:, :, None]) * size + place[:, None, :])
         self._shape = len(patches), size, size
         self._scatter = np.concatenate(scatter).ravel()
-        base = self._assembled(model.element_matrices(np.concatenate(patches)))
+        base = self._assemble(model.element_matrices(np.concatenate(patches)))
         stack, node = np.nonzero(filled)
         base[stack, node, node] = 1
         self._base = np.ascontiguousarray(base[:, self._rim :])
@@ -73,7 +73,7 @@ class PatchStack(Sized):
         ----------
         change : (all elements of the stack, k, k) of their matrices [S].
         """
-        stiffness = self._assembled(change)
+        stiffness = self._assemble(change)
         currents = stiffness @ self._extension
         inside = self._inside(self._base + stiffness[:, self._rim :])
         seen: Array = currents[:, : self._rim] - inside.swapaxes(1, 2) @ currents[:, self._rim :]
@@ -83,7 +83,7 @@ class PatchStack(Sized):
         """Minus the potentials inside for each unit potential of a rim node: (g, i, b)."""
         return np.asarray(np.linalg.solve(lower[..., self._rim :], lower[..., : self._rim]), dtype=np.float64)
 
-    def _assembled(self, matrices: Array) -> Array:
+    def _assemble(self, matrices: Array) -> Array:
         size = self._shape[0] * self._shape[1] * self._shape[2]
         assembled = np.bincount(self._scatter, matrices.ravel(), minlength=size)
         return np.asarray(assembled.reshape(self._shape), dtype=np.float64)
@@ -120,8 +120,8 @@ class Patches(Sized):
     """
 
     def __init__(self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool) -> None:
-        members = list(connected_parts(model.elements.cells[elements]))
-        rims = [seen_outside(model, elements[part]) for part in members]
+        members = list(split_patches(model.elements.cells[elements]))
+        rims = [find_outer_nodes(model, elements[part]) for part in members]
         groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
         patches = [
             PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
@@ -162,7 +162,7 @@ class Patches(Sized):
 
     def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
         for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):
-            yield stack.rim_changes(matrices.of(change[members]))
+            yield stack.rim_changes(matrices.assemble(change[members]))
         if self._contacts is not None and contact_change is not None:
             yield self._contacts.rim_changes(contact_change)
 
@@ -170,7 +170,7 @@ class Patches(Sized):
         of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
         counts = [len(stack.rims) for stack in self._stacks]
-        coupling = coupled(model, inverse, [rim for stack in self._stacks for rim in stack.rims], least, counts)
+        coupling = couple(model, inverse, [rim for stack in self._stacks for rim in stack.rims], least, counts)
         self._own = [np.stack(coupling.own[part]) for part in spans_of(counts)]
         self._met = [np.stack(coupling.bases[part]) for part in spans_of(counts)]
         self._fields = coupling.fields  # (sum of ranks, electrodes)
@@ -198,7 +198,7 @@ class ElementChanges(Sized):
         matrices: Array = np.einsum("kqia,kqjb->kqabij", weighted, gradients).reshape(count, -1, entries)
         return matrices
 
-    def of(self, change: Array) -> Array:
+    def assemble(self, change: Array) -> Array:
         """Changes (k,) or (k, q, 2, 2) [S] to matrices (k, n, n) [S]."""
         if change.ndim == 1:
             return np.asarray(change[:, None, None] * self._stiffness, dtype=np.float64)
@@ -211,7 +211,7 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
 
     NumericsError names the first such element.
     """
-    new = model.changed_conductance(elements, change)
+    new = model.conductance_after_change(elements, change)
     wrong = np.flatnonzero(~conducts(new))
     if wrong.size:
         raise NumericsError(
@@ -224,7 +224,7 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
 def dense_work(model: ForwardModel, elements: Indices) -> float:
     """Sum of the cubed numbers of nodes of the patches formed by elements (k,)."""
     cells = model.elements.cells[elements]
-    return float(sum(len(np.unique(cells[part])) ** 3 for part in connected_parts(cells)))
+    return float(sum(len(np.unique(cells[part])) ** 3 for part in split_patches(cells)))
 
 
 def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:

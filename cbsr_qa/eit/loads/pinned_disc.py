@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes
-from cbsr_qa.eit.forward import grounded
+from cbsr_qa.eit.forward import project_to_ground
 from cbsr_qa.eit.loads.round_load import Expansion
 
 Complex = NDArray[np.complex128]
@@ -88,7 +88,7 @@ class PinnedDisc:
         fields, poles, scale = self._about(place_mm, reach_mm, orders)
         weights = np.tile(np.arange(1, orders + 1), 2)
         response = poles @ self._scatter @ (poles.transpose(0, 2, 1) * weights)
-        response += _mirrored(self._centres(place_mm), orders) * scale * scale.transpose(0, 2, 1)
+        response += _edge_reflection(self._centres(place_mm), orders) * scale * scale.transpose(0, 2, 1)
         return Expansion(orders, fields, response)
 
     def _about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
@@ -99,7 +99,7 @@ class PinnedDisc:
         far = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
         poles = self._fields_of_poles(near, far, orders) * scale
         logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * np.arange(1, orders + 1)[:, None])
-        return _stacked(logs) * scale + poles @ self._driven, poles, scale
+        return _stack_parts(logs) * scale + poles @ self._driven, poles, scale
 
     def transfer_impedance(self) -> Array:
         """Electrode potentials per electrode current, (electrodes, electrodes) [Ω], with ΣI = ΣU = 0."""
@@ -112,7 +112,7 @@ class PinnedDisc:
         image = _powers(self._pins[:, None] / (1 - self._pins[:, None] * self._pins.conj()), self._poles)
         direct, image = (values.reshape(len(values), -1) for values in (direct, image))
         from_poles = np.concatenate([(direct + image).real, (image - direct).imag], axis=1)
-        return grounded(impedance + from_poles @ self._driven)
+        return project_to_ground(impedance + from_poles @ self._driven)
 
     def _centres(self, place_mm: Array) -> Complex:
         place = np.asarray(place_mm, dtype=np.float64)
@@ -159,7 +159,7 @@ class PinnedDisc:
         far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
         poles = self._fields_of_poles(near, far, self._poles)
         logs = (near + far)[..., : self._poles].transpose(0, 2, 1)
-        currents = _stacked(logs / (2 * np.pi * np.arange(1, self._poles + 1)[:, None]))
+        currents = _stack_parts(logs / (2 * np.pi * np.arange(1, self._poles + 1)[:, None]))
         return tuple(  # type: ignore[return-value]
             values.reshape(len(values), 2, self._poles, -1).swapaxes(0, 1).reshape(-1, values.shape[-1])
             for values in (poles, currents)
@@ -175,7 +175,7 @@ def _powers(base: NDArray[np.inexact], count: int) -> NDArray:  # type: ignore[t
     return result
 
 
-def _stacked(values: Complex) -> Array:
+def _stack_parts(values: Complex) -> Array:
     """Real parts above imaginary parts along the second axis."""
     return np.concatenate([values.real, values.imag], axis=1)
 
@@ -192,7 +192,7 @@ def _image_poles(images: Complex, count: int) -> Complex:
     return poles
 
 
-def _mirrored(centre: Complex, orders: int) -> Array:
+def _edge_reflection(centre: Complex, orders: int) -> Array:
     """Reflection of the edge at a place: its part of an expansion's response, (n, 2·orders, 2·orders).
 
     The image of (z − c)⁻ⁿ is (z/(1 − c̄z))ⁿ; with w = z − c and β = 1 − |c|² it is (c/β + β⁻² w/(1 − w c̄/β))ⁿ.

@@ -29,7 +29,7 @@ class InverseEntries:
     def nbytes(self) -> int:
         return self._entries.nbytes
 
-    def between(self, nodes: Indices) -> Array:
+    def entries(self, nodes: Indices) -> Array:
         """Return the entries between distinct nodes (p,): (p, p) [V/A]."""
         missing = self._missing(nodes)
         self._reserve(missing)
@@ -94,7 +94,7 @@ class InverseEntries:
         self._entries = grown
 
 
-def seen_outside(model: ForwardModel, elements: Indices) -> Mask:
+def find_outer_nodes(model: ForwardModel, elements: Indices) -> Mask:
     """Whether each of a patch's sorted nodes belongs to an element that does not change, or to an electrode."""
     nodes, corner = np.unique(model.elements.cells[elements], return_inverse=True)
     contacts = np.concatenate(model.prepared.contacts.nodes)
@@ -102,7 +102,7 @@ def seen_outside(model: ForwardModel, elements: Indices) -> Mask:
     return (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, contacts)
 
 
-def connected_parts(corners: Indices) -> Iterator[Indices]:
+def split_patches(corners: Indices) -> Iterator[Indices]:
     """Indices of the elements of each patch."""
     nodes, local = np.unique(corners[:, :3], return_inverse=True)
     local = local.reshape(-1, 3)
@@ -119,7 +119,7 @@ def spans_of(lengths: Sequence[int]) -> list[slice]:
     return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
 
-def between_rims(
+def couple_rims(
     model: ForwardModel, inverse: InverseEntries, rims: Sequence[Indices], spans: Sequence[slice]
 ) -> tuple[Array, Array]:
     """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 in the padding."""
@@ -127,7 +127,7 @@ def between_rims(
     real = nodes >= 0
     between = np.zeros((len(nodes), len(nodes)))
     each, place = np.unique(nodes[real], return_inverse=True)  # adjacent patches share nodes of their rims
-    between[np.ix_(real, real)] = inverse.between(each)[np.ix_(place, place)]
+    between[np.ix_(real, real)] = inverse.entries(each)[np.ix_(place, place)]
     fields = np.zeros((len(nodes), len(model.contact_impedance)))
     fields[real] = model.electrode_fields[nodes[real]]
     for span in spans:
@@ -147,7 +147,7 @@ def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
     return own
 
 
-def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
+def truncate_fields(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
     """Orthonormal bases (b, r) of the fields at each rim from other rims and electrodes, truncated."""
     bases = []
     for span, negligible in zip(spans, least, strict=True):
@@ -159,7 +159,7 @@ def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequ
     return bases
 
 
-def filled_up(bases: Sequence[Array]) -> list[Array]:
+def pad_bases(bases: Sequence[Array]) -> list[Array]:
     """Bases of one stack, padded with zeros to the largest rank."""
     rank = max((basis.shape[1] for basis in bases), default=0)
     return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in bases]
@@ -183,7 +183,7 @@ class Coupling:
     fields: Array
 
 
-def coupled(
+def couple(
     model: ForwardModel,
     inverse: InverseEntries,
     rims: Sequence[Indices],
@@ -199,12 +199,12 @@ def coupled(
     stacks : numbers of successive rims whose bases are padded to one rank.
     """
     spans = spans_of([len(rim) for rim in rims])
-    between, fields = between_rims(model, inverse, rims, spans)
+    between, fields = couple_rims(model, inverse, rims, spans)
     own = [between[span, span].copy() for span in spans]
     for span in spans:
         between[span, span] = 0
-    met = met_bases(between, fields, spans, least)
-    bases = [basis for part in spans_of(stacks) for basis in filled_up(met[part])]
+    met = truncate_fields(between, fields, spans, least)
+    bases = [basis for part in spans_of(stacks) for basis in pad_bases(met[part])]
     places = spans_of([basis.shape[1] for basis in bases])
     whole = np.zeros((len(fields), places[-1].stop))
     for span, place, basis in zip(spans, places, bases, strict=True):

@@ -90,7 +90,7 @@ class RoundLoads:
     square_mm2: Array
 
     @classmethod
-    def of_contrast(cls, place_mm: Array, radius_mm: Array, contrast: Array) -> "RoundLoads":
+    def from_contrast(cls, place_mm: Array, radius_mm: Array, contrast: Array) -> "RoundLoads":
         """Loads of radius (n,) and relative conductance change κ = Δγ/γ (n,), above −1."""
         square = np.asarray(radius_mm, dtype=np.float64) ** 2
         return cls(np.asarray(place_mm, dtype=np.float64), square * contrast / (2 + np.asarray(contrast)), square)
@@ -124,7 +124,7 @@ class RoundLoadModel:
         self.pattern = pattern
         self._drive, self._measure = pattern.drive_currents(), pattern.measure_matrix()
 
-    def unloaded(self) -> Array:
+    def solve_unloaded(self) -> Array:
         """Readings of the sheet without a load, (drives, measures) [V/A]."""
         return (self.surroundings.transfer_impedance() @ self._drive).T @ self._measure
 
@@ -143,7 +143,7 @@ class RoundLoadModel:
         around = self.surroundings.expansion(loads.place_mm, reach, orders)
         strength = (loads.strength_mm2 / reach**2)[:, None]
         poles = np.tile(strength * growth, 2)  # D_m, for both real and imaginary parts
-        seen = _solved(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
+        seen = _solve_fields(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
         drive, measure = seen @ self._drive, seen @ self._measure
         weight = -2 * np.pi * np.tile(order, 2)
         change = _gram(around.fields @ self._drive, weight * poles, measure)
@@ -152,7 +152,7 @@ class RoundLoadModel:
         by_strength = _gram(drive, weight * np.tile(growth, 2) / area, measure)
         by_square = _gram(drive, weight * np.tile(strength * less, 2) / area, measure)
         step = weight[: orders - 1] * order[1:] * poles[:, : orders - 1] / reach[:, None]
-        by_x, by_y = _moved(drive, step, measure)
+        by_x, by_y = _place_slopes(drive, step, measure)
         return LoadReadings(change, np.stack([by_x, by_y, by_strength, by_square], axis=1))
 
     def weak(self, place_mm: Array, radius_mm: Array) -> Array:
@@ -190,7 +190,7 @@ class RoundLoadModel:
         return reach, order, (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
 
 
-def _solved(system: Array, fields: Array) -> Array:
+def _solve_fields(system: Array, fields: Array) -> Array:
     """Fields with the load; an unphysical resonant strength counts as a very large field."""
     try:
         return np.asarray(np.linalg.solve(system, fields), dtype=np.float64)
@@ -204,7 +204,7 @@ def _gram(drive: Array, weight: NDArray[np.floating[Any]], measure: Array) -> Ar
     return np.swapaxes(drive * weight[..., None], 1, 2) @ measure
 
 
-def _moved(drive: Array, step: Array, measure: Array) -> tuple[Array, Array]:
+def _place_slopes(drive: Array, step: Array, measure: Array) -> tuple[Array, Array]:
     """Slopes along x and y: Re(v (A_{m+1} conj A'_m + A'_{m+1} conj A_m)) summed with weights, v = 1 and i."""
     orders = step.shape[1] + 1
     parts = [values[:, block] for values in (drive, measure) for block in (slice(0, orders), slice(orders, None))]

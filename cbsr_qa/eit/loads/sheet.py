@@ -16,7 +16,7 @@ from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.family import TERMS, LoadFamily, Patch, polynomials
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.patches import ContactStack
-from cbsr_qa.eit.loads.rims import InverseEntries, coupled
+from cbsr_qa.eit.loads.rims import InverseEntries, couple
 
 # Size of omitted fields at a rim, over the largest. The response to a weak field is weak at other rims too: readings
 # contain its square.
@@ -48,12 +48,12 @@ class LinkedPatches:
         count = len(patches)
         least = [_NEGLIGIBLE if k < count else _NEGLIGIBLE_CONTACT for k in range(len(rims))]
         least = least if len(rims) > 1 else [_ROUNDING]
-        coupling = coupled(model, inverse, rims, least, (count, len(rims) - count))
+        coupling = couple(model, inverse, rims, least, (count, len(rims) - count))
         self._bases, self._contact_bases = coupling.bases[:count], coupling.bases[count:]
         self._contact_own = np.stack(coupling.own[count:]) if contacts is not None else np.zeros((0, 0, 0))
         self._between, self._fields = coupling.between, coupling.fields
         self._loads = sum(basis.shape[1] for basis in self._bases)
-        self._series, self._reach = self._projected()
+        self._series, self._reach = self._project_responses()
         self._eliminated: tuple[bytes, tuple[Array, Array, Array]] | None = None
 
     @property
@@ -74,7 +74,7 @@ class LinkedPatches:
         loads : strength of every load of the patches, at each moment.
         contact_change : (electrodes,) of 1/z [S/mm], if contacts change too, the same at all moments.
         """
-        between, fields, lost = self._without_contacts(contact_change)
+        between, fields, lost = self._split_off_contacts(contact_change)
         if not self._patches:
             return np.repeat(lost[None], len(loads), axis=0)
         answers = np.array([self._answers(moment) for moment in loads])
@@ -102,7 +102,7 @@ class LinkedPatches:
             answers[number] = basis.T @ patch.answer([loads[family] for family in patch.families]) @ basis
         return answers
 
-    def _projected(self) -> tuple[Array, Array]:
+    def _project_responses(self) -> tuple[Array, Array]:
         """Series of the responses (patches, terms, rank · rank) in the fields that occur, and their reach."""
         rank = self._bases[0].shape[1] if self._bases else 0
         series = np.zeros((len(self._patches), TERMS, rank * rank))
@@ -114,7 +114,7 @@ class LinkedPatches:
                 reach[number] = patch.series.reach
         return series, reach
 
-    def _without_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
+    def _split_off_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
         """B and F between loads with changed contacts, and the contacts' own contribution."""
         loads = slice(0, self._loads)
         if change is None or self._contacts is None:
@@ -202,11 +202,11 @@ class LoadedSheet:
         key = (frozenset(families), contacts)
         if key not in self._links:
             _make_room(self._links, _MOST_LINKS)
-            self._links[key] = self._linked(families, contacts)
+            self._links[key] = self._link_patches(families, contacts)
         self._links.move_to_end(key)
         return self._links[key]
 
-    def _linked(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
+    def _link_patches(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
         elements = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(family.elements for family in families)]))
         if contacts and not self._local.contacts_can_be_patches(elements):
             return None

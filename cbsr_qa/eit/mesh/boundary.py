@@ -212,7 +212,7 @@ class Edge:
     arcs: tuple[CircleArcs, ...]
 
 
-def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
+def find_fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
     """Positions along an edge that need a node, rising: corners, ends of arcs, ends of strips."""
     begins, ends = curve.begins[:-1], curve.begins[1:]
     middles = (begins + ends) / 2

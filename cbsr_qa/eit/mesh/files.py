@@ -27,7 +27,7 @@ from cbsr_qa.domain.sensor import (
     mesh_arrays,
     mesh_of_arrays,
 )
-from cbsr_qa.eit.mesh.imported import ElectrodeGiven, imported_mesh
+from cbsr_qa.eit.mesh.imported import ElectrodeGiven, import_mesh
 from cbsr_qa.system import largest_content, open_foreign, read_untrusted, writing, written_whole
 
 #: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
@@ -48,7 +48,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
 
 
 def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, fix: bool = False) -> Mesh:
-    """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.imported_mesh` does.
+    """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.import_mesh` does.
 
     Parameters
     ----------
@@ -74,9 +74,9 @@ def _read(path: Path, meshio: Any, electrodes: Sequence[ElectrodeGiven] | None, 
     try:
         with open_foreign(path, LARGEST_BYTES) as stream:
             if meshio is None:
-                return _checked(_npz(stream), electrodes, fix=fix)
-        nodes, elements, named = _by_meshio(path, meshio)
-        return imported_mesh(nodes, elements, named if electrodes is None else electrodes, fix=fix)
+                return _check_arrays(_npz(stream), electrodes, fix=fix)
+        nodes, elements, named = _read_with_meshio(path, meshio)
+        return import_mesh(nodes, elements, named if electrodes is None else electrodes, fix=fix)
     except FileNotFoundError as error:
         raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder") from error
     except OSError as error:
@@ -104,15 +104,17 @@ def _npz(stream: BinaryIO) -> dict[str, NDArray[Any]]:
         raise NumericsError("it is damaged, or not an .npz file of numbers", remedy=remedy) from error
 
 
-def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
+def _check_arrays(
+    arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool
+) -> Mesh:
     missing = [name for name in ("nodes_mm", "elements") if name not in arrays]
     if missing:
         raise NumericsError(
             f"it has no array {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
         )
     if electrodes is not None or "electrode_edges" not in arrays:
-        return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), fix=fix)
-    mesh = imported_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), fix=fix)
+        return import_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), fix=fix)
+    mesh = import_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), fix=fix)
     if len(mesh.nodes_mm) != len(arrays["nodes_mm"]) or "arc_edges" not in arrays:
         return mesh  # arcs are dropped with left-out nodes
     return mesh_of_arrays({**arrays, **mesh_arrays(mesh), **{k: arrays[k] for k in arrays if k.startswith("arc_")}})
@@ -129,7 +131,7 @@ def _meshio(suffix: str) -> Any:
         ) from error
 
 
-def _by_meshio(path: Path, meshio: Any) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
+def _read_with_meshio(path: Path, meshio: Any) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
     printed = io.StringIO()
     try:
         with redirect_stdout(printed), redirect_stderr(printed):
@@ -142,10 +144,10 @@ def _by_meshio(path: Path, meshio: Any) -> tuple[NDArray[Any], NDArray[Any], lis
     if triangles is None:
         kinds = ", ".join(sorted(content.cells_dict)) or "nothing"
         raise NumericsError(f"it holds {kinds} and no triangles", remedy="mesh the sheet with triangles")
-    return content.points, triangles, _named_lines(content)
+    return content.points, triangles, _find_electrode_lines(content)
 
 
-def _named_lines(content: Any) -> list[ElectrodeGiven]:
+def _find_electrode_lines(content: Any) -> list[ElectrodeGiven]:
     """Groups of lines named as electrodes, in the order of their numbers."""
     lines = content.cells_dict.get("line")
     groups: dict[int, NDArray[Any]] = {}
@@ -185,7 +187,7 @@ def mesh_sensor(
     if len(mesh.electrode_edges) < 3:
         raise NumericsError(
             f"the mesh carries {len(mesh.electrode_edges)} electrodes; a sensor has at least 3",
-            remedy="give imported_mesh its electrodes",
+            remedy="give import_mesh its electrodes",
         )
     ring = outer_ring(mesh)
     # The furthest node from the middle is a corner, if there are corners.
@@ -209,7 +211,7 @@ def outer_ring(mesh: Mesh) -> Indices:
     return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
 
 
-def without_holes(image: Mesh, sheet: Mesh) -> Mesh:
+def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
     """Leave out elements of an image's mesh that lie in a hole of the sheet's, with all their corners."""
     inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):

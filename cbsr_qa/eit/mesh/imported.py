@@ -184,7 +184,7 @@ class ElectrodeAt:
 ElectrodeGiven = ElectrodeAt | ArrayLike
 
 
-def imported_mesh(
+def import_mesh(
     nodes_mm: ArrayLike,
     elements: ArrayLike,
     electrodes: Sequence[ElectrodeGiven] = (),
@@ -220,7 +220,7 @@ def imported_mesh(
     ]
     check_doubled(points, corners)
     if fix:
-        points, corners, given = _fixed(points, corners, given)
+        points, corners, given = _fix_mesh(points, corners, given)
     check_used(points, corners)
     check_shape(points, corners)
     mesh = Mesh(points, corners)
@@ -242,7 +242,7 @@ def _numbers(given: ArrayLike, number: int, first: int) -> Indices:
     return whole_numbers(array, f"electrode {number}:", (2,) if array.ndim == 2 else ()) - first
 
 
-def _fixed(
+def _fix_mesh(
     points: Points, corners: Indices, given: list[ElectrodeAt | Indices]
 ) -> tuple[Points, Indices, list[ElectrodeAt | Indices]]:
     turned = twice_area(points, corners) < 0

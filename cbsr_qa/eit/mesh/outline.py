@@ -26,9 +26,9 @@ from cbsr_qa.eit.mesh.boundary import (
     Source,
     edge_nodes,
     edges_round_pin_smoothly,
+    find_fixed_places,
     finest_of_arc,
     finest_smoothly,
-    fixed_places,
     growth,
     narrow_places,
     plain_lengths,
@@ -54,11 +54,11 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
     narrow = width_problem(electrodes, sensor_type.outline.radius_mm)
     if narrow is not None:
         raise RefusedError(f"sensor type {sensor_type.name!r}: the electrodes' width {narrow}", remedy="change it")
-    frame = _Frame.of(sensor_type.outline)
+    frame = _Frame.for_outline(sensor_type.outline)
     curve, radius = frame.curve, frame.radius
-    places, width = frame.into(electrodes.positions_mm()), electrodes.width_mm
+    places, width = frame.to_frame(electrodes.positions_mm()), electrodes.width_mm
     if electrodes.kind is ElectrodeKind.PIN:
-        contacts = _Contacts(_Pins.of(curve, places, width / 2, size_mm, order), np.zeros(0), 0.0, 1)
+        contacts = _Contacts(_Pins.place(curve, places, width / 2, size_mm, order), np.zeros(0), 0.0, 1)
     else:
         fewest = EDGES_PER_ARC if order == 1 else FEWEST_SMOOTHLY
         contacts = _Contacts(_Pins.none(), curve.nearest(places)[0], width, fewest)
@@ -67,19 +67,19 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
         *singular_corners(curve, size_mm, radius, order),
     )
     sizes = SizeField(size_mm, growth(size_mm, radius), sources, *narrow_places(curve, size_mm))
-    return frame.out(_filled(curve, sizes, contacts, np.zeros((0, 2))))
+    return frame.from_frame(_fill(curve, sizes, contacts, np.zeros((0, 2))))
 
 
 def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
     """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.image_mesh`, also for errors."""
     plain = simplified(outline, _OUT_OF_LINE * size_mm)
-    frame = _Frame.of(plain)
+    frame = _Frame.for_outline(plain)
     curve = frame.curve
     sizes = SizeField(size_mm, growth(size_mm, frame.radius), (), *narrow_places(curve, size_mm))
     start = _lattice(curve, size_mm)
     start = start[_signed_distance(curve, start) > 0.7 * size_mm]
-    mesh = _filled(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
-    return frame.out(replace(mesh, electrode_edges=(), arcs=()))
+    mesh = _fill(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
+    return frame.from_frame(replace(mesh, electrode_edges=(), arcs=()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +97,7 @@ class _Frame:
     curve: ClosedCurve
 
     @classmethod
-    def of(cls, outline: SheetOutline) -> Self:
+    def for_outline(cls, outline: SheetOutline) -> Self:
         grid = float(10.0 ** (np.floor(np.log10(outline.radius_mm)) - 10))
         if isinstance(outline, Disc):
             return cls(np.zeros(2), np.eye(2), grid, circle_curve(outline.radius_mm))
@@ -113,10 +113,10 @@ class _Frame:
         """Radius of the disc of equal area, identical for any position of the sheet."""
         return float(np.sqrt(self.curve.area / np.pi))
 
-    def into(self, points: Points) -> Points:
+    def to_frame(self, points: Points) -> Points:
         return np.round((points - self.origin) @ self.turn / self.grid) * self.grid
 
-    def out(self, mesh: Mesh) -> Mesh:
+    def from_frame(self, mesh: Mesh) -> Mesh:
         arcs = tuple(
             CircleArcs(a.edges, (float(x), float(y)), a.radius_mm)
             for a, (x, y) in ((a, self.origin + self.turn @ np.array(a.centre_mm)) for a in mesh.arcs)
@@ -137,7 +137,7 @@ class _Pins:
         return cls(np.zeros((0, 2)), 0.0, np.zeros(0))
 
     @classmethod
-    def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
+    def place(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
         """Edge lengths short enough for the edges around a pin and between it and its neighbours."""
         room = curve.nearest(centres)[1] - radius
         if len(centres) > 1:
@@ -191,8 +191,8 @@ class _Contacts:
             yield Source(end, 0.0, finest_of(size, radius, self.width), grade)
 
 
-def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Points) -> Mesh:
-    edge, pins, sizes = _followed(curve, sizes, contacts)
+def _fill(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Points) -> Mesh:
+    edge, pins, sizes = _place_boundary_nodes(curve, sizes, contacts)
     rims = pins.rims()
     points = np.vstack([edge.points, *rims])
     hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
@@ -213,9 +213,9 @@ def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Po
     return mesh
 
 
-def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tuple[Edge, _Pins, SizeField]:
+def _place_boundary_nodes(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tuple[Edge, _Pins, SizeField]:
     """Distribute nodes along the edge and round the pins, closer where triangles would cut either."""
-    fixed, pins = fixed_places(curve, sizes, contacts.strips, contacts.width), contacts.pins
+    fixed, pins = find_fixed_places(curve, sizes, contacts.strips, contacts.width), contacts.pins
 
     def spread() -> Edge:
         return edge_nodes(curve, sizes, fixed, contacts.strips, contacts.width, contacts.fewest)

@@ -30,7 +30,7 @@ from cbsr_qa.eit.mesh.boundary import (
     smooth_lengths,
     spread,
 )
-from cbsr_qa.eit.mesh.files import without_holes
+from cbsr_qa.eit.mesh.files import leave_out_holes
 from cbsr_qa.eit.mesh.outline import outline_image_mesh, outline_sheet_mesh
 from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
@@ -89,7 +89,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     _check_size(sensor_type, size_mm)
     if sensor_type.polygon is not None:
         mesh = outline_image_mesh(sensor_type.polygon, size_mm)
-        return mesh if sensor_type.mesh is None else without_holes(mesh, sensor_type.mesh.mesh)
+        return mesh if sensor_type.mesh is None else leave_out_holes(mesh, sensor_type.mesh.mesh)
     radius = sensor_type.radius_mm
     count = int(np.ceil(2 * np.pi * radius / size_mm))
     rim = radius * _unit(2 * np.pi * np.arange(count) / count)
@@ -130,7 +130,9 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         return grade(finest, from_pin(points))
 
     rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
-    edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
+    edge = _rotate_copies(
+        _spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius
+    )
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
     rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
     hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
@@ -160,7 +162,7 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
     start = float(ends[0, 0])
     arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
     space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
-    edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
+    edge = _rotate_copies(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
     along = np.arange(len(arc) - 1)
     edges = tuple((np.column_stack([along, along + 1]) + k * period) % len(edge) for k in range(layout.count))
@@ -186,7 +188,7 @@ def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_lea
     return spread(density, angles, at_least=at_least)
 
 
-def _rotated(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
+def _rotate_copies(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
     """Nodes of one electrode's stretch of the edge, repeated for every electrode, in order."""
     every = angles + layout.step_rad * np.arange(layout.count)[:, None]
     return radius * _unit(every.ravel())

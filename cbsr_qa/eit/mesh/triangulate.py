@@ -61,7 +61,7 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, In
     elements = triangulate(outline, points)
     best = points, elements, 0.0
     for _ in range(smoothing):
-        points = _smoothed(outline, points, elements)
+        points = _smooth(outline, points, elements)
         elements = triangulate(outline, points)
         angle = float(smallest_angle_deg(points, elements).min())
         if angle > best[2]:  # a pass helps overall, but may flatten single elements
@@ -138,7 +138,7 @@ def _spread(points: Points, distance: Array) -> Indices:
     return np.flatnonzero(~dropped)
 
 
-def _smoothed(outline: Outline, points: Points, elements: Indices) -> Points:
+def _smooth(outline: Outline, points: Points, elements: Indices) -> Points:
     """Push the ends of short edges apart, in proportion to the missing length (Persson & Strang 2004)."""
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.gridspec import GridSpec
 
 from cbsr_qa.analysis.run import DirectedAgreement
-from cbsr_qa.calibration.fits import SHAPE_MARGIN, ComparedCurves, restricted_mean
+from cbsr_qa.calibration.fits import SHAPE_MARGIN, ComparedCurves, estimate_restricted_mean
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationObservation
 from cbsr_qa.report.draw.style import (
@@ -210,7 +210,7 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
             axes.scatter(x, y, s=17, marker=symbol, facecolors=face, edgecolors=colour, linewidths=0.9, zorder=3)
     if not times or 2 * len(times) < sum(r is not None for _, r in relaxations):
         return
-    mean_s, _ = restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
+    mean_s, _ = estimate_restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
     axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else DASHED)
     height = 0.9 if loading else 0.62
     note(axes, 1.015, height, words, colour, va="top")

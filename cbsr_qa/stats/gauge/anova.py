@@ -27,7 +27,7 @@ from cbsr_qa.stats.gauge.crossed_study import (
     Variance,
     Variation,
     check_tolerance,
-    clipped,
+    clip_at_zero,
     variation,
 )
 from cbsr_qa.stats.samples import Interval, share
@@ -212,7 +212,7 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
         interaction_pooled=pooled,
         appraiser_variance=station.value,
         interaction_variance=None if interaction is None else interaction.value,
-        gauge_percent_contribution_interval=pivot_interval(sources, gauge_share, confidence).scaled(100.0),
+        gauge_percent_contribution_interval=pivot_interval(sources, gauge_share, confidence).scale(100.0),
         categories_interval=pivot_interval(sources, categories, confidence),
     )
 
@@ -257,7 +257,7 @@ def _squares(rows: dict[Source, Row], shape: tuple[int, int, int], pooled: bool)
 def _component(squares: _Squares, factors: tuple[float, float, float, float], confidence: float) -> Variance:
     """Σ factor × mean square of sensor, station, interaction and trials, with its interval."""
     parts = squares.parts(*factors)
-    return clipped(sum(part.factor * part.value for part in parts), sum_interval(parts, confidence))
+    return clip_at_zero(sum(part.factor * part.value for part in parts), sum_interval(parts, confidence))
 
 
 def _variation(

@@ -211,7 +211,7 @@ def _check_balance(
         )
 
 
-def clipped(estimate: float, interval: Interval | None = None) -> Variance:
+def clip_at_zero(estimate: float, interval: Interval | None = None) -> Variance:
     """Return a component with its estimate and interval cut at zero."""
     if interval is not None:
         interval = Interval(max(interval.low, 0.0), max(interval.high, 0.0), interval.confidence)
@@ -244,11 +244,17 @@ def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     appraisers = float(np.ptp(study.values.mean(axis=(0, 2))))
     sensors = float(np.ptp(study.values.mean(axis=(1, 2))))
     repeatability = (mean_range / d2_d3(r)[0]) ** 2
-    between = clipped((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
+    between = clip_at_zero((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
     sensor = (sensors / d2_star(p, 1)) ** 2
     gauge = repeatability + between.value
     note = f"{study.appraiser}s differ no more than repeated runs do: reproducibility was set to zero"
-    parts = (clipped(repeatability), between, clipped(gauge), clipped(sensor), clipped(gauge + sensor))
+    parts = (
+        clip_at_zero(repeatability),
+        between,
+        clip_at_zero(gauge),
+        clip_at_zero(sensor),
+        clip_at_zero(gauge + sensor),
+    )
     found = variation(*parts, tolerance=tolerance, notes=(note,) if between.estimate < 0 else ())
     return GaugeRange(
         found.components, found.categories, found.categories_uncut, found.notes, mean_range, appraisers, sensors

@@ -17,9 +17,9 @@ import numpy as np
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.control_charts import Chart, individuals
-from cbsr_qa.stats.difference import Contrast, checked
+from cbsr_qa.stats.difference import Contrast, make_contrast
 from cbsr_qa.stats.intervals import Referenced
-from cbsr_qa.stats.samples import LEAST_SPREAD, centred, constant, sample, summary
+from cbsr_qa.stats.samples import LEAST_SPREAD, constant, sample, subtract_mean, summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class RegressionLine:
     squares: float
     explained: float
 
-    def at(self, x: float) -> Contrast:
+    def evaluate(self, x: float) -> Contrast:
         """Return the line at ``x`` with the standard error of the mean there."""
         away = x - self.centre
         error = self.residual * sqrt(1 / self.count + away**2 / self.squares)
@@ -68,14 +68,14 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
         raise NumericsError(f"{what}: {len(xs)} values of x for {len(ys)} of y")
     if constant(xs):
         raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, so there is no slope")
-    (centre, across), (level, along) = centred(xs), centred(ys)
+    (centre, across), (level, along) = subtract_mean(xs), subtract_mean(ys)
     squares = fsum(across**2)
     slope = fsum(across * along) / squares
     rest = fsum((along - slope * across) ** 2)
     residual, total = sqrt(rest / (len(xs) - 2)), fsum(along**2)
     if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
         raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, so there is no variance")
-    checked(slope, residual / sqrt(squares), len(xs) - 2, what)
+    make_contrast(slope, residual / sqrt(squares), len(xs) - 2, what)
     return RegressionLine(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
 
 
@@ -97,18 +97,18 @@ class Linearity:
     @property
     def intercept(self) -> Referenced:
         """Return the bias at a reference value of zero."""
-        return self.at(0.0)
+        return self.evaluate(0.0)
 
     def rise(self) -> Referenced:
         """Return the slope of the bias; its standard error includes the references' uncertainties."""
-        return self._widened(self.line.rise(), 0.0, 1 / self.line.squares)
+        return self._widen(self.line.rise(), 0.0, 1 / self.line.squares)
 
-    def at(self, reference: float) -> Referenced:
+    def evaluate(self, reference: float) -> Referenced:
         """Return the bias at a reference value; its standard error includes the references' uncertainties."""
         line = self.line
-        return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
+        return self._widen(line.evaluate(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
-    def _widened(self, contrast: Contrast, level: float, slope: float) -> Referenced:
+    def _widen(self, contrast: Contrast, level: float, slope: float) -> Referenced:
         """Add the uncertainty of references whose readings have weights level + slope (x − x̄).
 
         A reference that is u too high reads (1 + b) u too low, b the slope.
@@ -119,7 +119,7 @@ class Linearity:
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Whether a bias of zero lies within the confidence band at every reference value."""
-        return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
+        return all(self.evaluate(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
 #: With fewer readings a chart is not informative: its limits come from the same few, so that it hardly ever signals.
@@ -163,7 +163,7 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias", *, unc
     array = sample(readings, what, least=2, spread=True)
     found = summary(array, what)
     scatter = float(found.deviation or 0) / sqrt(len(array))
-    one = checked(found.mean - reference, scatter, len(array) - 1, what)
+    one = make_contrast(found.mean - reference, scatter, len(array) - 1, what)
     return Referenced(one.value, one.standard_error, one.freedom, uncertainty)
 
 

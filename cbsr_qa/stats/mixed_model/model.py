@@ -16,7 +16,7 @@ from scipy import linalg
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.crossings import Crossing
-from cbsr_qa.stats.difference import Contrast, checked
+from cbsr_qa.stats.difference import Contrast, make_contrast
 from cbsr_qa.stats.mixed_model.reml import (
     RandomEffectSums,
     Ratio,
@@ -25,7 +25,7 @@ from cbsr_qa.stats.mixed_model.reml import (
     small_sample,
     variance_ratio,
 )
-from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, centred, sample
+from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, sample, subtract_mean
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 
 
@@ -104,11 +104,13 @@ class Fit:
         return np.zeros(len(self.effects))
 
     def _contrast(self, weights: Array, what: str) -> Contrast:
-        inner = weights[self.design.kept()]
+        inner = weights[self.design.independent_columns()]
         if not inner.any() and not weights.any():
             raise NumericsError(f"{what}: it cannot be compared with itself")
         freedom = self.small.freedom(inner) if self.small else self.freedom
-        return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
+        return make_contrast(
+            float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what
+        )
 
 
 def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
@@ -130,11 +132,11 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
     reduced = _reduce(design, array, what)
     reason = _inseparable(reduced.sums)
     if not reason:
-        return _mixed(design, reduced, what)
+        return _fit_mixed(design, reduced, what)
     first = design.first_runs()
     if len(first) < len(array):
-        design, reduced = design.only(first), _reduce(design.only(first), array[first], what)
-    return _fixed(design, reduced, reason, what)
+        design, reduced = design.select_runs(first), _reduce(design.select_runs(first), array[first], what)
+    return _fit_fixed(design, reduced, reason, what)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,13 +151,13 @@ class _Reduced:
     def effects(self, design: Crossing, inner: Array) -> Array:
         """Return the effects in the response's unit, zeros for left-out stations."""
         every = np.zeros(len(design.groups) + len(design.stations))
-        every[design.kept()] = self.scale * (self.start + inner)
+        every[design.independent_columns()] = self.scale * (self.start + inner)
         every[: len(design.groups)] += self.origin
         return every
 
 
 def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
-    origin, away = centred(array)
+    origin, away = subtract_mean(array)
     scale = float(np.abs(away).max())
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
         raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}: there is no variance")
@@ -189,7 +191,7 @@ def _inseparable(sums: RandomEffectSums) -> str:
     return ""
 
 
-def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
+def _fit_mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
     sums = reduced.sums
     between = sums.total_sensors + sums.within_rank() - sums.columns
     if between < 1:
@@ -214,7 +216,7 @@ def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
     )
 
 
-def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
+def _fit_fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
     sums = reduced.sums
     whole = sums.within + sums.products(0.0)
     freedom = sums.runs - sums.columns

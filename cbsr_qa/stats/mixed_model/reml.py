@@ -256,13 +256,13 @@ def small_sample(sums: RandomEffectSums, ratio: float) -> SmallSample:
     """Return the covariances at a ratio of variances θ ≥ 0."""
     inner = sums.within[:-1, :-1]
 
-    def between(power: int, times: int) -> Array:
+    def random_products(power: int, times: int) -> Array:
         return sums.products(ratio, power, times)[:-1, :-1]
 
-    plain = np.asarray(np.linalg.inv(inner + between(1, 0)), dtype=np.float64)
-    slopes: Array = -np.stack([inner + between(2, 0), between(2, 1)])
-    mixed = between(3, 1)
-    curves: Array = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
+    plain = np.asarray(np.linalg.inv(inner + random_products(1, 0)), dtype=np.float64)
+    slopes: Array = -np.stack([inner + random_products(2, 0), random_products(2, 1)])
+    mixed = random_products(3, 1)
+    curves: Array = np.array([[inner + random_products(3, 0), mixed], [mixed, random_products(3, 2)]])
     variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
     squares = (slopes @ plain)[:, None] @ slopes
     lost = np.einsum("ij,ijkl->kl", variances, curves - squares)

@@ -16,7 +16,7 @@ from cbsr_qa.stats import (
     Interval,
     capability,
     capability_of_extremes,
-    passed_share,
+    pass_rate,
     quantile,
     summary,
 )
@@ -130,7 +130,7 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | No
         count += outcomes.count(Outcome.NOT_MEASURED)
     if not count:
         return None, None
-    share = passed_share(passed, count, confidence=terms.confidence)
+    share = pass_rate(passed, count, confidence=terms.confidence)
     return share.value, share.wilson
 
 

@@ -165,7 +165,7 @@ def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> 
     if not known.any():
         return Fitted(None, "nothing was measured", of_stations)
     try:
-        return Fitted(fit(design if known.all() else design.only(known), values[known], what), "", of_stations)
+        return Fitted(fit(design if known.all() else design.select_runs(known), values[known], what), "", of_stations)
     except NumericsError as error:
         return Fitted(None, _one_line(error), of_stations)
 
@@ -206,7 +206,7 @@ def difference(
         model=kind.replace("group and station", _WITH_BATCH) if design.levels else kind,
         deviation=deviation,
         effect_size=contrast.value / deviation,
-        effect_size_interval=contrast.interval(terms.confidence).scaled(1 / deviation),
+        effect_size_interval=contrast.interval(terms.confidence).scale(1 / deviation),
         margin=margin,
         equivalence_interval=None if likeness is None else likeness.interval,
         equivalence_p_unadjusted=None if likeness is None else likeness.p_value,

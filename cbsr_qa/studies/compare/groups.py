@@ -317,6 +317,6 @@ def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str,
     known = measured[design.rows]
     if not known.any():
         return alone
-    made = design.crossing.only(known)
+    made = design.crossing.select_runs(known)
     names, parts = (made.stations, made.station_parts) if design.of_stations else (made.groups, made.group_parts)
     return alone | dict(zip(names, parts.tolist(), strict=True))

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from cbsr_qa.analysis.run import farthest_first, force_tests, gauge_factor, hold_traces, learned_from
 from cbsr_qa.calibration.fits import common_settling_time, fit_common_relaxation
 from cbsr_qa.calibration.force import LearnedForce
-from cbsr_qa.calibration.runtime import interpolated
+from cbsr_qa.calibration.runtime import interpolate
 from cbsr_qa.calibration.sheet import sheet_places
 from cbsr_qa.domain import Array, CbsrError
 from cbsr_qa.domain.plan import SheetDesign
@@ -67,7 +67,7 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     places = sheet_places(model)
     truth = true_response(design, places, run.record.indenter.radius_mm)
     near = np.hypot(*places.T) <= RADIUS_MM
-    mapped = np.exp(interpolated(model, model.log_response, places[near]))
+    mapped = np.exp(interpolate(model, model.log_response, places[near]))
     errors["map_error"] = _rms(mapped / mapped.mean() / (truth[near] / truth[near].mean()) - 1)
     traces = hold_traces(run, long_holds(run))
     with suppress(CbsrError):

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.analysis.run import RunForce
-from cbsr_qa.calibration.fits import restricted_mean
+from cbsr_qa.calibration.fits import estimate_restricted_mean
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import (
@@ -279,6 +279,8 @@ def _mean_settling(loads: Sequence[LoadObservation], loading: bool, sheet: str) 
     if not known or 2 * len(known) < len(fits):
         return Ours(sheet, None, uncertainty_is=counted, count=len(known))
     late = sum(censored for _, censored in known)
-    mean_s, deviation_s = restricted_mean([time_s for time_s, _ in known], [censored for _, censored in known])
+    mean_s, deviation_s = estimate_restricted_mean(
+        [time_s for time_s, _ in known], [censored for _, censored in known]
+    )
     of = f"standard error; {counted}" + (f", {late} not settled" if late else "")
     return Ours(sheet, mean_s, deviation_s / len(known) ** 0.5, of, len(known), late > 0)

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cbsr_qa.domain.results import ListedRun, MetricKey, Outcome, RunSelection
-from cbsr_qa.stats import Yield, passed_share
+from cbsr_qa.stats import Yield, pass_rate
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.selection import BY_OPERATOR
 
@@ -148,7 +148,7 @@ def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
 
 
 def _share(runs: Sequence[ListedRun]) -> Yield | None:
-    return passed_share(sum(run.passed for run in runs), len(runs)) if runs else None
+    return pass_rate(sum(run.passed for run in runs), len(runs)) if runs else None
 
 
 def _reasons(runs: Sequence[ListedRun]) -> tuple[FailureReason, ...]:

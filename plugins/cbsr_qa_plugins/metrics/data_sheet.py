@@ -17,11 +17,11 @@ from cbsr_qa.calibration.fits import (
     change_between,
     creep,
     creep_at_constant_stress,
-    held_alike,
     hysteresis,
     last_cycles,
     last_stresses,
     loop_curve,
+    select_equal_holds,
     zero_return,
 )
 from cbsr_qa.calibration.sheet import (
@@ -30,11 +30,11 @@ from cbsr_qa.calibration.sheet import (
     Estimate,
     best_straight_line,
     characteristics,
+    collect_repeated_changes,
     data_sheet_loads,
     mean_characteristic,
-    pooled_deviation,
+    pool_deviations,
     repeatability,
-    repeated_changes,
     terminal_line,
     why_no_force,
 )
@@ -62,12 +62,12 @@ class Repeatability:
         except NumericsError as error:
             return (refused("repeatability", "%", error),)
         highest = max(load.record.load.strain for load in loads)
-        cells = repeated_changes(loads, run.main_mask)
+        cells = collect_repeated_changes(loads, run.main_mask)
         measured = [_one(overall, highest, sum(map(len, cells.values())))]
         if len(cells) > 1:
             for strain, members in cells.items():
                 qualifier = Dimensions(strain=strain).text
-                measured.append(_one(pooled_deviation(members), highest, len(members), qualifier))
+                measured.append(_one(pool_deviations(members), highest, len(members), qualifier))
         return tuple(measured)
 
 
@@ -154,7 +154,7 @@ class Creep(WithOptions):
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the holds of the commonest length together."""
         try:
-            loads, hold_s = held_alike(data_sheet_loads(run), lambda load: load.hold_s)
+            loads, hold_s = select_equal_holds(data_sheet_loads(run), lambda load: load.hold_s)
         except NumericsError as error:
             return (refused("creep", "%", error),)
         how = (
@@ -185,7 +185,7 @@ class ZeroReturn:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the rests of the commonest length together."""
         try:
-            loads, rest_s = held_alike(data_sheet_loads(run), _rest_s)
+            loads, rest_s = select_equal_holds(data_sheet_loads(run), _rest_s)
             estimate = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
             return (refused("zero_return", "%", error),)

@@ -10,10 +10,10 @@ from cbsr_qa.calibration.fits import (
     Agreement,
     TimedValues,
     common_settling_time,
+    estimate_restricted_mean,
     event_rate_per_min,
     fit_common_relaxation,
     relaxation_start,
-    restricted_mean,
     window_s,
 )
 from cbsr_qa.domain.results import (
@@ -84,7 +84,7 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     if 2 * len(timed) < len(members):
         why = f"{how}: fewer than half of the loads say anything, and their mean would be one of the quick"
         return Measurement(name, None, "s", qualifier=qualifier, how=why)
-    mean_s, deviation_s = restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
+    mean_s, deviation_s = estimate_restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
     how += f"; standard deviation {deviation_s:.3g} s"
     how += "; a lower bound (Kaplan–Meier)" if late else ""
     how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""

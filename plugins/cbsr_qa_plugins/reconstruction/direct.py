@@ -149,7 +149,9 @@ class Greit(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        design = TargetDesign.of(problem, self.options.indenter_diameter_mm, self.options.target_diameters_mm)
+        design = TargetDesign.for_problem(
+            problem, self.options.indenter_diameter_mm, self.options.target_diameters_mm
+        )
         value: float | None
         value, how, curve = self.options.hyperparameter, "hyperparameter given", None
         if value is None:

@@ -55,7 +55,7 @@ class TotalVariation(WithOptions):
     def prepare(self, problem: ImagingProblem) -> TotalVariationImages:
         options = self.options
         choice, variance = choose_alpha(problem, given=options.hyperparameter, noise_dB=options.noise_dB)
-        return TotalVariationImages.of(
+        return TotalVariationImages.from_problem(
             _NAME, problem, choice, variance, tolerance=options.tolerance, most_steps=options.iterations
         )
 
@@ -107,4 +107,4 @@ class AbsoluteGaussNewton(WithOptions):
         """Compute the state of the unloaded sensor."""
         given = self.options.model_dump(exclude={"noise_figure"})
         expected = Expected(noise_figure=self.options.noise_figure or 1.0, **given)
-        return AbsoluteImages.of(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)
+        return AbsoluteImages.find(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)

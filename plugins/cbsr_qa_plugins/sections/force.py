@@ -21,7 +21,7 @@ from cbsr_qa.analysis.run import (
     tests_of,
 )
 from cbsr_qa.calibration.force import LearnedForce, prediction_words
-from cbsr_qa.calibration.runtime import interpolated
+from cbsr_qa.calibration.runtime import interpolate
 from cbsr_qa.calibration.sheet import SheetPose
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult
@@ -253,7 +253,7 @@ def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figu
     used = np.isfinite(learned.ratio)
     loads = [load for load, yes in zip(force.used, used, strict=True) if yes]
     newtons = np.array([load.force_N or 0.0 for load in loads])
-    mapped = np.exp(interpolated(learned.model, learned.model.log_response, places_mm(loads)))
+    mapped = np.exp(interpolate(learned.model, learned.model.log_response, places_mm(loads)))
     ratio, scatter = learned.ratio[used], learned.ratio_stderr[used] / mapped
     forces = np.linspace(0.97 * newtons.min(), 1.03 * newtons.max(), 40)
     stress, given = 1e3 * forces / run.record.indenter.area_mm2, run.record.material.against_stress

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration.fits import SHAPE_MARGIN, restricted_mean
+from cbsr_qa.calibration.fits import SHAPE_MARGIN, estimate_restricted_mean
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import (
     Block,
@@ -200,5 +200,5 @@ def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[R
 def _mean_text(times_s: list[float], censored: list[bool]) -> str:
     if len(times_s) == 1:
         return f"{'≥ ' if censored[0] else ''}{plain(times_s[0], 's')}"
-    mean_s, deviation_s = restricted_mean(times_s, censored)
+    mean_s, deviation_s = estimate_restricted_mean(times_s, censored)
     return f"{'≥ ' if any(censored) else ''}{with_uncertainty(mean_s, deviation_s)}"

@@ -113,7 +113,7 @@ def test_the_variance_is_that_of_the_noise(observation):
 
 def test_a_reference_of_another_sensor_is_refused(observation):
     model = load_model(observation.record.sensor_type)
-    assert model_scale(model, 3.0 * model.unloaded(), observation.usable) == pytest.approx(3.0)
+    assert model_scale(model, 3.0 * model.solve_unloaded(), observation.usable) == pytest.approx(3.0)
     with pytest.raises(NumericsError, match="uncorrelated"):
         model_scale(model, np.zeros((16, 16)), observation.usable)
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
 from cbsr_qa.app.stream import FramesFrom, StreamRequest, stream_messages
-from cbsr_qa.calibration.file import read_issued, stamped, write_calibration
+from cbsr_qa.calibration.file import read_issued, stamp, write_calibration
 from cbsr_qa.cli import app
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
@@ -352,7 +352,7 @@ def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, 
     presses = ("--presses", recorded / "presses.csv")
     assert "16 × 4 readings" in refused("calibrate", few, *presses, *sensor_type, *rest, "--to", recorded / "X.h5")
     old = replace(read_issued(recorded / "OUT.h5"), drive=(), measure=())
-    write_calibration(recorded / "old.h5", stamped(old))
+    write_calibration(recorded / "old.h5", stamp(old))
     assert "does not state the order of the pairs in a frame" in refused(
         *apply, recorded / "old.h5", recorded / "presses.h5"
     )

@@ -9,7 +9,7 @@ import pytest
 from calibration_samples import sample_calibration
 from typer.testing import CliRunner
 
-from cbsr_qa.calibration.file import encode, stamped, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file import encode, stamp, verify_calibration_file, write_calibration
 from cbsr_qa.cli import app
 from cbsr_qa.domain import CalibrationError, tabulated
 from cbsr_qa.domain.results import Calibration
@@ -49,7 +49,7 @@ def test_show_as_json_is_one_document(issued):
     assert document["identity"]["serial"] == "S-001 ü"
     assert document["baseline_conductance"][1]["value"] is None
     assert document["digest"] == verify_calibration_file(issued).digest
-    assert document["record_digest"] == stamped(sample_calibration()).record_digest
+    assert document["record_digest"] == stamp(sample_calibration()).record_digest
     assert document["against_stress"]["covariance"] == -1.5e-8
     values = {path: field["value"] for path, field in document["values"].items()}
     assert (values["reconstruction/noise_figure"], values["image/measured_noise_figure"]) == (1.02, 1.17)

@@ -14,7 +14,7 @@ from force_calibration import force_calibration, frames
 from signed_samples import AT, made_key
 
 import cbsr_qa as qa
-from cbsr_qa.calibration.file import signed, signing_key, stamped, write_calibration
+from cbsr_qa.calibration.file import sign_calibration, signing_key, stamp, write_calibration
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import CalibrationError, RefusedError
 
@@ -25,7 +25,7 @@ _VARIABLE = "CBSR_QA_KEY_PASSPHRASE"
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(_VARIABLE, raising=False)
-    write_calibration(tmp_path / "sensor.h5", stamped(sparse_calibration()))
+    write_calibration(tmp_path / "sensor.h5", stamp(sparse_calibration()))
     made_key(tmp_path)
     return tmp_path
 
@@ -223,7 +223,7 @@ def test_a_damaged_file_is_not_signed(run, folder):
 @pytest.fixture
 def sensor(folder):
     """A calibration with a force model, signed with ``a.key``."""
-    write_calibration(folder / "force.h5", signed(force_calibration(), signing_key(folder / "a.key"), AT))
+    write_calibration(folder / "force.h5", sign_calibration(force_calibration(), signing_key(folder / "a.key"), AT))
     return folder / "force.h5"
 
 

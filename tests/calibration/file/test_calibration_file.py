@@ -15,7 +15,7 @@ from calibration_samples import (
     sparse_calibration,
 )
 
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError, as_filed, in_steps
 from cbsr_qa.domain.sensor import Mesh
 
@@ -24,7 +24,7 @@ from cbsr_qa.domain.sensor import Mesh
 def test_every_field_comes_back_exactly(tmp_path, make):
     path = tmp_path / "sensor.h5"
     write_calibration(path, make())
-    assert_same(read_calibration(path), stamped(make()), "calibration")
+    assert_same(read_calibration(path), stamp(make()), "calibration")
 
 
 def _with_choice(method, **changes):
@@ -53,7 +53,7 @@ def test_a_file_of_before_is_read_with_the_name_its_method_implied(tmp_path, met
 def test_name_and_criterion_come_back_whichever_is_there(tmp_path, name, criterion):
     made = _with_choice("gauss-newton-noser", name=name, criterion=criterion)
     write_calibration(tmp_path / "x.h5", made)
-    assert_same(read_calibration(tmp_path / "x.h5"), stamped(made), "calibration")
+    assert_same(read_calibration(tmp_path / "x.h5"), stamp(made), "calibration")
 
 
 def test_relaxations_of_a_signal_are_in_the_unit_of_its_traces(issued):
@@ -81,7 +81,7 @@ def test_negative_zero_is_written_as_zero(tmp_path):
     first, second = sample.baseline
     negative = replace(sample, scale=-0.0, baseline=(first, replace(second, y_mm=-0.0)))
     positive = replace(sample, scale=0.0)
-    assert stamped(negative).digest == stamped(positive).digest
+    assert stamp(negative).digest == stamp(positive).digest
     write_calibration(tmp_path / "x.h5", negative)
     assert not np.signbit(read_calibration(tmp_path / "x.h5").scale)
 
@@ -114,11 +114,11 @@ def test_matrix_and_jacobian_are_compressed_and_come_back_to_the_bit_in_any_prec
     sizes = []
     for version, made in ((2, double), (3, _in_single_precision(double)), (5, rounded)):
         path = tmp_path / f"{version}.h5"
-        assert write_calibration(path, made) == stamped(made).digest == plain_digest(path)
-        assert_same(read_calibration(path), stamped(made), "calibration")
+        assert write_calibration(path, made) == stamp(made).digest == plain_digest(path)
+        assert_same(read_calibration(path), stamp(made), "calibration")
         assert verify_calibration_file(path).schema_version == version
         # What is not prepared again is the same record, however the rest is kept.
-        assert stamped(made).record_digest == stamped(double).record_digest
+        assert stamp(made).record_digest == stamp(double).record_digest
         sizes.append(path.stat().st_size)
     with h5py.File(tmp_path / "2.h5") as file:
         stored = [file[f"reconstruction/{name}"] for name in ("matrix", "jacobian")]
@@ -165,7 +165,7 @@ def test_values_of_any_size_are_rounded_or_stay(size):
     assert in_steps(np.zeros((0, 3)), 16).shape == (0, 3)
 
 
-_ISSUED = stamped(sample_calibration())
+_ISSUED = stamp(sample_calibration())
 _FIRST, *_OTHERS, _LAST = _ISSUED.relaxations
 _UNWRITABLE = {
     **{

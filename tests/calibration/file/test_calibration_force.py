@@ -9,7 +9,7 @@ import pytest
 from calibration_samples import edited, forged, old_calibration, sample_calibration, sample_force
 
 from cbsr_qa.calibration.file.content import PREPARED
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import ForceModel
 
@@ -130,10 +130,10 @@ def test_templates_prepared_on_another_computer_change_the_digest_but_not_that_o
     sample = sample_calibration()
     there = replace(sample.force, log_size=np.nextafter(sample.force.log_size, np.inf))
     shifted = replace(sample.force, log_size=sample.force.log_size + 1e-6)
-    issued = stamped(sample)
-    assert stamped(replace(sample, force=there)).digest == issued.digest  # rounding is not seen
-    assert stamped(replace(sample, force=shifted)).digest != issued.digest
-    assert stamped(replace(sample, force=shifted)).record_digest == issued.record_digest
+    issued = stamp(sample)
+    assert stamp(replace(sample, force=there)).digest == issued.digest  # rounding is not seen
+    assert stamp(replace(sample, force=shifted)).digest != issued.digest
+    assert stamp(replace(sample, force=shifted)).record_digest == issued.record_digest
     learned = replace(sample.force, log_response=sample.force.log_response + 1e-6)
-    assert stamped(replace(sample, force=learned)).record_digest != issued.record_digest
+    assert stamp(replace(sample, force=learned)).record_digest != issued.record_digest
     assert not any("force/log_response".startswith(path) for path in PREPARED)

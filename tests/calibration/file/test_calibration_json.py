@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.calibration.file.content import SCHEMA_VERSION, Entry, content_digest
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
 from cbsr_qa.domain import CalibrationError
 
@@ -23,7 +23,7 @@ def test_every_field_comes_back_exactly_and_the_file_is_the_same_to_the_byte(tmp
     path = tmp_path / "sensor.json"
     path.write_text(_text(json_document(make())), encoding="utf-8")
     back = read_json_calibration(path)
-    assert_same(back, stamped(make()), "calibration")
+    assert_same(back, stamp(make()), "calibration")
     write_calibration(tmp_path / "one.h5", make())
     write_calibration(tmp_path / "other.h5", back)
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "other.h5").read_bytes()

@@ -7,7 +7,7 @@ from importlib.resources import files
 import pytest
 from calibration_samples import assert_same, sample_calibration
 
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, write_calibration
 from cbsr_qa.config import load_sensor_type, load_station
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.run import Indenter
@@ -69,4 +69,4 @@ def test_a_stored_run_keeps_the_outline():
 def test_a_calibration_keeps_the_outline(tmp_path):
     calibration = replace(sample_calibration(), indenter=Indenter.with_outline([(x, y) for x, y in ELL]))
     write_calibration(tmp_path / "sensor.h5", calibration)
-    assert_same(read_calibration(tmp_path / "sensor.h5"), stamped(calibration), "calibration")
+    assert_same(read_calibration(tmp_path / "sensor.h5"), stamp(calibration), "calibration")

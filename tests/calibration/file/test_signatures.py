@@ -19,8 +19,8 @@ from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.file.hdf5 import (
     calibration_of,
     read_issued,
-    signed,
-    stamped,
+    sign_calibration,
+    stamp,
     verify_calibration_file,
     write_calibration,
 )
@@ -88,13 +88,13 @@ def test_a_signature_is_kept_from_format_to_format(calibration, tmp_path, pinned
 
 def test_signing_changes_nothing_but_the_signature(calibration):
     unsigned = replace(calibration, signature=None)
-    assert stamped(unsigned).digest == calibration.digest
+    assert stamp(unsigned).digest == calibration.digest
     assert_same(replace(calibration_of(calibration.file), signature=None), unsigned, "signed")
-    assert calibration_of(stamped(unsigned).file).signature is None
+    assert calibration_of(stamp(unsigned).file).signature is None
 
 
 def test_a_calibration_from_presses_is_signed_too(key, pinned, tmp_path):
-    issued = signed(issued_from_presses(), signing_key(key), AT)
+    issued = sign_calibration(issued_from_presses(), signing_key(key), AT)
     for suffix in (".h5", ".json"):
         back = _read(_write(tmp_path / f"presses{suffix}", issued))
         check_signature(back, pinned)
@@ -260,7 +260,7 @@ def test_another_key_is_named(file, pinned, tmp_path):
 
 
 def test_a_signature_of_another_file_is_found(file, calibration, pub):
-    copied = replace(stamped(sample_calibration()), signature=calibration.signature, file=b"")
+    copied = replace(stamp(sample_calibration()), signature=calibration.signature, file=b"")
     _write(file, copied)
     for pinned in (pub, None):
         _refused(file, pinned, "or the signature is that of another file")

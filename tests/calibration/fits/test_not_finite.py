@@ -12,7 +12,7 @@ from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
 from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
 from cbsr_qa.calibration.fits.relaxation import fit_relaxation
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
-from cbsr_qa.calibration.fits.settling import relaxation_start, restricted_mean
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, relaxation_start
 from cbsr_qa.calibration.fits.superposition import fit_step
 from cbsr_qa.calibration.sheet import data_sheet
 from cbsr_qa.calibration.strip import mean_trace
@@ -49,7 +49,7 @@ def spoilt_curve(part, bad):
 
 #: What is called, and the good numbers of which one is spoilt.
 CALLS = {
-    "pooled deviation": (lambda a: data_sheet.pooled_deviation([a, Y]), Y),
+    "pooled deviation": (lambda a: data_sheet.pool_deviations([a, Y]), Y),
     "best line, values": (lambda a: data_sheet.best_straight_line(X, a), Y),
     "best line, places": (lambda a: data_sheet.best_straight_line(a, Y), X),
     "best line, errors": (lambda a: data_sheet.best_straight_line(X, Y, a), ERROR),
@@ -70,7 +70,7 @@ CALLS = {
     "kernel": (lambda a: learn_kernel([(TIME_S, a), (TIME_S, TRACE)], ramp_s=1.0), TRACE),
     "step": (lambda a: fit_step((TIME_S, a), np.array([5.0, 25.0])), TRACE),
     "release": (relaxation_start, TRACE),
-    "settling": (lambda a: restricted_mean(a, [False] * 8), Y),
+    "settling": (lambda a: estimate_restricted_mean(a, [False] * 8), Y),
     "mean trace": (lambda a: mean_trace([(TIME_S, a), (TIME_S, TRACE)]), TRACE),
     "quasi-static, changes": (lambda a: fit_quasi_static(X, X, a, ERROR), Y),
     "quasi-static, places": (lambda a: fit_quasi_static(X, a, Y, ERROR), X),

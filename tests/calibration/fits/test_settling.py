@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.calibration.fits.settling import restricted_mean, settling_time
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, settling_time
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit
 
@@ -111,32 +111,32 @@ def test_impossible_settings_are_refused(settings, said):
 
 @given(st.lists(st.floats(0, 100), min_size=1, max_size=20))
 def test_without_censoring_it_is_the_plain_mean_and_deviation(times):
-    mean, deviation = restricted_mean(times, [False] * len(times))
+    mean, deviation = estimate_restricted_mean(times, [False] * len(times))
     assert mean == pytest.approx(np.mean(times), abs=1e-9)
     assert deviation == pytest.approx(np.std(times), abs=1e-5)
 
 
 def test_times_that_agree_to_a_hundred_millionth_have_their_deviation():
-    mean, deviation = restricted_mean([30.0 + 3e-7, 30.0 - 3e-7], [False, False])
+    mean, deviation = estimate_restricted_mean([30.0 + 3e-7, 30.0 - 3e-7], [False, False])
     assert mean == pytest.approx(30.0, rel=1e-15)
     assert deviation == pytest.approx(3e-7, rel=1e-7)
 
 
 def test_kaplan_and_meier_by_hand():
     # At 30 one of three left settles: S = 1, 3/4 is not touched by the one lost at 20.
-    mean, _ = restricted_mean([10.0, 20.0, 30.0, 40.0], [False, True, False, False])
+    mean, _ = estimate_restricted_mean([10.0, 20.0, 30.0, 40.0], [False, True, False, False])
     assert mean == pytest.approx(10 + 20 * 0.75 + 10 * 0.375)
 
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.booleans()), min_size=1, max_size=12))
 def test_calling_a_time_censored_never_shortens_the_mean(pairs):
     times = [time for time, _ in pairs]
-    plain, _ = restricted_mean(times, [False] * len(times))
-    marked, deviation = restricted_mean(times, [mark for _, mark in pairs])
+    plain, _ = estimate_restricted_mean(times, [False] * len(times))
+    marked, deviation = estimate_restricted_mean(times, [mark for _, mark in pairs])
     assert marked >= plain - 1e-9
     assert deviation >= 0
 
 
 def test_no_time_has_no_mean():
     with pytest.raises(NumericsError, match="no mean"):
-        restricted_mean([], [])
+        estimate_restricted_mean([], [])

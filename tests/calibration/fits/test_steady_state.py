@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.stats import t as student
 
 from cbsr_qa.calibration.fits import relaxation_kernel
-from cbsr_qa.calibration.fits.relaxation import exponentials, seen_share
+from cbsr_qa.calibration.fits.relaxation import exponentials, observable_share
 from cbsr_qa.calibration.fits.steady_state import (
     HoldsSoFar,
     event_rate_per_min,
@@ -288,7 +288,7 @@ _TWO = TIME_S[:2], [1.0, 1.0], 0.1
         (lambda: interval(predict_steady(*_TWO, _kernel()), 1.0), "level"),
         (lambda: event_rate_per_min(0.0, 0.0), "no event rate"),
         (lambda: event_rate_per_min(30.0, np.nan), "no event rate"),
-        (lambda: seen_share(np.array([1e-3]), frame_s=2.5), "says nothing about a time constant"),
+        (lambda: observable_share(np.array([1e-3]), frame_s=2.5), "says nothing about a time constant"),
     ],
 )
 def test_bad_input_is_refused_in_words(call, said):
@@ -311,7 +311,9 @@ def test_the_snippet_of_the_page_holds():
 @pytest.mark.parametrize("share", [1e-9, 1e-5, 0.9e-4, 1.1e-4, 0.01, 0.49, 0.51])
 def test_short_ramps_and_frames_lose_no_digits(share):
     """(1 − e^(−x))/x = Σ (−x)ᵏ/(k + 1)! and sinh(x)/x; below 1e-4 all but the first terms were left out."""
-    ramp, frame = (seen_share(np.array([1.0]), **given) for given in ({"ramp_s": share}, {"frame_s": 2 * share}))
+    ramp, frame = (
+        observable_share(np.array([1.0]), **given) for given in ({"ramp_s": share}, {"frame_s": 2 * share})
+    )
     with mpmath.workdps(50):
         exact = mpmath.mpf(share)
         values = [-mpmath.expm1(-exact) / exact, mpmath.sinh(exact) / exact]

@@ -50,9 +50,9 @@ def known(weights, time_constants_s, stderr=0.02):
 
 
 def test_the_strips_kernels_are_its_materials_within_their_errors(strip):
-    release = KernelCurve.of_release(strip.loading, strip.unloading, 1e4)
+    release = KernelCurve.from_release(strip.loading, strip.unloading, 1e4)
     for found, true in (
-        (KernelCurve.of_press(strip.loading), 1 + exponentials(MATERIAL.loading_relaxation, TIME_S)),
+        (KernelCurve.from_press(strip.loading), 1 + exponentials(MATERIAL.loading_relaxation, TIME_S)),
         (release, -exponentials(MATERIAL.unloading_relaxation, TIME_S)),
     ):
         curve, variance = found.relative(TIME_S)
@@ -66,9 +66,9 @@ def test_a_release_after_a_hold_is_what_superposition_says():
     """The unit step is held, then taken away; its answer, over the change at the end of the hold."""
     loading, unloading, hold_s = known((-0.2, -0.55), (2.5, 23.1)), known((0.2, 0.62), (2.5, 25.4)), 20.0
     left = (1 + exponentials(loading, hold_s + TIME_S)) - (1 - exponentials(unloading, TIME_S))
-    curve = KernelCurve.of_release(loading, unloading, hold_s)
+    curve = KernelCurve.from_release(loading, unloading, hold_s)
     assert curve.relative(TIME_S)[0] == pytest.approx(left / (1 + exponentials(loading, hold_s)), rel=1e-12)
-    long = KernelCurve.of_release(loading, unloading, 1e4)
+    long = KernelCurve.from_release(loading, unloading, 1e4)
     assert long.relative(TIME_S)[0] == pytest.approx(exponentials(unloading, TIME_S), rel=1e-12)
 
 
@@ -82,32 +82,32 @@ def test_its_error_is_that_of_kernels_drawn_from_their_covariance():
         moved = np.array(kernel.time_constants_s) * np.exp(log_s)
         return replace(kernel, weights=tuple(kernel.weights + weights), time_constants_s=tuple(moved))
 
-    curves = [KernelCurve.of_release(drawn(loading), drawn(unloading), 20.0) for _ in range(4000)]
+    curves = [KernelCurve.from_release(drawn(loading), drawn(unloading), 20.0) for _ in range(4000)]
     spread = np.std([curve.relative(TIME_S)[0] for curve in curves], axis=0)
-    whole = KernelCurve.of_release(loading, unloading, 20.0)
+    whole = KernelCurve.from_release(loading, unloading, 20.0)
     assert np.sqrt(whole.relative(TIME_S)[1]) == pytest.approx(spread, rel=0.06)
-    times = [curve.settled(0.15)[0] for curve in curves]
-    settled, stderr = whole.settled(0.15)
+    times = [curve.settling_time(0.15)[0] for curve in curves]
+    settled, stderr = whole.settling_time(0.15)
     assert settled == pytest.approx(np.mean(times), rel=0.02)
     assert stderr == pytest.approx(np.std(times), rel=0.1)
 
 
 def test_settling_is_the_last_time_outside():
-    (found, _), exact = KernelCurve.of_press(known((0.5,), (10.0,))).settled(0.15), 10 * np.log(0.5 / 0.15)
+    (found, _), exact = KernelCurve.from_press(known((0.5,), (10.0,))).settling_time(0.15), 10 * np.log(0.5 / 0.15)
     assert found == pytest.approx(exact, rel=1e-9)
-    (falling, _) = KernelCurve.of_press(known((-0.5,), (10.0,))).settled(0.15)
+    (falling, _) = KernelCurve.from_press(known((-0.5,), (10.0,))).settling_time(0.15)
     assert falling == pytest.approx(exact, rel=1e-9)
     # It crosses zero, and leaves the band again to the other side.
     twice = known((1.0, -0.5), (2.0, 20.0))
-    late, _ = KernelCurve.of_press(twice).settled(0.15)
+    late, _ = KernelCurve.from_press(twice).settling_time(0.15)
     assert exponentials(twice, late) == pytest.approx(-0.15, rel=1e-9)
-    assert KernelCurve.of_press(known((0.1,), (10.0,))).settled(0.15) is None
-    assert KernelCurve.of_press(known((0.9,), (100.0,))).settled(0.15) is None
+    assert KernelCurve.from_press(known((0.1,), (10.0,))).settling_time(0.15) is None
+    assert KernelCurve.from_press(known((0.9,), (100.0,))).settling_time(0.15) is None
 
 
 def test_relaxations_without_common_time_are_not_compared():
     early, late = known((0.5,), (10.0,)), replace(known((0.5,), (10.0,)), start_s=70.0, window_s=90.0)
-    found = compare_relaxations(KernelCurve.of_press(early), KernelCurve.of_press(late))
+    found = compare_relaxations(KernelCurve.from_press(early), KernelCurve.from_press(late))
     assert found.why == "no time in common: one begins at 70 s, one ends at 60 s"
     assert found.shape is found.time is Agreement.UNDECIDED
 

@@ -12,10 +12,10 @@ from cbsr_qa.calibration.fits.superposition import (
     constants_of,
     fit_step,
     separate_steps,
-    separated_with,
-    shifted_constants,
+    separate_with_constants,
+    shift_constants,
 )
-from cbsr_qa.calibration.strip import SlowResidue, changes_of, separate_with_residue, without_residue
+from cbsr_qa.calibration.strip import SlowResidue, changes_of, separate_with_residue, subtract_residue
 from cbsr_qa.domain.results import FitStatus
 
 STRAINS = np.repeat([0.1, 0.2, 0.3], 3)
@@ -52,7 +52,7 @@ def test_scale_sign_and_offset_carry_through(steps, plain, scale, sign, offset):
     """Separation by given time constants is linear in what was read."""
     common = plain.common
     moved = [replace(one, values=sign * scale * one.values + offset) for one in steps]
-    found = separated_with(moved, common, constants_of(common))
+    found = separate_with_constants(moved, common, constants_of(common))
     np.testing.assert_allclose(found.levels, sign * scale * plain.levels + offset, rtol=1e-9, atol=1e-9 * scale)
 
 
@@ -60,7 +60,7 @@ def test_stated_errors_of_levels_are_those_of_the_noise():
     steps = steps_of(Truth(), cycles((0.2,), 3))
     common = separate_steps(steps).common
     constants = constants_of(common)
-    drawn = [separated_with(noisy(steps, 2e-3, seed), common, constants) for seed in range(100)]
+    drawn = [separate_with_constants(noisy(steps, 2e-3, seed), common, constants) for seed in range(100)]
     levels = np.array([one.levels for one in drawn])
     stated = np.sqrt(np.mean([one.level_stderr**2 for one in drawn], axis=0))
     # Carried-over parts add a little: held to what 100 draws can tell, 7 % each way, and that.
@@ -93,15 +93,15 @@ def test_what_is_taken_away_of_a_residue_is_its_closed_form():
     with_it, without = (steps_of(Truth(residue=share), planned) for share in (0.05, 0.0))
     changes = np.full(3, 0.6 * 0.2)
     residue = SlowResidue(0.05, 600.0, np.eye(2))
-    for one, other in zip(without_residue(with_it, changes, residue), without, strict=True):
+    for one, other in zip(subtract_residue(with_it, changes, residue), without, strict=True):
         np.testing.assert_allclose(one.values, other.values, atol=2e-5)  # the ramp of the release is a step here
-    assert without_residue(with_it, changes, None) == with_it
+    assert subtract_residue(with_it, changes, None) == with_it
 
 
 def test_errors_of_time_constants_move_levels_as_their_covariance_says():
     steps = noisy(steps_of(Truth(), cycles((0.1, 0.2, 0.3), 3)), 2e-3, 5)
     found = separate_steps(steps)
-    shifted = shifted_constants(found.common)
+    shifted = shift_constants(found.common)
     assert len(shifted) == 4
     for loading in (True, False):
         moved = np.array([np.log(one[loading] / constants_of(found.common)[loading]) for one in shifted])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
-from cbsr_qa.calibration.force.templates import _pressed, _templates, template_bank
+from cbsr_qa.calibration.force.templates import _press_lattice, _templates, template_bank
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.run import Indenter
@@ -27,7 +27,7 @@ def trial(seed, response, result, *, count=60, truth=None):
     random = np.random.default_rng([seed, 2])
     force = random.uniform(0.9, 5.3, count)
     loads = pressed(random, response, somewhere(random, count), force, truth=truth)
-    matches = TemplateFilter(result.model).at(loads.rows, loads.place_mm)
+    matches = TemplateFilter(result.model).match_at(loads.rows, loads.place_mm)
     matches = Matches(
         matches.place_mm, matches.strength, matches.covariance / loads.frames[0], matches.gain, matches.energy
     )
@@ -160,7 +160,7 @@ def test_slopes_are_those_of_the_templates():
     place, step = np.array([[21.0, -13.0]]), 0.01
 
     def at(place_mm):
-        return _templates(here.readings, next(_pressed(here.model, place_mm, HEAD)))
+        return _templates(here.readings, next(_press_lattice(here.model, place_mm, HEAD)))
 
     *_, slopes = at(place)
     for axis, products in ((0, (0, 2)), (1, (1, 4))):

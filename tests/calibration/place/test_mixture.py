@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.calibration.place.held_out import LeftOut, PressedSheet, coverage_of
-from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed, quantile
+from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mix_places, quantile
 
 
 @pytest.mark.parametrize("count", [6, 9, 39, 400])
@@ -36,7 +36,7 @@ def test_regions_follow_frames_that_are_worse():
     second = places + size[:, None] * random.standard_normal((2000, 2))
     covariance = size[:, None, None] ** 2 * np.eye(2)
     mixture = learn_mixture(second + 0.01, second, covariance, places, np.arange(2000))
-    found, covariances = mixed(mixture, second + 0.01, second, covariance)
+    found, covariances = mix_places(mixture, second + 0.01, second, covariance)
     inside = mahalanobis(places - found, covariances)[:, None] <= mixture.quantiles
     for large in (False, True):
         assert inside[(size > 1) == large].mean(axis=0) == pytest.approx(LEVELS, abs=0.04)

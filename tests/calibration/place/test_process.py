@@ -11,11 +11,11 @@ from cbsr_qa.calibration.place.features import features_of, pattern_turns
 from cbsr_qa.calibration.place.process import (
     _AT_ONCE,
     _Likelihood,
-    at_edges,
-    given_presses,
-    left_out,
+    condition_on_presses,
+    leave_out,
     likely_scales,
-    located,
+    list_edge_hyperparameters,
+    locate,
 )
 from cbsr_qa.calibration.place.templates import NO_PRESS, TemplateLearning
 from cbsr_qa.domain.results import FeatureScaling
@@ -55,36 +55,36 @@ def test_the_search_makes_presses_more_likely(presses):
 def test_presses_left_out_are_located_as_by_the_others_alone(presses, scales):
     features, places = presses
     blocks = np.array_split(np.arange(14), 4)
-    predicted = left_out(*given_presses(scales, TURNS, features, places), blocks)
+    predicted = leave_out(*condition_on_presses(scales, TURNS, features, places), blocks)
     for block in blocks:
         others = np.setdiff1d(np.arange(14), block)
-        process, _ = given_presses(scales, TURNS, features[others], places[others])
-        assert located(process, TURNS, features[block]) == pytest.approx(predicted[block], abs=1e-8)
+        process, _ = condition_on_presses(scales, TURNS, features[others], places[others])
+        assert locate(process, TURNS, features[block]) == pytest.approx(predicted[block], abs=1e-8)
 
 
 def test_many_frames_are_located_as_each_alone(presses, scales):
     features, places = presses
-    process, _ = given_presses(scales, TURNS, features, places)
+    process, _ = condition_on_presses(scales, TURNS, features, places)
     frames = np.random.default_rng(6).standard_normal((1000, features.shape[1]))
     assert len(frames) * len(TURNS) * len(features) > 3 * _AT_ONCE
-    together = located(process, TURNS, frames)
+    together = locate(process, TURNS, frames)
     for number in range(0, 1000, 37):
-        assert together[number] == pytest.approx(located(process, TURNS, frames[number : number + 1])[0], abs=1e-9)
+        assert together[number] == pytest.approx(locate(process, TURNS, frames[number : number + 1])[0], abs=1e-9)
 
 
 def test_the_turning_part_turns_places_with_readings(presses, scales):
     features, places = presses
     turning = replace(scales, own_variance=0.0)
-    process, _ = given_presses(turning, TURNS, features, places)
+    process, _ = condition_on_presses(turning, TURNS, features, places)
     frame = np.random.default_rng(5).standard_normal((2, features.shape[1]))
     for number, turn in enumerate(TURNS.turns):
-        there = located(process, TURNS, TURNS.forth(frame, number))
-        assert there == pytest.approx(located(process, TURNS, frame) @ turn.T, abs=1e-9)
+        there = locate(process, TURNS, TURNS.forth(frame, number))
+        assert there == pytest.approx(locate(process, TURNS, frame) @ turn.T, abs=1e-9)
 
 
 def test_a_hyperparameter_at_the_edge_of_its_range_is_named(presses, scales):
-    assert at_edges(scales, TURNS, *presses) == []
-    assert at_edges(replace(scales, noise_variance=1e8), TURNS, *presses) == ["noise"]
+    assert list_edge_hyperparameters(scales, TURNS, *presses) == []
+    assert list_edge_hyperparameters(replace(scales, noise_variance=1e8), TURNS, *presses) == ["noise"]
 
 
 @pytest.mark.parametrize("without_these", [[3], [0, 7, 8, 39], range(20)])
@@ -95,7 +95,7 @@ def test_templates_without_presses_are_those_of_the_others(without_these):
     others = np.setdiff1d(np.arange(40), without_these)
     of_all = TemplateLearning(turns, features, sheet.places_mm, 50.0)
     of_others = TemplateLearning(turns, features[others], sheet.places_mm[others], 50.0)
-    without, alone = of_all.without(np.array(without_these)), of_others.without(NO_PRESS)
+    without, alone = of_all.leave_out_block(np.array(without_these)), of_others.leave_out_block(NO_PRESS)
     np.testing.assert_allclose(without.uncertainty, alone.uncertainty, rtol=0, atol=1e-9)
     for name in ("whitening", "templates"):
         expected = getattr(alone, name)

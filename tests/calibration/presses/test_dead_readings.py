@@ -7,7 +7,7 @@ import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
 from cbsr_qa.calibration.place import PlaceEstimator, QuantityEstimator, mahalanobis
-from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
+from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
 from cbsr_qa.calibration.runtime import Flag
 
@@ -104,10 +104,10 @@ def test_clipped_readings_are_told_from_others(whole):
     least, most = np.quantile(frames, [0.0, 0.95])
     cut = np.clip(frames, least, most) - np.clip(rest, least, most)
     given = np.clip(rest, least, most) if whole else None
-    assert clipped_share(cut, given) == pytest.approx(0.05, abs=0.005)
+    assert estimate_clipped_share(cut, given) == pytest.approx(0.05, abs=0.005)
     coarse = np.round(frames / np.median(np.abs(pressed.changes)))
     for sound in (frames, coarse, np.sign(frames), rectified.changes + rectified.unloaded):
-        assert clipped_share(sound - rest, rest if whole else None) == 0
+        assert estimate_clipped_share(sound - rest, rest if whole else None) == 0
 
 
 def test_clipped_readings_are_blamed_not_the_radius():

@@ -9,11 +9,11 @@ from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 from cbsr_qa.calibration.presses import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
-    ignored_columns,
+    list_ignored_columns,
+    list_unused_electrodes,
     off_the_sheet,
-    unused_electrodes,
 )
-from cbsr_qa.calibration.presses.pairs import DistinctPairs, matched_readings
+from cbsr_qa.calibration.presses.pairs import DistinctPairs, match_readings
 from cbsr_qa.domain import CalibrationError
 
 
@@ -46,15 +46,15 @@ def test_errors_of_usual_size_accuse_no_press():
 def test_columns_that_are_no_labels_are_named():
     presses = pressed_sheet(2).labelled().presses
     table = replace(presses.table, columns=("x_mm", "who", "y_mm", "force_N"))
-    assert list(ignored_columns(replace(presses, table=table))) == ["presses.csv: ignored columns: 'who'"]
-    assert not list(ignored_columns(presses))
+    assert list(list_ignored_columns(replace(presses, table=table))) == ["presses.csv: ignored columns: 'who'"]
+    assert not list(list_ignored_columns(presses))
 
 
 def test_electrodes_that_no_pair_uses_are_named():
     pairs = np.array([[0, 1, 2, 3], [3, 4, 7, 0]])
-    (words,) = unused_electrodes(pairs, 12)
+    (words,) = list_unused_electrodes(pairs, 12)
     assert words.startswith("no pair uses electrodes 5 to 6, 8 to 11 of the 12")
-    assert not list(unused_electrodes(np.arange(16).reshape(4, 4), 16))
+    assert not list(list_unused_electrodes(np.arange(16).reshape(4, 4), 16))
 
 
 @pytest.mark.parametrize("count", [20, 60])
@@ -72,7 +72,7 @@ def test_presses_in_the_order_of_their_places_are_seen(count):
 
 def test_repeats_are_averaged_in_the_order_in_which_they_come():
     pairs = np.array([[5, 1, 2, 3], [0, 8, 4, 3], [5, 1, 2, 3], [5, 1, 3, 2]])
-    distinct = DistinctPairs.of(pairs)
+    distinct = DistinctPairs.from_pairs(pairs)
     np.testing.assert_array_equal(distinct.pairs, pairs[[0, 1, 3]])
     np.testing.assert_array_equal(distinct.repeats, [2, 1, 1])
     np.testing.assert_allclose(np.array([[1.0, 2.0, 3.0, 4.0]]) @ distinct.merging, [[2, 2, 4]])
@@ -90,8 +90,8 @@ def test_readings_are_found_in_another_order_and_polarity():
     given = pairs[random.permutation(len(pairs))]
     given[::3] = given[::3][:, [0, 1, 3, 2]]
     given[1::3] = given[1::3][:, [1, 0, 3, 2]]
-    distinct = DistinctPairs.of(np.vstack([given, given[:7]]))
-    values = read(np.vstack([given, given[:7]])) @ distinct.merging @ matched_readings(pairs, distinct)
+    distinct = DistinctPairs.from_pairs(np.vstack([given, given[:7]]))
+    values = read(np.vstack([given, given[:7]])) @ distinct.merging @ match_readings(pairs, distinct)
     np.testing.assert_allclose(values, read(pairs))
 
 
@@ -103,4 +103,4 @@ def test_readings_are_found_in_another_order_and_polarity():
 def test_a_reading_that_is_not_there_is_named(used, said):
     pairs = opposite_pairs()[used]
     with pytest.raises(CalibrationError, match=said):
-        matched_readings(pairs, DistinctPairs.of(pairs[1:]))
+        match_readings(pairs, DistinctPairs.from_pairs(pairs[1:]))

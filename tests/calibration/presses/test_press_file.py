@@ -11,7 +11,7 @@ from cbsr_qa.calibration.file import (
     encode,
     read_calibration,
     read_issued,
-    stamped,
+    stamp,
     verify_calibration_file,
     write_calibration,
 )
@@ -43,7 +43,7 @@ def test_what_is_written_is_read(issued, tmp_path):
 def test_what_knows_no_force_is_a_file_of_the_first_version(issued, tmp_path):
     """So that programs of before open it, and it keeps its digest."""
     versions, before = [], replace(issued, drive=(), measure=())
-    for name, each in (("force", stamped(before)), ("none", stamped(replace(before, force=None)))):
+    for name, each in (("force", stamp(before)), ("none", stamp(replace(before, force=None)))):
         write_calibration(tmp_path / f"{name}.h5", each)
         versions.append(verify_calibration_file(tmp_path / f"{name}.h5").schema_version)
     assert versions == [2, 1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_sensor, some
 
-from cbsr_qa.calibration.presses.ascent import ascended
+from cbsr_qa.calibration.presses.ascent import ascend
 from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
 from cbsr_qa.calibration.presses.likeness import Likeness
 from cbsr_qa.calibration.presses.registration import register_presses
@@ -79,7 +79,7 @@ def test_nine_presses_on_a_grid_are_not_drawn_to_the_lattice_and_the_scale_has_a
     pairs = np.array(
         [(*model.pattern.drive[d], *model.pattern.measure[m]) for d, m in zip(drive, measure, strict=True)]
     )
-    loads = RoundLoads.of_contrast(places, np.full(9, head_mm / 2), np.full(9, 0.3))
+    loads = RoundLoads.from_contrast(places, np.full(9, head_mm / 2), np.full(9, 0.3))
     changes = model.readings(loads).change[:, drive, measure]
     pose = register_presses(ModelledSheet(sensor), pairs, changes, places, radius_stated=True).registration
     assert abs(pose.scale - 1) < 2 * pose.scale_stderr < 0.1
@@ -193,10 +193,10 @@ def test_slopes_and_bends_of_likelihoods_are_those_of_differences():
     pressed = pressed_sheet(6, noise=0.3)
     likeness = Likeness(ModelledSheet(pressed.sensor), pressed.pairs, pressed.changes)
     places = np.random.default_rng(2).uniform(-1, 1, (40, 6, 2))  # some of them at the rim and beyond the sheet
-    _, *slopes, xx, xy, yy = likeness.at(places)
+    _, *slopes, xx, xy, yy = likeness.evaluate(places)
     step = 1e-5
     for slope, bends, along in zip(slopes, [(xx, xy), (xy, yy)], step * np.eye(2), strict=True):
-        change = (likeness.at(places + along) - likeness.at(places - along)) / (2 * step)
+        change = (likeness.evaluate(places + along) - likeness.evaluate(places - along)) / (2 * step)
         np.testing.assert_allclose(slope, change[0], rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(bends, change[1:3], rtol=1e-4, atol=1e-3)
     assert np.abs(slopes).max() > 1
@@ -214,7 +214,7 @@ def test_an_ascent_ends_at_the_nearest_maximum_and_leaves_saddles():
 
     stretched = np.array([1.0, 1.0, 2.0, 1.0])
     starts = np.array([[0.5, -0.7], [2.9, 3.6], [0.3, 0.2], [np.pi / 2 + 0.01, np.pi / 2 + 0.01]])
-    at, value = ascended(jet, starts)
+    at, value = ascend(jet, starts)
     np.testing.assert_allclose(value, 1, atol=1e-12)
     np.testing.assert_allclose(at[:3], [[0, 0], [np.pi, np.pi], [0, 0]], atol=1e-6)
     np.testing.assert_allclose(np.abs(at[3] - np.pi / 2), np.pi / 2, atol=1e-6)

@@ -13,12 +13,12 @@ from calibration_samples import sample_calibration
 from force_calibration import NOISE_V, force_calibration, frames
 
 from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.file import encode, firmware_document, lost_by, thinned, write_calibration
-from cbsr_qa.calibration.force import prepared_force, template_bank
+from cbsr_qa.calibration.file import encode, firmware_document, measure_loss, thin_model, write_calibration
+from cbsr_qa.calibration.force import prepare_force, template_bank
 from cbsr_qa.calibration.runtime import TemplateFilter
 from cbsr_qa.domain import CalibrationError, NumericsError, as_filed
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.estimate import load_model, merged_readings
+from cbsr_qa.eit.estimate import load_model, merge_reciprocal
 
 _DOCS = Path(__file__).parents[3] / "docs"
 _PAGE = (_DOCS / "reference" / "calibration-file.md").read_text()
@@ -103,7 +103,7 @@ def test_the_place_is_where_the_page_says(printed, calibration):
     rows, _ = calibration.rows(seen)
     step = np.linspace(-1.0, 1.0, 41)
     around = found.place_mm[0] + np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
-    matches = TemplateFilter(calibration.model).at(np.repeat(rows, len(around), axis=0), around)
+    matches = TemplateFilter(calibration.model).match_at(np.repeat(rows, len(around), axis=0), around)
     best = around[np.argmax(matches.gain)]
     assert np.hypot(*(best - found.place_mm[0])) < 0.1  # the interpolated score is not quite the score in between
     assert np.sqrt(matches.gain.max()) == pytest.approx(found.detectability[0], rel=1e-3)
@@ -235,7 +235,7 @@ def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calib
     """Against the model whose templates are prepared again in double precision."""
     issued = calibration.issued
     kind, used = issued.sensor_type, issued.reconstruction.problem.used
-    readings = merged_readings(kind.pattern, used, np.full(used.shape, (NOISE_V / 7.24) ** 2))
+    readings = merge_reciprocal(kind.pattern, used, np.full(used.shape, (NOISE_V / 7.24) ** 2))
     bank = template_bank(load_model(kind), readings, Indenter(13.0))
     double = replace(
         issued.force,
@@ -258,11 +258,11 @@ def test_templates_prepared_from_the_record_are_those_that_were_issued():
     issued = force_calibration()
     merging, about = issued.force.merging, (issued.reference, issued.indenter)
     used = issued.reconstruction.problem.used
-    prepared = prepared_force(issued.sensor_type, used, merging, *about)
+    prepared = prepare_force(issued.sensor_type, used, merging, *about)
     np.testing.assert_allclose(prepared.templates, issued.force.templates, atol=1e-7)
     np.testing.assert_allclose(prepared.log_size, issued.force.log_size, rtol=1e-6)
     with pytest.raises(CalibrationError, match="does not make 104 rows of 208 readings"):
-        prepared_force(issued.sensor_type, used, merging[1:], *about)
+        prepare_force(issued.sensor_type, used, merging[1:], *about)
 
 
 # --- firmware ------------------------------------------------------------------------------------------------
@@ -307,7 +307,7 @@ def test_the_firmware_file_is_small_and_says_what_it_is_of(firmware):
 
 def test_a_finer_lattice_loses_less_and_the_same_lattice_only_its_bits():
     issued = force_calibration()
-    losses = [lost_by(issued, thinned(issued.force, stride)) for stride in (4, 2, 1)]
+    losses = [measure_loss(issued, thin_model(issued.force, stride)) for stride in (4, 2, 1)]
     rms = [loss.relative_force_error_rms for loss in losses]
     assert rms[0] > 4 * rms[1] > 4 * rms[2]
     assert losses[2].relative_force_error_worst < 1e-3

@@ -54,7 +54,7 @@ def test_clean_frames_have_none_of_the_faults(calibration, pressed):
     places, _, clean = pressed
     unloaded = frames(np.zeros((300, 2)), np.zeros(300), seed=4)
     heavy = frames(places, np.full(COUNT, 8.0))
-    both = clean + heavy[::-1] - SCALE * load_model(SENSOR_TYPE).unloaded()
+    both = clean + heavy[::-1] - SCALE * load_model(SENSOR_TYPE).solve_unloaded()
     for seen in (clean, unloaded, heavy, both):
         assert not (calibration.force(seen).flags & NAMES).any()
         assert not any(each.flags & NAMES for each in calibration.forces(seen[:20]))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from force_samples import HEAD, setting, somewhere
 
-from cbsr_qa.calibration.force import CONTRAST, unlearned_model
-from cbsr_qa.calibration.runtime.interpolation import interpolated
+from cbsr_qa.calibration.force import CONTRAST, make_even_model
+from cbsr_qa.calibration.runtime.interpolation import interpolate
 from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
 from cbsr_qa.domain.run import Indenter
 
@@ -13,7 +13,7 @@ from cbsr_qa.domain.run import Indenter
 @pytest.fixture(scope="module")
 def model():
     here = setting()
-    return unlearned_model(here.bank, here.readings.merging)
+    return make_even_model(here.bank, here.readings.merging)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ class TestKnownPlace:
         random = np.random.default_rng(1)
         places = somewhere(random, 300, radius_mm)
         rows = setting().rows(places, np.full(300, CONTRAST))
-        found = finder.at(rows, places)
+        found = finder.match_at(rows, places)
         assert found.strength == pytest.approx(strength(CONTRAST), rel=error)
         assert found.gain == pytest.approx((rows**2).sum(axis=1), rel=10 * error)
 
@@ -40,12 +40,12 @@ class TestKnownPlace:
         # Within 30 mm of the centre the readings follow 2κ/(2 + κ) to half a percent.
         places = somewhere(np.random.default_rng(2), 100, 30.0)
         rows = setting().rows(places, np.full(100, contrast))
-        assert finder.at(rows, places).strength == pytest.approx(strength(contrast), rel=5e-3)
+        assert finder.match_at(rows, places).strength == pytest.approx(strength(contrast), rel=5e-3)
 
     def test_noise_gives_the_stated_variance(self, finder):
         random = np.random.default_rng(3)
         places = somewhere(random, 4000)
-        found = finder.at(random.standard_normal((4000, finder.templates.shape[1])), places)
+        found = finder.match_at(random.standard_normal((4000, finder.templates.shape[1])), places)
         scores = found.strength / np.sqrt(found.covariance[:, 0, 0])
         assert np.mean(scores**2) == pytest.approx(1, abs=0.09)  # four standard errors
         assert (found.covariance[:, 1:, 1:] == 0).all()
@@ -58,7 +58,7 @@ class TestKnownPlace:
         places = somewhere(np.random.default_rng(4), 50, 25.0)
         head = Indenter(10.0)
         finder = TemplateFilter(model, size=head.squared_radius_mm2 / HEAD.squared_radius_mm2)
-        found = finder.at(setting().rows(places, np.full(50, 0.1), head), places)
+        found = finder.match_at(setting().rows(places, np.full(50, 0.1), head), places)
         assert found.strength * HEAD.area_mm2 / head.area_mm2 == pytest.approx(strength(0.1), rel=5e-3)
 
 
@@ -83,7 +83,7 @@ class TestSearch:
         places = somewhere(random, 300, 34.0)
         rows = setting().rows(places, np.full(300, 0.08))
         rows += random.standard_normal(rows.shape)
-        given = finder.at(rows, places).gain
+        given = finder.match_at(rows, places).gain
         less = given - finder.search(rows).gain
         assert (less < 0.2 + 3e-4 * given).all()  # 0.2 of the 2 that two coordinates gain; interpolation
         assert (less > 0).mean() < 0.05
@@ -124,6 +124,6 @@ class TestBank:
         places = model.lattice.places_mm()[model.node.ravel() >= 0]
         values = 1 + 0.02 * places[:, 0] - 0.01 * places[:, 1]
         at = np.array([[3.3, 4.7], [-20.1, 11.9], [80.0, 0.0]])
-        found = interpolated(model, values, at)
+        found = interpolate(model, values, at)
         assert found[:2] == pytest.approx(1 + 0.02 * at[:2, 0] - 0.01 * at[:2, 1])
         assert np.isnan(found[2])

@@ -47,7 +47,7 @@ def frame(sheet, places_mm, force_N, random, noise=1.0):
     }
     # The change alone: mesh and expansion do not share their unloaded readings to the last digits of a change.
     change = (sheet.voltages(changes) - sheet.unloaded) * sheet.conductance_S
-    return setting().model.unloaded() + change + noise * NOISE * random.standard_normal(change.shape)
+    return setting().model.solve_unloaded() + change + noise * NOISE * random.standard_normal(change.shape)
 
 
 def pairs(random, distance_mm, count, radius_mm=36.0):
@@ -141,7 +141,7 @@ def test_a_whole_hand_is_more_than_one(calibration, sheet, each_N):
 
 def test_noise_and_frames_that_cannot_be_used_hold_no_head(calibration):
     here, random = setting(), np.random.default_rng(13)
-    light = here.model.unloaded()
+    light = here.model.solve_unloaded()
     noise = light + NOISE * random.standard_normal((200, *light.shape))
     nothing = calibration.forces(noise)
     assert [len(found.loads.force_N) for found in nothing] == [0] * 200
@@ -171,7 +171,7 @@ def test_the_fit_of_exact_sums_is_exact(calibration):
 @pytest.mark.parametrize("at_most", [0, -1, 2.5, "two"])
 def test_a_number_of_heads_that_counts_nothing_is_refused(calibration, at_most):
     with pytest.raises(CalibrationError, match="heads cannot be searched for"):
-        calibration.forces(setting().model.unloaded(), at_most=at_most)
+        calibration.forces(setting().model.solve_unloaded(), at_most=at_most)
 
 
 @pytest.mark.parametrize(("diameter_mm", "radius_mm"), [(8.0, 30.0), (20.0, 20.0), (20.0, 36.0), (24.0, 30.0)])
@@ -182,12 +182,12 @@ def test_the_error_of_another_heads_template_is_in_its_standard_error(calibratio
     contrast = 0.1 * HEAD.area_mm2 / head.area_mm2
     rows = setting().rows(places, np.full(12, contrast), head)
     size = head.squared_radius_mm2 / HEAD.squared_radius_mm2
-    strength = calibration._filter(head).at(rows, places).strength * HEAD.area_mm2 / head.area_mm2
+    strength = calibration._filter(head).match_at(rows, places).strength * HEAD.area_mm2 / head.area_mm2
     error = np.abs(strength / (2 * contrast / (2 + contrast)) - 1)
     stated = SizeError(calibration.model, HEAD.radius_mm)(size, places)
     assert (error < 2 * stated).all()
     assert stated.mean() < 5 * error.mean()
-    usual = calibration.force(setting().model.unloaded(), place_mm=places[0])
+    usual = calibration.force(setting().model.solve_unloaded(), place_mm=places[0])
     assert not usual.flags[0] & Flag.OTHER_HEAD
 
 
@@ -196,8 +196,8 @@ def test_a_head_far_from_the_calibrated_one_is_flagged(calibration):
     for diameter_mm, flagged in ((13.0, False), (20.0, False), (40.0, True)):
         head = Indenter(diameter_mm)
         contrast = np.array([0.2 * HEAD.area_mm2 / head.area_mm2])
-        loads = RoundLoads.of_contrast(place, np.array([head.radius_mm]), contrast)
-        frames = here.model.unloaded() + here.model.readings(loads).change[0]
+        loads = RoundLoads.from_contrast(place, np.array([head.radius_mm]), contrast)
+        frames = here.model.solve_unloaded() + here.model.readings(loads).change[0]
         one = calibration.force(frames, indenter=head)
         (several,) = calibration.forces(frames, indenter=head)
         assert bool(one.flags[0] & Flag.OTHER_HEAD) is flagged

@@ -68,7 +68,7 @@ def stream(presses, until_s, seed=0):
     random = np.random.default_rng(seed)
     here = setting()
     for time_s in np.arange(FRAME_S / 2, until_s, FRAME_S):
-        frame = here.model.unloaded() + NOISE * random.standard_normal(here.used.shape)
+        frame = here.model.solve_unloaded() + NOISE * random.standard_normal(here.used.shape)
         for press in presses:
             contrast = press.contrast(time_s)
             if contrast:
@@ -287,7 +287,7 @@ class TestFrames:
 
     def test_flags(self, calibration, response):
         here = setting()
-        light = here.model.unloaded()
+        light = here.model.solve_unloaded()
         heavy = light + here.voltages(np.array([[5.0, 5.0]]), np.array([0.4]))[0]
         wrong = light + here.voltages(np.array([[5.0, 5.0]]), np.array([-0.1]))[0]
         two = light + here.voltages(np.array([[25.0, 5.0], [-25.0, 0.0]]), np.array([0.15, 0.15])).sum(axis=0)
@@ -313,14 +313,14 @@ class TestFrames:
         contrast = response(np.zeros((1, 2))) * line().slope.value * stress
         here, random = setting(), np.random.default_rng(4)
         noise = NOISE * random.standard_normal((200, *here.used.shape))
-        forces = calibration.force(here.model.unloaded() + here.voltages(np.zeros((1, 2)), contrast) + noise)
+        forces = calibration.force(here.model.solve_unloaded() + here.voltages(np.zeros((1, 2)), contrast) + noise)
         missed = forces.flags == Flag.NOT_DETECTED
         assert missed.mean() > 0.5
         assert (np.abs(forces.force_N - 0.6 * calibration.least_force_N)[missed] < forces.stderr_N[missed]).all()
 
     def test_current_scales_frames(self, calibration):
         here = setting()
-        frame = here.model.unloaded() + here.voltages(np.array([[5.0, 5.0]]), np.array([0.1]))[0]
+        frame = here.model.solve_unloaded() + here.voltages(np.array([[5.0, 5.0]]), np.array([0.1]))[0]
         one, half = calibration.force(frame), calibration.force(frame / 2, current_A=0.5)
         assert half.force_N == pytest.approx(one.force_N, rel=1e-9)
 
@@ -329,9 +329,9 @@ class TestFrames:
         # A force is stress × area: of the same force a wider head makes a fainter, larger change.
         here, place, head = setting(), np.array([[8.0, -4.0]]), Indenter(diameter_mm)
         contrast = np.array([0.1 * HEAD.area_mm2 / head.area_mm2])
-        loads = RoundLoads.of_contrast(place, np.array([head.radius_mm]), contrast)
-        frame = here.model.unloaded() + here.model.readings(loads).change[0]
-        usual = here.model.unloaded() + here.voltages(place, np.array([0.1]))[0]
+        loads = RoundLoads.from_contrast(place, np.array([head.radius_mm]), contrast)
+        frame = here.model.solve_unloaded() + here.model.readings(loads).change[0]
+        usual = here.model.solve_unloaded() + here.voltages(place, np.array([0.1]))[0]
         expected = calibration.force(usual, place_mm=place[0]).force_N[0]
         found = calibration.force(frame, place_mm=place[0], indenter=head)
         assert found.force_N[0] == pytest.approx(expected, rel=0.01)
@@ -374,9 +374,9 @@ def test_what_is_left_where_no_head_can_be_is_flagged(calibration):
     stream = ForceStream(calibration)
     track = Track(1, np.array([0.6, -46.4]), calibration.filter.template(np.zeros((1, 2)))[0], 0.0, 0.0, 1.0)
     track.state, track.strength = "unloading", 0.01
-    told = stream._told(track, Flag(0))
+    told = stream._report(track, Flag(0))
     assert np.isfinite(told.left_N) or Flag.OUTSIDE in told.flags
     track.place_mm = np.array([0.0, 60.0])
-    told = stream._told(track, Flag(0))
+    told = stream._report(track, Flag(0))
     assert np.isnan(told.left_N)
     assert Flag.OUTSIDE in told.flags

@@ -11,7 +11,7 @@ from cbsr_qa.calibration.sheet.baseline import (
     baseline_conductance,
     load_baseline,
     location_baseline,
-    predicted_change,
+    predict_change,
 )
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
@@ -52,7 +52,7 @@ def test_the_change_is_averaged_by_area():
     values = np.linspace(0.01, 0.05, len(mesh.elements))
     found = load_baseline(replace(load, image=Image(mesh, values)), STRESS, QUIET, 0.85)
     expected = values @ mesh.areas_mm2 / mesh.areas_mm2.sum()
-    assert found.value * predicted_change(STRESS, load.stress_kPa)[0] == pytest.approx(expected, rel=1e-12)
+    assert found.value * predict_change(STRESS, load.stress_kPa)[0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_error_is_that_of_image_noise_and_force():
@@ -84,8 +84,8 @@ def test_loads_that_say_nothing_are_left_out_with_the_reason(load, fit, said):
 
 
 def test_slope_and_intercept_that_err_together_err_less():
-    alone = predicted_change(_material(0.0, 1e-3), 20.0)
-    together = predicted_change(_material(0.0, 1e-3, -0.9 * 1e-3 * 0.01), 20.0)
+    alone = predict_change(_material(0.0, 1e-3), 20.0)
+    together = predict_change(_material(0.0, 1e-3, -0.9 * 1e-3 * 0.01), 20.0)
     assert alone[0] == together[0]
     assert together[1] == pytest.approx(np.sqrt(0.02**2 + 0.01**2 - 2 * 20 * 0.9e-5))
     assert together[1] < alone[1]

@@ -7,7 +7,7 @@ from scipy.optimize import linprog
 
 from cbsr_qa.calibration.sheet.data_sheet import (
     best_straight_line,
-    pooled_deviation,
+    pool_deviations,
     ratio_of_sums,
     relative_spread,
     slope,
@@ -29,7 +29,7 @@ curves = st.lists(st.tuples(st.integers(0, 300), finite), min_size=3, max_size=9
 
 
 def test_the_pooled_deviation_is_nists():
-    found = pooled_deviation(SIRSTV)
+    found = pool_deviations(SIRSTV)
     assert found.value == pytest.approx(1.04076068334656e-01, rel=1e-10)
     assert found.degrees == 20
     assert found.stderr == pytest.approx(found.value / np.sqrt(40))
@@ -37,9 +37,9 @@ def test_the_pooled_deviation_is_nists():
 
 def test_single_values_say_nothing_about_scatter():
     alone = [(3.0,), (4.0,)]
-    assert pooled_deviation([*SIRSTV, *alone]) == pooled_deviation(SIRSTV)
+    assert pool_deviations([*SIRSTV, *alone]) == pool_deviations(SIRSTV)
     with pytest.raises(NumericsError, match="nothing was pressed twice"):
-        pooled_deviation(alone)
+        pool_deviations(alone)
 
 
 @given(curve=curves)

@@ -9,7 +9,7 @@ from simulated_runs import simulated_run
 from test_verification import observed
 
 from cbsr_qa.analysis.run import run_force
-from cbsr_qa.calibration.force import unlearned_model
+from cbsr_qa.calibration.force import make_even_model
 from cbsr_qa.calibration.runtime import TemplateFilter
 from cbsr_qa.calibration.sheet.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.config import load_scene_plan
@@ -23,7 +23,7 @@ def pressed(shift_mm, rotation_deg, *, count=12, noise=0.25, seed=1):
     nominal = somewhere(random, count, 33.0)
     on_sheet = SheetPose(shift_mm, rotation_deg, moved=True).places_mm(nominal)
     rows = setting().rows(on_sheet, np.full(count, 0.12))
-    finder = TemplateFilter(unlearned_model(setting().bank, setting().readings.merging))
+    finder = TemplateFilter(make_even_model(setting().bank, setting().readings.merging))
     found = finder.search(rows + np.sqrt(noise) * random.standard_normal(rows.shape))
     return nominal, found, np.full(count, noise), on_sheet
 

@@ -9,7 +9,7 @@ from strip_samples import SPEED, Truth, readings, specimen
 from cbsr_qa.calibration.fits import fit_quasi_static
 from cbsr_qa.calibration.strip.characterisation import characterise
 from cbsr_qa.calibration.strip.lines import (
-    decided_response,
+    decide_response,
     fit_line,
     fit_modulus,
     lowest_clear_strain,
@@ -185,10 +185,10 @@ def cycle(strain, change, *, stress=None, number=0, stderr=1e-4):
 def test_strains_that_disagree_in_sign_are_refused_by_name():
     rising = [cycle(0.1, 0.010 + 1e-4 * k, number=k) for k in range(3)]
     falling = [cycle(0.2, -0.020 + 1e-4 * k, number=k) for k in range(3)]
-    response, why = decided_response(strain_levels([*rising, *falling]), Response.AUTO)
+    response, why = decide_response(strain_levels([*rising, *falling]), Response.AUTO)
     assert response is Response.AUTO
     assert why.startswith("strains disagree in sign: 10 % changes the conductance by +0.01, 20 % by -0.02")
-    assert decided_response((), Response.AUTO) == (Response.AUTO, "no strain changes the conductance clearly")
+    assert decide_response((), Response.AUTO) == (Response.AUTO, "no strain changes the conductance clearly")
 
 
 def test_a_strain_of_which_a_cycle_goes_the_other_way_is_left_out():

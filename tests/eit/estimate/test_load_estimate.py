@@ -19,7 +19,7 @@ from cbsr_qa.eit.estimate.load_estimate import (
     contrast_of,
     radius_of,
 )
-from cbsr_qa.eit.estimate.readings import load_model, merged_readings
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.loads import RoundLoads
@@ -28,12 +28,12 @@ from cbsr_qa.eit.mesh import sheet_mesh
 SENSOR = load_sensor_type("disc-100mm").value
 MODEL = load_model(SENSOR)
 USED = SENSOR.pattern.usable()
-UNLOADED = MODEL.unloaded()
+UNLOADED = MODEL.solve_unloaded()
 FOUND = {finding: number for number, finding in enumerate(LoadFinding)}
 
 
 def readings(decibels: float, used: np.ndarray = USED):
-    return merged_readings(SENSOR.pattern, used, (10 ** (-decibels / 20) * UNLOADED) ** 2)
+    return merge_reciprocal(SENSOR.pattern, used, (10 ** (-decibels / 20) * UNLOADED) ** 2)
 
 
 def estimator(decibels: float, *, known: bool, radius_mm: float = 6.5) -> LoadEstimator:
@@ -41,7 +41,7 @@ def estimator(decibels: float, *, known: bool, radius_mm: float = 6.5) -> LoadEs
 
 
 def change(x: float, y: float, radius: float, contrast: float) -> np.ndarray:
-    loads = RoundLoads.of_contrast(np.array([[x, y]]), np.array([radius]), np.array([contrast]))
+    loads = RoundLoads.from_contrast(np.array([[x, y]]), np.array([radius]), np.array([contrast]))
     return MODEL.readings(loads).change[0]
 
 
@@ -50,7 +50,7 @@ def meshed_change(x: float, y: float, radius: float, contrast: float) -> np.ndar
     mesh, inside = fitted_mesh(sheet_mesh(SENSOR, size_mm=3.0), (x, y), radius)
     contacts = np.full(SENSOR.electrodes.count, NOMINAL_CONTACT_MM)
     plain = ForwardModel(mesh, SENSOR.pattern, np.ones(len(mesh.elements)), contacts, order=2)
-    return plain.changed(conductance=1 + contrast * inside).voltages() - plain.voltages()
+    return plain.with_values(conductance=1 + contrast * inside).voltages() - plain.voltages()
 
 
 def noise(decibels: float, count: int, seed: int) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_the_fisher_matrix_is_that_of_differences():
     merged = readings(60)
     slopes = np.stack(
         [
-            (merged.of_model(change(*(at + step))) - merged.of_model(change(*(at - step)))) / (2 * size)
+            (merged.merge_frames(change(*(at + step))) - merged.merge_frames(change(*(at - step)))) / (2 * size)
             for step, size in zip(np.diag(steps), steps, strict=True)
         ]
     )
@@ -82,7 +82,7 @@ def test_the_fisher_matrix_is_that_of_differences():
     known = np.linalg.inv((slopes @ slopes.T)[np.ix_([0, 1, 3], [0, 1, 3])])
     with_radius = bound(60, *at[:2], known=True, contrast=at[3])
     assert with_radius.contrast_stderr == pytest.approx(np.sqrt(known[2, 2]), rel=1e-4)
-    assert with_radius.detectability == pytest.approx(np.linalg.norm(merged.of_model(change(*at))), rel=1e-12)
+    assert with_radius.detectability == pytest.approx(np.linalg.norm(merged.merge_frames(change(*at))), rel=1e-12)
 
 
 @pytest.mark.rest
@@ -224,11 +224,11 @@ def test_places_are_as_uncertain_as_stated_whatever_electrodes_are_missing():
     random = np.random.default_rng(17)
     noise_V, errors = 2e-4 * np.abs(UNLOADED[USED]).max(), []
     places = random.uniform(-24, 24, (80, 2))
-    loads = RoundLoads.of_contrast(places, np.full(80, 6.5), np.full(80, 0.5))
+    loads = RoundLoads.from_contrast(places, np.full(80, 6.5), np.full(80, 0.5))
     frames = MODEL.readings(loads).change + noise_V * random.standard_normal((80, *USED.shape))
     for missing in ((), (3, 9), (0, 5, 6, 12), (1, 4, 7, 8, 13)):
         used = USED & ~SENSOR.pattern.touching(missing)
-        merged = merged_readings(SENSOR.pattern, used, np.full(used.shape, noise_V**2))
+        merged = merge_reciprocal(SENSOR.pattern, used, np.full(used.shape, noise_V**2))
         found = LoadEstimator(MODEL, merged, expected_radius_mm=6.5, known=True).estimate(frames[:, used])
         off = np.array([each.place_mm for each in found]) - places
         squares = [
@@ -245,17 +245,17 @@ def test_readings_merge_by_reciprocity_without_loss():
     merged = readings(60)
     assert len(merged.weight) == 104
     frame = change(10.0, 3.0, 6.5, 0.3)
-    assert np.allclose(merged.of_data(frame[USED][None])[0], merged.of_model(frame), rtol=1e-9)
-    rows = merged.of_data(noise(60, 4000, 3))
+    assert np.allclose(merged.merge_changes(frame[USED][None])[0], merged.merge_frames(frame), rtol=1e-9)
+    rows = merged.merge_changes(noise(60, 4000, 3))
     assert np.abs(np.cov(rows.T) - np.eye(104)).max() < 0.12
 
 
 def test_reversed_pairs_merge_with_their_sign():
     turned = DrivePattern(16, SENSOR.pattern.drive, tuple((b, a) for a, b in SENSOR.pattern.measure))
-    merged = merged_readings(turned, turned.usable(), np.ones(turned.shape))
+    merged = merge_reciprocal(turned, turned.usable(), np.ones(turned.shape))
     frame = -change(10.0, 3.0, 6.5, 0.3)
     assert len(merged.weight) == 104
-    assert np.allclose(merged.of_data(frame[turned.usable()][None])[0], merged.of_model(frame), atol=1e-12)
+    assert np.allclose(merged.merge_changes(frame[turned.usable()][None])[0], merged.merge_frames(frame), atol=1e-12)
 
 
 def test_the_radius_is_never_negative_and_its_bias_is_of_fourth_order():
@@ -293,11 +293,11 @@ def test_impossible_input_is_refused():
     with pytest.raises(NumericsError, match="does not fit on the sheet"):
         LoadEstimator(MODEL, merged, expected_radius_mm=60.0, known=True)
     with pytest.raises(NumericsError, match="positive finite"):
-        merged_readings(SENSOR.pattern, USED, np.zeros(SENSOR.pattern.shape))
+        merge_reciprocal(SENSOR.pattern, USED, np.zeros(SENSOR.pattern.shape))
     with pytest.raises(NumericsError, match="independent readings"):
-        merged_readings(SENSOR.pattern, USED & (np.arange(256).reshape(16, 16) < 12), np.ones(SENSOR.pattern.shape))
+        merge_reciprocal(SENSOR.pattern, USED & (np.arange(256).reshape(16, 16) < 12), np.ones(SENSOR.pattern.shape))
     with pytest.raises(NumericsError, match="do not match frames"):
-        merged_readings(SENSOR.pattern, USED[:3], np.ones(SENSOR.pattern.shape))
+        merge_reciprocal(SENSOR.pattern, USED[:3], np.ones(SENSOR.pattern.shape))
 
 
 def test_the_answer_does_not_depend_on_what_else_is_asked():

@@ -122,7 +122,7 @@ def test_signals_of_loads_agree_with_the_exact_ones(pin_sensor):
         local = LocalUpdate(model)
         for x, y in ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (7.3, -33.0)):
             exact = exact_model.readings(
-                RoundLoads.of_contrast(np.array([[x, y]]), np.array([6.5]), np.array([0.5]))
+                RoundLoads.from_contrast(np.array([[x, y]]), np.array([6.5]), np.array([0.5]))
             ).change[0][usable]
             load = cover(model.elements, RoundFootprint(x, y, 6.5))
             for change, bound in ((load.change(model.conductance, 0.5), allowed), (0.5 * load.share, 0.1)):

@@ -84,7 +84,7 @@ def errors_of(models: list[ForwardModel], exact: np.ndarray) -> tuple[list[float
 @pytest.mark.parametrize(("contact", "order"), [(0.1, 3.3), (0.05, 3.35), (0.001, 3.75)])
 def test_arcs_converge_to_the_exact_solution_with_nearly_the_fourth_order(arcs, contact, order):
     exact = arc_transfer_impedance(EVEN, ANGLES, 0.05, contact, modes=30, harmonics=20_000)
-    models = [model.changed(contact_impedance=np.full(16, contact)) for model in arcs]
+    models = [model.with_values(contact_impedance=np.full(16, contact)) for model in arcs]
     used, every = errors_of(models, exact)
     assert_expected_order(every, SIZES, order, 0.25)
     assert_expected_order(used, SIZES, 3.7, 0.7)
@@ -95,7 +95,7 @@ def test_arcs_converge_to_the_exact_solution_with_nearly_the_fourth_order(arcs, 
 def test_no_contact_impedance_costs_an_order(arcs):
     """With z → 0 the current density goes as r^(−1/2) at the ends, and the mesh is not graded for that."""
     exact = arc_transfer_impedance(EVEN, ANGLES, 0.05, 1e-5, modes=40, harmonics=40_000)
-    used, every = errors_of([model.changed(contact_impedance=np.full(16, 1e-5)) for model in arcs], exact)
+    used, every = errors_of([model.with_values(contact_impedance=np.full(16, 1e-5)) for model in arcs], exact)
     assert_expected_order(every, SIZES, 2.65, 0.3)
     assert used[-1] < 1e-4
 
@@ -119,7 +119,7 @@ def test_points_agree_with_the_exact_solution(arc_sensor):
     angles = np.arctan2(mesh.nodes_mm[nodes, 1], mesh.nodes_mm[nodes, 0])
     plain = point_model(mesh, nodes, sensor.pattern, np.ones(len(mesh.elements)), order=2)
     load = cover(plain.elements, RoundFootprint(0.0, 0.0, 0.6))
-    pressed = plain.changed_on(load.elements, load.change(plain.conductance, 3.0))
+    pressed = plain.with_change_on(load.elements, load.change(plain.conductance, 3.0))
     for model, inclusion, allowed in ((plain, 0.0, 1e-4), (pressed, 0.6, 2e-3)):
         exact = point_transfer_impedance(ConcentricSheet(1.0, 1.0, inclusion, 4.0), angles)
         assert relative_error(model.voltages()[usable], model.readings(exact)[usable]) < allowed
@@ -133,8 +133,8 @@ def test_an_inclusion_that_the_mesh_does_not_follow(arcs):
         )
         for model, allowed in zip(arcs, (1.5e-3, 1e-3, 6e-4), strict=True):
             load = cover(model.elements, RoundFootprint(0.0, 0.0, radius))
-            pressed = model.changed_on(load.elements, load.change(model.conductance, 2.0))
-            scaled = model.changed_on(load.elements, 2.0 * load.share)
+            pressed = model.with_change_on(load.elements, load.change(model.conductance, 2.0))
+            scaled = model.with_change_on(load.elements, 2.0 * load.share)
             expected = model.readings(exact)[usable]
             error = relative_error(pressed.voltages()[usable], expected)
             assert error < allowed
@@ -225,7 +225,7 @@ def uneven(pin_sensor) -> ForwardModel:
     plain = model_on(pin_sensor(count=8), 0.2)
     random = np.random.default_rng(5)
     conductance = np.exp(random.normal(0, 0.5, len(plain.mesh.elements)))
-    return plain.changed(conductance=conductance, contact_impedance=random.uniform(0.1, 1, 8))
+    return plain.with_values(conductance=conductance, contact_impedance=random.uniform(0.1, 1, 8))
 
 
 @pytest.mark.parametrize(
@@ -239,12 +239,12 @@ def uneven(pin_sensor) -> ForwardModel:
 )
 def test_impossible_directional_conductances_are_refused(uneven, wrong):
     conductance = np.tile(np.eye(2), (len(uneven.mesh.elements), 3, 1, 1))
-    assert uneven.changed(conductance=conductance).voltages().shape == uneven.pattern.shape
+    assert uneven.with_values(conductance=conductance).voltages().shape == uneven.pattern.shape
     conductance[7, 1] = wrong
     with pytest.raises(NumericsError, match=r"conductance 7 is .* in every direction"):
-        uneven.changed(conductance=conductance)
+        uneven.with_values(conductance=conductance)
     with pytest.raises(NumericsError, match="conductance has shape"):
-        uneven.changed(conductance=conductance[:, :2])
+        uneven.with_values(conductance=conductance[:, :2])
 
 
 def test_what_was_prepared_for_another_mesh_is_refused(uneven):
@@ -256,4 +256,4 @@ def test_what_was_prepared_for_another_mesh_is_refused(uneven):
 def test_changes_beside_the_mesh_are_refused(uneven):
     for element in (-1, len(uneven.mesh.elements)):
         with pytest.raises(NumericsError, match="not one of 0 to"):
-            uneven.changed_on(np.array([element]), np.array([0.1]))
+            uneven.with_change_on(np.array([element]), np.array([0.1]))

@@ -46,7 +46,7 @@ def test_driven_current_reaches_the_sheet_and_potentials_sum_to_zero(uneven):
 @drawn(15)
 def test_voltages_scale_with_resistance(uneven, factor):
     """Only ratios count: no conductance is extreme by itself."""
-    scaled = uneven.changed(
+    scaled = uneven.with_values(
         conductance=factor * uneven.conductance, contact_impedance=uneven.contact_impedance / factor
     )
     assert np.allclose(scaled.voltages() * factor, uneven.voltages(), rtol=1e-9, atol=0)
@@ -70,7 +70,9 @@ def test_derivatives_are_those_of_the_readings(uneven, what, jacobian, steps):
     direction = np.random.default_rng(6).normal(0, 1, len(values)) * values
     linear, errors = getattr(uneven, jacobian)() @ direction, []
     for step in steps:
-        ahead, behind = (uneven.changed(**{what: values + sign * step * direction}).voltages() for sign in (1, -1))
+        ahead, behind = (
+            uneven.with_values(**{what: values + sign * step * direction}).voltages() for sign in (1, -1)
+        )
         errors.append(float(np.abs((ahead - behind) / (2 * step) - linear).max()))
     assert_expected_order(errors, steps, 2.0, 0.05)
     assert errors[-1] < 1e-4 * np.abs(linear).max()
@@ -95,7 +97,7 @@ def test_a_better_sheet_and_better_contacts_lower_every_driving_point_resistance
 
 @pytest.mark.parametrize("contact", [1e-3, 1e6])
 def test_extreme_contacts_keep_their_derivative(uneven, contact):
-    slope = uneven.changed(contact_impedance=np.full(COUNT, contact)).contact_jacobian()[0, 0, 0]
+    slope = uneven.with_values(contact_impedance=np.full(COUNT, contact)).contact_jacobian()[0, 0, 0]
     step = 1e-2 * contact * np.eye(COUNT)[0]
-    ahead, behind = (uneven.changed(contact_impedance=contact + sign * step).voltages()[0, 0] for sign in (1, -1))
+    ahead, behind = (uneven.with_values(contact_impedance=contact + sign * step).voltages()[0, 0] for sign in (1, -1))
     assert (ahead - behind) / (2 * step[0]) == pytest.approx(slope, rel=1e-3)

@@ -10,7 +10,7 @@ import pytest
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import adjacent_pattern
 from cbsr_qa.eit.forward.model import ForwardModel, point_model
-from cbsr_qa.eit.forward.prepared import refined
+from cbsr_qa.eit.forward.prepared import refine
 from cbsr_qa.eit.forward.value_range import CONTACT_RANGE, FAR_CONTACT_RANGE, MOST_CONTRAST, least_and_most
 
 
@@ -62,7 +62,7 @@ def contact(model: ForwardModel, ratio: float) -> np.ndarray:
 
 @pytest.mark.parametrize("ratio", [1.001 * CONTACT_RANGE[0], 1e-6, 1.0, 1e6, 0.999 * CONTACT_RANGE[1]])
 def test_readings_keep_twelve_digits_over_the_whole_range_of_contacts(model, ratio):
-    assert error(model.changed(contact_impedance=contact(model, ratio))) < 1e-12
+    assert error(model.with_values(contact_impedance=contact(model, ratio))) < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -72,14 +72,14 @@ def test_a_contact_out_of_range_is_refused_by_electrode_ratio_and_bounds(model, 
     impedance = model.contact_impedance.copy()
     impedance[7] = contact(model, ratio)[7]
     with pytest.raises(NumericsError, match=r"contact impedance 7 is .* 1e-09 to 1e\+09 are allowed") as refused:
-        model.changed(contact_impedance=impedance)
+        model.with_values(contact_impedance=impedance)
     assert f"{ratio:.3g} of the electrode's length" in refused.value.reason
     assert refused.value.remedy.startswith(word)
 
 
 def test_small_conductance_under_an_ordinary_contact_is_refused_too(model):
     with pytest.raises(NumericsError, match=r"contact impedance 0 is 0\.3 Ω·mm"):
-        model.changed(conductance=np.full(len(model.conductance), 1e-14))
+        model.with_values(conductance=np.full(len(model.conductance), 1e-14))
 
 
 def islands(model: ForwardModel, parted: float) -> np.ndarray:
@@ -92,15 +92,15 @@ def islands(model: ForwardModel, parted: float) -> np.ndarray:
 def test_readings_keep_their_digits_up_to_the_largest_contrast(model):
     inclusion = np.hypot(*model.mesh.centroids_mm.T) < 20
     for conductance in (np.where(inclusion, 1e-8, 1.0), np.where(inclusion, 1e8, 1.0)):
-        assert error(model.changed(conductance=conductance)) < 1e-12
-    assert error(model.changed(conductance=islands(model, 1 / MOST_CONTRAST))) < 1e-12
+        assert error(model.with_values(conductance=conductance)) < 1e-12
+    assert error(model.with_values(conductance=islands(model, 1 / MOST_CONTRAST))) < 1e-12
 
 
 def test_potentials_that_cannot_be_refined_are_refused(model):
     drives = model.prepared.ordered_drives
     useless = np.zeros_like(drives)
     with pytest.raises(NumericsError, match="cannot be refined") as refused:
-        refined(model._factors._conductors, drives, lambda load: load, useless, 0)
+        refine(model._factors._conductors, drives, lambda load: load, useless, 0)
     assert refused.value.remedy
 
 
@@ -109,10 +109,10 @@ def test_a_larger_contrast_is_refused_by_its_elements(model, contrast):
     conductance = model.conductance.copy()
     conductance[5], conductance[9] = contrast**0.5, contrast**-0.5
     with pytest.raises(NumericsError, match=r"conductance 5 is .* and conductance 9 is .* contrast above") as refused:
-        model.changed(conductance=conductance)
+        model.with_values(conductance=conductance)
     assert refused.value.remedy
     with pytest.raises(NumericsError, match="contrast above"):
-        model.changed_on(np.array([3]), np.array([2 * contrast]))
+        model.with_change_on(np.array([3]), np.array([2 * contrast]))
 
 
 def test_contrast_in_direction_counts(model):
@@ -120,7 +120,7 @@ def test_contrast_in_direction_counts(model):
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     conductance[4, 0] = turn @ np.diag([1.0, 1e9]) @ turn.T
     with pytest.raises(NumericsError, match="conductance 4 is 1e\\+09 S"):
-        model.changed(conductance=conductance)
+        model.with_values(conductance=conductance)
 
 
 def test_least_and_most_are_eigenvalues():
@@ -138,7 +138,7 @@ def test_a_good_contact_far_from_a_poor_conductor_is_refused(model):
     impedance = contact(model, 1e-4)
     assert impedance.min() * 1e-8 < FAR_CONTACT_RANGE[0]
     with pytest.raises(NumericsError, match=r"over the sheet's smallest or largest conductance .* 1e-10 to"):
-        model.changed(conductance=conductance, contact_impedance=impedance)
+        model.with_values(conductance=conductance, contact_impedance=impedance)
 
 
 def test_point_electrodes_have_no_contact_to_be_refused(model):
@@ -154,12 +154,12 @@ def test_values_of_other_types_are_refused_not_cast(model, name):
     values = getattr(model, name)
     for wrong in (values + 1j, values.astype(str), values > 0, ["a"] * len(values)):
         with pytest.raises(NumericsError, match="not real numbers"):
-            model.changed(**{name: wrong})
+            model.with_values(**{name: wrong})
 
 
 @pytest.mark.parametrize("name", ["conductance", "contact_impedance"])
 def test_every_refusal_of_values_has_a_remedy(model, name):
     for wrong, said in ((0 * getattr(model, name), "positive finite"), (getattr(model, name)[1:], "has shape")):
         with pytest.raises(NumericsError, match=said) as refused:
-            model.changed(**{name: wrong})
+            model.with_values(**{name: wrong})
         assert refused.value.remedy

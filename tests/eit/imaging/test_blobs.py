@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Blob, Image
-from cbsr_qa.eit.imaging.blobs import find_blobs, floored, nearest_blob, noise_floor, percentage_mask
+from cbsr_qa.eit.imaging.blobs import find_blobs, nearest_blob, noise_floor, percentage_mask, subtract_noise_floor
 from cbsr_qa.eit.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
 
 CELLS = 6
@@ -34,7 +34,7 @@ def _image(kept: dict[int, float]) -> tuple[Image, np.ndarray]:
 
 def test_the_floor_is_the_largest_absolute_value_anywhere_and_is_subtracted():
     assert noise_floor(np.array([[0.1, -0.4, 0.0], [0.3, 0.2, -0.1]])) == 0.4
-    assert floored(np.array([-5.0, 0.1, 0.2, 0.5]), 0.2) == pytest.approx([0.0, 0.0, 0.0, 0.3])
+    assert subtract_noise_floor(np.array([-5.0, 0.1, 0.2, 0.5]), 0.2) == pytest.approx([0.0, 0.0, 0.0, 0.3])
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,10 @@ def test_a_stricter_mask_keeps_a_part_of_a_laxer_one(image, one, other):
             for images in (np.empty((0, 5)), np.zeros(5))
         ),
         (lambda: noise_floor(np.full((2, 3), np.nan)), "unloaded image"),
-        *((lambda floor=floor: floored(np.ones(3), floor), "noise floor") for floor in (-0.1, np.nan, np.inf)),
+        *(
+            (lambda floor=floor: subtract_noise_floor(np.ones(3), floor), "noise floor")
+            for floor in (-0.1, np.nan, np.inf)
+        ),
         *(
             (lambda fraction=fraction: percentage_mask(np.ones(3), fraction), "allowed: above 0, at most 1")
             for fraction in (0.0, -0.1, 1.01, 85.0, np.nan)
@@ -117,7 +120,7 @@ def test_the_nearest_blob_is_the_sensed_one_not_the_heaviest():
 @given(values, fractions, st.floats(0, 2))
 @drawn(150)
 def test_blobs_part_the_mask(image, fraction, floor):
-    cleared = floored(image, floor)
+    cleared = subtract_noise_floor(image, floor)
     keep = percentage_mask(cleared, fraction)
     blobs = find_blobs(Image(GRID, cleared), keep)
     covered = np.sort(np.concatenate([blob.elements for blob in blobs])) if blobs else np.empty(0, dtype=np.int64)

@@ -12,8 +12,8 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.imaging.blobs import find_blobs, masked_blobs, nearest_blob, percentage_mask
-from cbsr_qa.eit.imaging.contours import contour_regions, field_regions, masked_contours, nodal_values
+from cbsr_qa.eit.imaging.blobs import find_blobs, find_blobs_by_mask, nearest_blob, percentage_mask
+from cbsr_qa.eit.imaging.contours import contour_regions, field_regions, find_contours_by_mask, nodal_values
 from cbsr_qa.eit.imaging.shape import SpatialFigures, spatial_figures
 from cbsr_qa.eit.mesh import image_mesh
 
@@ -100,17 +100,17 @@ def test_a_closed_rim_goes_around_exactly_the_region(image, fraction):
 @given(values)
 def test_several_masks_at_once_are_the_same_as_one_by_one(image):
     shown = Image(SQUARE, image)
-    for fraction, together in zip(MASKS, masked_contours(shown, MASKS), strict=True):
+    for fraction, together in zip(MASKS, find_contours_by_mask(shown, MASKS), strict=True):
         alone = contour_regions(shown, fraction)
         assert [region.weight for region in together] == pytest.approx([region.weight for region in alone])
-    for fraction, blobs in zip(MASKS, masked_blobs(shown, MASKS), strict=True):
+    for fraction, blobs in zip(MASKS, find_blobs_by_mask(shown, MASKS), strict=True):
         alone_blobs = find_blobs(shown, percentage_mask(image, fraction))
         assert [blob.elements.tolist() for blob in blobs] == [blob.elements.tolist() for blob in alone_blobs]
 
 
 @given(values)
 def test_a_stricter_contour_encloses_less(image):
-    sums = [sum(region.area_mm2 for region in found) for found in masked_contours(Image(SQUARE, image), MASKS)]
+    sums = [sum(region.area_mm2 for region in found) for found in find_contours_by_mask(Image(SQUARE, image), MASKS)]
     assert all(lax >= strict - 1e-9 for lax, strict in pairwise(sums))
 
 
@@ -141,7 +141,7 @@ def test_the_mask_itself_costs_less_than_the_reconstruction_may():
         assert figures.error_mm < 0.02
         assert figures.overlap_percent > 98.0
         assert figures.deviation_mm2 < 0.02
-        counted += spatial_figures(masked_blobs(image, (0.85,))[0], head)
+        counted += spatial_figures(find_blobs_by_mask(image, (0.85,))[0], head)
     assert np.mean([figures.error_mm for figures in counted]) > 0.15
     assert np.mean([figures.overlap_percent for figures in counted]) < 94.0
 
@@ -184,7 +184,7 @@ def test_an_image_that_is_the_same_everywhere_is_one_region():
 def test_nothing_positive_is_no_region():
     empty = Image(SQUARE, np.zeros(len(SQUARE.elements)))
     assert contour_regions(empty, 0.85) == ()
-    assert masked_contours(empty, MASKS) == ((), (), (), ())
+    assert find_contours_by_mask(empty, MASKS) == ((), (), (), ())
     assert spatial_figures([None, None], RoundFootprint(0.0, 0.0, R)) == (None, None)
 
 

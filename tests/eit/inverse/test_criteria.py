@@ -7,7 +7,12 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
-from cbsr_qa.eit.inverse.one_step import RidgeCurves, by_cross_validation, by_discrepancy, by_l_curve
+from cbsr_qa.eit.inverse.one_step import (
+    RidgeCurves,
+    choose_by_cross_validation,
+    choose_by_discrepancy,
+    choose_by_l_curve,
+)
 
 _COUNT = 40
 
@@ -127,7 +132,11 @@ def test_choices_come_close_to_the_best_on_classical_problems(problem, noise):
         images = np.stack([noisy @ spectrum.matrix(value).T - truth for value in np.exp(curves.grid[60::3] / 2)])
         best_image = np.linalg.norm(images, axis=(1, 2)).min()
         best_prediction = np.linalg.norm(images @ matrix.T, axis=(1, 2)).min()
-        chosen = [by_cross_validation(curves), by_discrepancy(curves, 8 * _COUNT * deviation**2), by_l_curve(curves)]
+        chosen = [
+            choose_by_cross_validation(curves),
+            choose_by_discrepancy(curves, 8 * _COUNT * deviation**2),
+            choose_by_l_curve(curves),
+        ]
         wrong = [noisy @ spectrum.matrix(value).T - truth for value in chosen]
         image_ratios.append([np.linalg.norm(each) / best_image for each in wrong])
         prediction_ratios.append([np.linalg.norm(each @ matrix.T) / best_prediction for each in wrong])
@@ -144,7 +153,7 @@ def test_discrepancy_leaves_what_noise_is_expected_to(random_problem):
     matrix, variance, weights, readings = random_problem
     curves = curves_of(dual_spectrum(matrix, weights, variance), readings)
     level = 0.3 * float((readings**2 / variance).sum())
-    found = by_discrepancy(curves, level)
+    found = choose_by_discrepancy(curves, level)
     weight = np.diag(1 / variance)
     fit = np.linalg.solve(matrix.T @ weight @ matrix + found**2 * np.diag(weights), matrix.T @ weight)
     left = readings - readings @ fit.T @ matrix.T
@@ -157,11 +166,13 @@ def test_several_frames_share_one_parameter():
     spectrum = dual_spectrum(matrix, np.ones(_COUNT))
     random = np.random.default_rng(5)
     frames = matrix @ truth + 0.03 * random.standard_normal((20, _COUNT))
-    together = by_cross_validation(curves_of(spectrum, frames))
-    alone = np.log([by_cross_validation(curves_of(spectrum, frame)) for frame in frames])
-    halves = np.log([by_cross_validation(curves_of(spectrum, frames[k::2])) for k in range(2)])
+    together = choose_by_cross_validation(curves_of(spectrum, frames))
+    alone = np.log([choose_by_cross_validation(curves_of(spectrum, frame)) for frame in frames])
+    halves = np.log([choose_by_cross_validation(curves_of(spectrum, frames[k::2])) for k in range(2)])
     assert np.ptp(halves) < 0.5 * np.ptp(alone)
-    assert by_cross_validation(curves_of(spectrum, np.vstack([frames, frames]))) == pytest.approx(together, rel=1e-6)
+    assert choose_by_cross_validation(curves_of(spectrum, np.vstack([frames, frames]))) == pytest.approx(
+        together, rel=1e-6
+    )
 
 
 def test_criteria_without_an_answer_say_so():
@@ -169,14 +180,14 @@ def test_criteria_without_an_answer_say_so():
     spectrum = dual_spectrum(matrix, np.ones(_COUNT))
     exact = curves_of(spectrum, matrix @ truth)
     with pytest.raises(NumericsError, match="no minimum for λ from"):
-        by_cross_validation(exact)
+        choose_by_cross_validation(exact)
     with pytest.raises(NumericsError, match="almost no noise"):
-        by_discrepancy(exact, 0.0)
+        choose_by_discrepancy(exact, 0.0)
     with pytest.raises(NumericsError, match="do not exceed their noise"):
-        by_discrepancy(exact, 1e9)
+        choose_by_discrepancy(exact, 1e9)
     # One direction alone: the size falls and the residual rises together, and nothing bends towards the origin.
     with pytest.raises(NumericsError, match="no corner for λ from"):
-        by_l_curve(RidgeCurves(np.ones(3), np.array([[1.0, 1.0, 1.0]])))
+        choose_by_l_curve(RidgeCurves(np.ones(3), np.array([[1.0, 1.0, 1.0]])))
     with pytest.raises(NumericsError, match="nothing to fit"):
         curves_of(spectrum, np.zeros(_COUNT))
     with pytest.raises(NumericsError, match="not a finite number"):

@@ -70,14 +70,14 @@ def points(shared: Path) -> Reference:
 
 
 def test_voltages_of_even_and_uneven_sheets(reference):
-    uneven = reference.model.changed(conductance=reference.values["sig"].ravel())
+    uneven = reference.model.with_values(conductance=reference.values["sig"].ravel())
     for model, name in ((reference.model, "v_homog"), (uneven, "v_inhomog")):
         expected = reference.values[name].ravel()
         assert np.abs(reference.readings(model.voltages()) - expected).max() < 1e-10 * np.abs(expected).max()
 
 
 def test_jacobian_of_even_and_uneven_sheets(reference):
-    uneven = reference.model.changed(conductance=reference.values["sig"].ravel())
+    uneven = reference.model.with_values(conductance=reference.values["sig"].ravel())
     columns = reference.values["J_cols"] if "J_cols" in reference.values else slice(None)
     for model, name in ((reference.model, "J"), (uneven, "Ji")):
         if name in reference.values:
@@ -96,7 +96,7 @@ def test_potentials_of_all_nodes_and_the_system_matrix_of_points(points):
 
 
 def test_points_have_no_contact_impedance(points):
-    other = points.model.changed(contact_impedance=np.full(16, 1e3))
+    other = points.model.with_values(contact_impedance=np.full(16, 1e3))
     assert np.array_equal(other.voltages(), points.model.voltages())
     assert not points.model.contact_jacobian().any()
 

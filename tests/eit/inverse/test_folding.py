@@ -41,7 +41,7 @@ NAMES = ("adjacent", "masked", "turned")
 @pytest.mark.parametrize("name", NAMES)
 def test_folded_readings_give_the_same_matrix(problems, name):
     problem = problems[name]
-    fold, prior = ReadingFold.of(problem), noser(problem.jacobian, 0.5)
+    fold, prior = ReadingFold.from_problem(problem), noser(problem.jacobian, 0.5)
     whole = dual_matrix(problem.jacobian, prior, 0.1, problem.noise_variance)
     folded = fold.unfold(dual_matrix(fold.rows(problem.jacobian), prior, 0.1, fold.variance))
     assert len(fold.first) < 0.6 * len(problem.reference) or name == "masked"
@@ -50,7 +50,7 @@ def test_folded_readings_give_the_same_matrix(problems, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_sensitivities_within_a_group_are_equal(problems, name):
-    jacobian, fold = problems[name].jacobian, ReadingFold.of(problems[name])
+    jacobian, fold = problems[name].jacobian, ReadingFold.from_problem(problems[name])
     assert np.abs(jacobian - fold.sign[:, None] * jacobian[fold.first][fold.group]).max() < 1e-9 * jacobian.max()
 
 
@@ -58,7 +58,7 @@ def test_sensitivities_within_a_group_are_equal(problems, name):
 def test_means_weigh_by_information(problems, name):
     """Folding readings, then taking the matrix of the means, is taking the matrix of all."""
     problem, random = problems[name], np.random.default_rng(8)
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     matrix, readings = random.standard_normal((5, len(fold.first))), random.standard_normal((7, len(fold.group)))
     assert np.allclose(fold.fold(readings) @ matrix.T, readings @ fold.unfold(matrix).T, rtol=1e-12, atol=1e-12)
     variance = np.ones(len(fold.group)) if problem.noise_variance is None else problem.noise_variance
@@ -69,18 +69,18 @@ def test_means_weigh_by_information(problems, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_noise_is_told_from_readings_that_are_there_twice(problems, name):
     problem = problems[name]
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     relative = np.ones(len(fold.group)) if problem.noise_variance is None else problem.noise_variance
     noise = 0.3 * np.sqrt(relative) * np.random.default_rng(2).standard_normal((500, len(relative)))
     seen, freedom = fold.noise(problem.reference + noise)
     assert seen == pytest.approx(0.09, rel=5 * np.sqrt(2 / freedom))
-    assert ReadingFold.of(problem).noise(problem.reference[None])[0] < 1e-20
+    assert ReadingFold.from_problem(problem).noise(problem.reference[None])[0] < 1e-20
 
 
 def test_a_problem_that_contradicts_reciprocity_is_not_folded(problems):
     problem = problems["adjacent"]
     crooked = problem.reference.copy()
     crooked[3] *= 1.01
-    fold = ReadingFold.of(replace(problem, reference=crooked))
+    fold = ReadingFold.from_problem(replace(problem, reference=crooked))
     assert np.array_equal(fold.first, np.arange(208))
     assert fold.noise(problem.reference[None]) == (0.0, 0)

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.inverse.problem import imaging_problem, masked_electrodes
+from cbsr_qa.eit.inverse.problem import find_masked_electrodes, imaging_problem
 from cbsr_qa.eit.inverse.uncertainty import masking_effect
 
 
 @pytest.mark.parametrize("dead", [(), (3,), (3, 4, 9)])
 def test_masked_electrodes_are_those_no_reading_is_left_of(sensor, dead):
-    assert masked_electrodes(sensor.pattern, sensor.pattern.usable() & ~sensor.pattern.touching(dead)) == dead
+    assert find_masked_electrodes(sensor.pattern, sensor.pattern.usable() & ~sensor.pattern.touching(dead)) == dead
 
 
 def test_an_electrode_with_one_reading_left_is_not_masked(sensor):
     used = sensor.pattern.usable() & ~sensor.pattern.touching([5])
     used[5, 9] = True
-    assert masked_electrodes(sensor.pattern, used) == ()
+    assert find_masked_electrodes(sensor.pattern, used) == ()
 
 
 def test_electrodes_may_be_missing_while_enough_independent_readings_are_left(sensor):

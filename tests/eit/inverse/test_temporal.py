@@ -7,7 +7,7 @@ from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.priors import indenter_smoothness
 from cbsr_qa.eit.inverse.problem import imaging_problem
-from cbsr_qa.eit.inverse.temporal import Correlation, smoothed
+from cbsr_qa.eit.inverse.temporal import Correlation, smooth
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonIndenter, Temporal
 
 _LAMBDA = 0.03
@@ -67,9 +67,9 @@ def test_one_lasting_image_is_that_of_the_mean_with_the_means_noise(problem, fra
 def test_with_a_lag_an_image_knows_what_a_block_that_ends_there_knows(lag, time):
     random = np.random.default_rng(1)
     readings, values = random.standard_normal((9, 5)), np.array([0.0, 1e-3, 0.1, 1.0, 50.0])
-    found = smoothed(readings, values, 0.3, Correlation(time, lag))
+    found = smooth(readings, values, 0.3, Correlation(time, lag))
     for frame in range(9):
-        until = smoothed(readings[: frame + lag + 1], values, 0.3, Correlation(time))
+        until = smooth(readings[: frame + lag + 1], values, 0.3, Correlation(time))
         assert np.allclose(found[frame], until[frame], rtol=1e-9, atol=1e-12)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward import ForwardModel, cover, nested_cover
+from cbsr_qa.eit.forward import ForwardModel, cover, cover_by_nested_outlines
 from cbsr_qa.eit.loads import sheet as loaded_sheet
 from cbsr_qa.eit.loads.family import WEAK, LoadFamily, Series
 from cbsr_qa.eit.loads.sheet import LoadedSheet
@@ -50,7 +50,7 @@ def loaded_four(model: ForwardModel) -> list[LoadFamily]:
 def afresh(model: ForwardModel, loads: dict[LoadFamily, float], contacts: np.ndarray | None = None) -> np.ndarray:
     elements = np.concatenate([one.elements for one in loads])
     change = np.concatenate([one.change(strength) for one, strength in loads.items()])
-    return model.changed(contact_impedance=contacts).changed_on(elements, change).voltages()
+    return model.with_values(contact_impedance=contacts).with_change_on(elements, change).voltages()
 
 
 def error(model: ForwardModel, impedance: np.ndarray, exact: np.ndarray) -> float:
@@ -94,7 +94,7 @@ def test_nine_loads_and_contacts_together(model, loaded, nine, seed):
     (found,) = loaded.transfer_impedances([loads], contacts)
     assert error(model, found, afresh(model, loads, contacts)) < TOGETHER
     (alone,) = loaded.transfer_impedances([{}], contacts)
-    assert error(model, alone, model.changed(contact_impedance=contacts).voltages()) < TOGETHER
+    assert error(model, alone, model.with_values(contact_impedance=contacts).voltages()) < TOGETHER
 
 
 def test_loads_that_share_elements_or_only_nodes(model, loaded):
@@ -207,7 +207,7 @@ def test_a_series_of_what_is_not_smooth_is_the_exact_thing():
 def test_one_outline_alone_is_the_plain_cover(model):
     head = RoundFootprint(4.0, -3.0, 6.5)
     plain = cover(model.elements, head)
-    nested = nested_cover(model.elements, head, (4.0, -3.0), np.array([1.0]), np.array([1.0]))
+    nested = cover_by_nested_outlines(model.elements, head, (4.0, -3.0), np.array([1.0]), np.array([1.0]))
     np.testing.assert_array_equal(nested.elements, plain.elements)
     for relative in (0.1, -0.2, 1e-6):
         found, expected = (load.change(model.conductance, relative) for load in (nested, plain))
@@ -220,7 +220,7 @@ def test_layers_keep_what_presses_in_all(model, relative, size, weight):
     """Along the outlines the mean over an element is the areas' mean of the layers, to rounding."""
     sizes, weights = np.array([1.0, size]), np.array([1 - weight, weight])
     centre = (1.0, 2.0)
-    nested = nested_cover(model.elements, RoundFootprint(*centre, 6.5), centre, sizes, weights)
+    nested = cover_by_nested_outlines(model.elements, RoundFootprint(*centre, 6.5), centre, sizes, weights)
     areas = model.mesh.areas_mm2[nested.elements]
     points = model.elements.weights_mm2[nested.elements]
     along = relative * (nested.layers @ nested.levels)
@@ -237,8 +237,8 @@ def test_many_thin_layers_near_a_smooth_load(model):
         inner = np.append(edges[1:], 0.0)
         pressure = 2 - edges**2 - inner**2  # exact mean of 2 (1 − ρ²) over each annulus
         weights = np.diff(pressure, prepend=0.0)
-        nested = nested_cover(model.elements, RoundFootprint(2.0, 1.0, 10.0), (2.0, 1.0), edges, weights)
-        return model.changed_on(nested.elements, nested.change(model.conductance, 0.2)).voltages()
+        nested = cover_by_nested_outlines(model.elements, RoundFootprint(2.0, 1.0, 10.0), (2.0, 1.0), edges, weights)
+        return model.with_change_on(nested.elements, nested.change(model.conductance, 0.2)).voltages()
 
     found = [readings(count) for count in (5, 10, 20, 40)]
     steps = [np.abs(a - b).max() for a, b in pairwise(found)]
@@ -248,7 +248,7 @@ def test_many_thin_layers_near_a_smooth_load(model):
 
 def test_a_change_that_leaves_nothing_where_a_head_presses_hardest_is_refused(model):
     sizes, weights = np.array([1.0, 0.5]), np.array([0.5, 2.0])
-    nested = nested_cover(model.elements, RoundFootprint(0.0, 0.0, 6.5), (0.0, 0.0), sizes, weights)
+    nested = cover_by_nested_outlines(model.elements, RoundFootprint(0.0, 0.0, 6.5), (0.0, 0.0), sizes, weights)
     with pytest.raises(NumericsError, match=r"2\.5 times as hard"):
         nested.change(model.conductance, -0.45)
     with pytest.raises(NumericsError, match="no positive conductance"):

@@ -25,7 +25,7 @@ def update(model) -> LocalUpdate:
 
 
 def refactorised(model: ForwardModel, elements, change) -> np.ndarray:
-    return model.changed_on(elements, change).voltages()
+    return model.with_change_on(elements, change).voltages()
 
 
 def worst(found: np.ndarray, exact: np.ndarray) -> float:
@@ -96,7 +96,7 @@ def test_loads_that_cut_the_same_elements_equal_full_refactorisation(model, upda
 def test_changes_of_a_sheet_that_differs_by_direction_equal_full_refactorisation(model):
     points = model.elements.weights_mm2.shape[1]
     matrices = model.conductance[:, None, None, None] * np.tile(np.diag([1.0, 0.5]), (points, 1, 1))
-    layered = model.changed(conductance=matrices)
+    layered = model.with_values(conductance=matrices)
     elements, fraction = disc_coverage(model.mesh, 10.0, -8.0, 6.5)
     found = LocalUpdate(layered).voltages(elements, 1e-4 * fraction)
     assert worst(found, refactorised(layered, elements, 1e-4 * fraction)) < 1e-10
@@ -179,7 +179,7 @@ def test_changed_contacts_equal_full_refactorisation(model, update, seed, spread
     found = [disc_coverage(model.mesh, x, y, 6.5) for x, y in ((20.0, -12.0), (43.0, 2.0))[:loads]]
     elements = np.concatenate([np.zeros(0, dtype=np.int64), *(load[0] for load in found)])
     change = 0.4 * np.concatenate([np.zeros(0), *(model.conductance[load[0]] * load[1] for load in found)])
-    exact = model.changed(contact_impedance=contacts).changed_on(elements, change).voltages()
+    exact = model.with_values(contact_impedance=contacts).with_change_on(elements, change).voltages()
     assert worst(update.voltages(elements, change, contacts), exact) < 1e-9
     assert np.array_equal(
         update.voltages(elements, change, model.contact_impedance), update.voltages(elements, change)
@@ -206,7 +206,7 @@ def test_any_contact_becomes_any_other(pin_sensor, model_of, before, after):
     model = model_of(pin_sensor(), size_mm=8.0, contact=before)
     contacts = np.full(16, after)
     load, fraction = disc_coverage(model.mesh, 20.0, -12.0, 6.5)
-    exact = model.changed(contact_impedance=contacts).changed_on(load, 0.4 * fraction).voltages()
+    exact = model.with_values(contact_impedance=contacts).with_change_on(load, 0.4 * fraction).voltages()
     found = LocalUpdate(model).voltages(load, 0.4 * fraction, contacts)
     used = model.pattern.usable()
     bound = max(1e-9, 1e-14 / after)

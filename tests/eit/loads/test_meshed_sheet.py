@@ -8,7 +8,7 @@ import pytest
 from benchmarks.reference_solutions import fitted_mesh
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.estimate import LoadEstimator, load_model, merged_readings
+from cbsr_qa.eit.estimate import LoadEstimator, load_model, merge_reciprocal
 from cbsr_qa.eit.forward import ForwardModel, point_model
 from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.loads.meshed_sheet import MeshedSheet
@@ -34,11 +34,11 @@ def meshed_change(sensor, size_mm, place, radius, contrast):
     mesh, inside = fitted_mesh(base_mesh(sensor, size_mm), place, radius)
     contacts = np.full(sensor.electrodes.count, NOMINAL_CONTACT_MM)
     plain = ForwardModel(mesh, sensor.pattern, np.ones(len(mesh.elements)), contacts, order=2)
-    return plain.changed(conductance=1 + contrast * inside).voltages() - plain.voltages()
+    return plain.with_values(conductance=1 + contrast * inside).voltages() - plain.voltages()
 
 
 def one(place, radius, contrast) -> RoundLoads:
-    return RoundLoads.of_contrast(np.array([place]), np.array([radius]), np.array([contrast]))
+    return RoundLoads.from_contrast(np.array([place]), np.array([radius]), np.array([contrast]))
 
 
 @pytest.mark.parametrize(("order", "allowed"), [(1, 3e-3), (2, 1e-5)])
@@ -113,7 +113,7 @@ def test_a_disc_with_strips_under_a_load_agrees_with_the_load_in_the_mesh(arc_se
 def test_loads_on_a_patch_are_found():
     model = load_model(PATCH)
     used = PATCH.pattern.usable()
-    readings = merged_readings(PATCH.pattern, used, (1e-3 * model.unloaded()) ** 2)
+    readings = merge_reciprocal(PATCH.pattern, used, (1e-3 * model.solve_unloaded()) ** 2)
     estimator = LoadEstimator(model, readings, expected_radius_mm=6.5, known=False)
     for place in ((-40.0, -18.0), (50.0, 10.0)):
         found = estimator.estimate(meshed_change(PATCH, 4.5, place, 6.5, 0.3)[used][None])[0]
@@ -133,7 +133,9 @@ def test_clearance_is_negative_beside_the_sheet_and_in_a_pin(pin_sensor):
 def test_uneven_sheets_and_point_electrodes_are_refused(pin_sensor):
     model = meshed(pin_sensor(), size_mm=8.0)
     with pytest.raises(NumericsError, match="unit conductance"):
-        MeshedSheet(model.changed(conductance=model.conductance * np.linspace(1, 2, len(model.conductance))), 50.0)
+        MeshedSheet(
+            model.with_values(conductance=model.conductance * np.linspace(1, 2, len(model.conductance))), 50.0
+        )
     points = point_model(model.mesh, np.arange(16), pin_sensor().pattern, model.conductance)
     with pytest.raises(NumericsError, match="point electrodes"):
         MeshedSheet(points, 50.0)

@@ -30,7 +30,7 @@ def one(x: float, y: float, strength: float, square: float) -> RoundLoads:
 
 
 def change(model: RoundLoadModel, x: float, y: float, radius: float, contrast: float) -> np.ndarray:
-    load = RoundLoads.of_contrast(np.array([[x, y]]), np.array([radius]), np.array([contrast]))
+    load = RoundLoads.from_contrast(np.array([[x, y]]), np.array([radius]), np.array([contrast]))
     return model.readings(load).change[0]
 
 
@@ -83,7 +83,7 @@ def test_slopes_are_those_of_differences(model, monkeypatch, x, y, square):
     ("x", "y", "radius"), [(0.0, 0.0, 6.5), (21.0, 3.0, 4.0), (30.0, 0.0, 10.0), (40.0, 0.0, 6.5)]
 )
 def test_the_series_is_long_enough(model, monkeypatch, x, y, radius):
-    load = RoundLoads.of_contrast(np.array([[x, y]]), np.array([radius]), np.array([0.5]))
+    load = RoundLoads.from_contrast(np.array([[x, y]]), np.array([radius]), np.array([0.5]))
     usual = model.readings(load)
     monkeypatch.setattr("cbsr_qa.eit.loads.round_load._ERROR", 1e-14)
     monkeypatch.setattr("cbsr_qa.eit.loads.round_load._MOST", 40)
@@ -120,7 +120,7 @@ def test_finite_elements_converge_to_it(pin_sensor, model, x, y, radius, contras
     for size in (6.0, 3.0):
         mesh, inside = fitted_mesh(sheet_mesh(pin_sensor(), size_mm=size), (x, y), radius)
         plain = ForwardModel(mesh, PATTERN, np.ones(len(mesh.elements)), np.full(16, 0.5), order=2)
-        loaded = plain.changed(conductance=1 + contrast * inside)
+        loaded = plain.with_values(conductance=1 + contrast * inside)
         found = (loaded.voltages() - plain.voltages())[USED]
         errors.append(float(np.linalg.norm(found - expected) / np.linalg.norm(expected)))
     assert errors[1] < 1e-3, errors
@@ -162,7 +162,7 @@ def test_a_dipole_is_left_where_the_disc_vanishes(model):
 def test_many_at_once_are_each_alone(model):
     rng = np.random.default_rng(5)
     places = rng.uniform(-28, 28, (20, 2))
-    many = RoundLoads.of_contrast(places, rng.uniform(2, 8, 20), rng.uniform(-0.5, 2, 20))
+    many = RoundLoads.from_contrast(places, rng.uniform(2, 8, 20), rng.uniform(-0.5, 2, 20))
     together = model.readings(many)
     for k in range(20):
         alone = model.readings(one(*places[k], many.strength_mm2[k], many.square_mm2[k]))

@@ -17,7 +17,7 @@ from cbsr_qa.domain.sensor import ElectrodeKind, Mesh, PlacedElectrodes, adjacen
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.eit.mesh.files import mesh_sensor, read_mesh, write_mesh
-from cbsr_qa.eit.mesh.imported import ElectrodeAt, imported_mesh
+from cbsr_qa.eit.mesh.imported import ElectrodeAt, import_mesh
 from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
 
 #: On the edge of a sheet of 90 mm by 60 mm, counterclockwise.
@@ -63,7 +63,7 @@ def test_electrodes_are_found_by_edges_by_nodes_and_by_place(kind):
         "places": [ElectrodeAt(x, y, width) for x, y in sensor.electrodes.places_mm],
     }
     for electrodes in ways.values():
-        found = imported_mesh(mesh.nodes_mm, mesh.elements, electrodes).electrode_edges
+        found = import_mesh(mesh.nodes_mm, mesh.elements, electrodes).electrode_edges
         assert all(same_edges(*pair) for pair in zip(found, mesh.electrode_edges, strict=True))
 
 
@@ -72,7 +72,7 @@ def test_a_mesh_counted_from_one_in_space_and_clockwise_is_the_same_mesh():
     idle = np.vstack([mesh.nodes_mm, [[3.0, 4.0]]])
     flat = np.column_stack([idle, np.full(len(idle), 7.0)])
     nodes = [np.unique(edges) + 1 for edges in mesh.electrode_edges]
-    found = imported_mesh(flat.tolist(), (mesh.elements[:, ::-1] + 1).tolist(), nodes, first=1, fix=True)
+    found = import_mesh(flat.tolist(), (mesh.elements[:, ::-1] + 1).tolist(), nodes, first=1, fix=True)
     np.testing.assert_array_equal(found.nodes_mm, mesh.nodes_mm)
     assert set(map(frozenset, found.elements.tolist())) == set(map(frozenset, mesh.elements.tolist()))
     assert all(same_edges(*pair) for pair in zip(found.electrode_edges, mesh.electrode_edges, strict=True))
@@ -118,7 +118,7 @@ def test_two_meshes_are_one_sensor_only_where_everything_is_the_same():
 def test_images_leave_out_the_holes_of_a_mesh():
     nodes, triangles = grid()
     hole = (np.abs(nodes[triangles].mean(axis=1) - [20, 0]) < 7.5).all(axis=1)
-    mesh = imported_mesh(nodes, triangles[~hole], [ElectrodeAt(x, y, 5) for x, y in PLACES], fix=True)
+    mesh = import_mesh(nodes, triangles[~hole], [ElectrodeAt(x, y, 5) for x, y in PLACES], fix=True)
     sensor = mesh_sensor("holed", mesh, adjacent_pattern(10), thickness_mm=4.0)
     image = image_mesh(sensor, size_mm=2.5)
     assert not (np.abs(image.nodes_mm[image.elements] - [20, 0]) < 7.5).all(axis=(1, 2)).any()
@@ -181,7 +181,7 @@ MISTAKES = {
 def test_a_mesh_that_is_none_is_refused_by_name_with_the_remedy(mistake):
     change, reason, remedy = MISTAKES[mistake]
     with pytest.raises(NumericsError) as caught:
-        imported_mesh(*spoilt(change))
+        import_mesh(*spoilt(change))
     assert reason in caught.value.reason
     assert remedy in caught.value.remedy
 
@@ -190,7 +190,7 @@ def test_a_node_that_hangs_on_an_edge_is_refused():
     nodes = [[0, 0], [2, 0], [2, 2], [0, 2], [1, 0], [0, -2], [2, -2]]
     elements = [[0, 1, 2], [0, 2, 3], [5, 4, 0], [5, 6, 4], [6, 1, 4], [2, 1, 6]]
     with pytest.raises(NumericsError, match=r"node 4 lies on the edge between nodes 0 and 1 without dividing it"):
-        imported_mesh([*nodes[:6], [3, -2]], elements)
+        import_mesh([*nodes[:6], [3, -2]], elements)
 
 
 ELECTRODE_MISTAKES = {
@@ -212,14 +212,14 @@ ELECTRODE_MISTAKES = {
 def test_an_electrode_that_is_none_is_refused_by_name_with_the_remedy(mistake):
     electrodes, reason, remedy = ELECTRODE_MISTAKES[mistake]
     with pytest.raises(NumericsError) as caught:
-        imported_mesh(*grid(), electrodes)
+        import_mesh(*grid(), electrodes)
     assert reason in caught.value.reason
     assert remedy in caught.value.remedy
 
 
 def test_a_sensor_needs_a_mesh_with_electrodes():
     with pytest.raises(NumericsError, match="carries 0 electrodes"):
-        mesh_sensor("bare", imported_mesh(*grid()), adjacent_pattern(10), thickness_mm=1.0)
+        mesh_sensor("bare", import_mesh(*grid()), adjacent_pattern(10), thickness_mm=1.0)
 
 
 @pytest.mark.parametrize("content", [b"", b"\0" * 100, b"PK\x03\x04rest"])
@@ -331,7 +331,7 @@ def test_a_mesh_file_that_cannot_be_used_is_named_with_its_line(tmp_path):
         ConfigError, match=r"own\.toml: line 3: sensor_type\.mesh: there is no mesh file .*absent\.npz"
     ):
         load_sensor_type(tmp_path / "own.toml")
-    write_mesh(tmp_path / "bare.npz", imported_mesh(*grid()))
+    write_mesh(tmp_path / "bare.npz", import_mesh(*grid()))
     (tmp_path / "own.toml").write_text(SENSOR.format("bare.npz", ""))
     with pytest.raises(ConfigError, match=r"line 3: sensor_type\.mesh carries fewer than 3 electrodes"):
         load_sensor_type(tmp_path / "own.toml")

@@ -81,7 +81,7 @@ def test_noise_of_measured_changes_is_told_by_their_reciprocal_readings(problem,
     evidence = evidence_of(measured)
     assert evidence.variance == pytest.approx(deviation_of(problem) ** 2, rel=0.2)
     prepared = GaussNewtonIndenter(choose="discrepancy").prepare(measured)
-    fold = ReadingFold.of(measured)
+    fold = ReadingFold.from_problem(measured)
     left = fold.fold(measured.sample - prepared.images(measured.sample) @ measured.jacobian.T)
     assert (left**2 / fold.variance).sum() == pytest.approx(evidence.variance * 6 * 104, rel=1e-6)
 
@@ -217,7 +217,7 @@ def test_truncation_splits_no_pair(problem):
 
 def test_truncation_by_readings_follows_the_definitions(problem, measured):
     truncation, evidence = Truncation(problem), evidence_of(measured)
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     readings = fold.fold(measured.sample)
     weight = 1 / fold.variance
     left = []
@@ -312,7 +312,7 @@ def test_simulated_evidence_is_what_it_says(problem):
     assert np.sqrt(evidence.variance) == pytest.approx(deviation_of(problem), rel=1e-12)
     scatter = evidence.changes - central_signal(problem, 0.2)
     assert scatter.std() == pytest.approx(deviation_of(problem), rel=0.05)
-    assert ReadingFold.of(problem).noise(evidence.changes)[0] == pytest.approx(evidence.variance, rel=0.1)
+    assert ReadingFold.from_problem(problem).noise(evidence.changes)[0] == pytest.approx(evidence.variance, rel=0.1)
 
 
 def test_targets_are_named_in_three_digits(pin_sensor):

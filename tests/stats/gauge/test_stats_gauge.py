@@ -258,7 +258,7 @@ def test_uncertain_references_widen_the_line_as_much_as_they_scatter_it():
         readings = np.repeat(0.3 + 0.9 * true, 12) + 0.1 * random.normal(size=60)
         known = [(12, value, u) for value in stated]
         found = linearity(np.repeat(stated, 12).tolist(), readings.tolist(), known=known)
-        held.append((found.rise().interval().holds(-0.1), found.at(4.0).interval().holds(-0.1)))
+        held.append((found.rise().interval().holds(-0.1), found.evaluate(4.0).interval().holds(-0.1)))
         assert found.line.rise().value == found.rise().value
     # Scatter within the references' errors is in the line's own residual too: wide rather than narrow.
     assert np.all(np.mean(held, axis=0) >= 0.935)
@@ -298,7 +298,7 @@ def test_lines_are_numpys(origin, seed):
     found, theirs = straight_line(x + origin, y), stats.linregress(x, y)
     assert found.rise().value == pytest.approx(theirs.slope, rel=1e-7, abs=1e-12)
     assert found.rise().standard_error == pytest.approx(theirs.stderr, rel=1e-7)
-    assert found.at(origin).standard_error == pytest.approx(theirs.intercept_stderr, rel=1e-7)
+    assert found.evaluate(origin).standard_error == pytest.approx(theirs.intercept_stderr, rel=1e-7)
     assert found.rise().p_value() == pytest.approx(theirs.pvalue, rel=1e-5)
 
 

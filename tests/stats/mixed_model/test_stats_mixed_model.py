@@ -146,7 +146,7 @@ def test_fits_are_statsmodels():
     matrix = rows.design.columns().toarray()
     theirs = formula.MixedLM(values, matrix, groups=rows.sensor).fit(reml=True, method="lbfgs")
     found = fit(rows.design, values)
-    assert found.effects[rows.design.kept()] == pytest.approx(theirs.fe_params, rel=1e-5)
+    assert found.effects[rows.design.independent_columns()] == pytest.approx(theirs.fe_params, rel=1e-5)
     assert found.run_deviation**2 == pytest.approx(theirs.scale, rel=1e-4)
     assert found.sensor_deviation**2 == pytest.approx(float(np.squeeze(theirs.cov_re)), rel=1e-4)
 
@@ -294,6 +294,6 @@ def test_designs_that_are_none_are_named():
     with pytest.raises(NumericsError, match="2 groups, 1 stations"):
         crossing(["a", "a"], ["s"], ["1", "2"])
     design = crossing(["a", "b", "a"], ["s", "s", "s"], ["1", "1", "2"])
-    assert design.only(np.array([True, False, True])).groups == ("a",)
+    assert design.select_runs(np.array([True, False, True])).groups == ("a",)
     with pytest.raises(NumericsError, match="no used run has group 'c'; used are a, b"):
         design.index("group", "c")

@@ -13,7 +13,7 @@ from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_eng
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, short_run
 
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, RunSelection, decide
@@ -57,7 +57,7 @@ def filled(url):
         record = store.load_run(first)
         issued = calibration(store.new_id(), first)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
-        issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        issued = stamp(replace(issued, force=model, digest="", record_digest=""))
         software = (("cbsr-qa", "0.2.0"),)
         again = Reanalysis(first, 64 * "0", "{}", software, decide(MEASURED), MEASURED, ("one",), "equal", None, ())
         store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")

@@ -10,7 +10,7 @@ from stored_lots import LIMITS, store_run
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain.results import EndReason, Measurement, Outcome, RunSelection
-from cbsr_qa.stats import passed_share
+from cbsr_qa.stats import pass_rate
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.shift import LATEST_RUNS, ListRequest, list_sensors, local_day, sensor_runs, shift_summary
 
@@ -52,16 +52,16 @@ def test_a_shift_counts_verdicts_as_they_were_overridden(shift):
     total = shift_summary(store, RunSelection()).total
     assert (total.runs, total.decided, total.passed, total.failed, total.not_finished) == (6, 5, 2, 3, 1)
     assert (total.overridden, total.sensors) == (2, 5)
-    assert total.test_yield == passed_share(2, 4)  # A and E of A, B, D, E
-    assert total.first_pass_yield == passed_share(1, 4)  # A failed first
+    assert total.test_yield == pass_rate(2, 4)  # A and E of A, B, D, E
+    assert total.first_pass_yield == pass_rate(1, 4)  # A failed first
 
 
 def test_the_second_day_s_first_pass_leaves_out_a_sensor_first_tested_the_day_before(shift):
     _, store, names = shift
     day = day_of(store, names["A1"])
     summary = shift_summary(store, RunSelection(since=day, until=day))
-    assert summary.total.test_yield == passed_share(2, 4)
-    assert summary.total.first_pass_yield == passed_share(1, 3)
+    assert summary.total.test_yield == pass_rate(2, 4)
+    assert summary.total.first_pass_yield == pass_rate(1, 3)
     assert [(part.name, part.runs, part.passed) for part in summary.stations] == [("S2", 1, 0), ("bench-α", 4, 2)]
 
 

@@ -44,7 +44,7 @@ class GreitRows:
     def __init__(self, problem: ImagingProblem, design: TargetDesign) -> None:
         self.problem = problem
         self.design = design
-        self._fold = ReadingFold.of(problem)
+        self._fold = ReadingFold.from_problem(problem)
         self.targets = make_targets(problem, self._fold, design)
         self._signal = central_signal(problem)
         self._unit = float((self.targets.signals**2).mean())
@@ -62,7 +62,7 @@ class GreitRows:
         largest = float(np.einsum("ngg->n", self._fit.normal).max())  # at least the largest eigenvalue
         least, rows = float(np.sqrt(largest / _MOST_CONDITION / self._unit)), None
         if ridge * _MOST_CONDITION > largest:
-            rows = self._solved(hyperparameter, np.arange(len(self._fit.right)))
+            rows = self._solve_rows(hyperparameter, np.arange(len(self._fit.right)))
         if rows is None or not np.isfinite(rows).all():
             raise NumericsError(
                 f"greit: hyperparameter {hyperparameter:.3g} is too small: the targets do not determine the image",
@@ -70,7 +70,7 @@ class GreitRows:
             )
         return rows
 
-    def _solved(self, hyperparameter: float, nodes: Indices) -> Array:
+    def _solve_rows(self, hyperparameter: float, nodes: Indices) -> Array:
         """Rows of some nodes, (k, g, w); not finite where λ is too small."""
         normal, right = self._fit.normal, self._fit.right
         ridge = hyperparameter**2 * self._unit * np.eye(normal.shape[1])
@@ -96,8 +96,8 @@ class GreitRows:
         mesh = targets.mesh
         edge = cKDTree(mesh.nodes_mm[np.unique(mesh.outline)])
         whole = np.flatnonzero(targets.of_head & (np.asarray(edge.query(targets.centres_mm)[0]) >= head_mm))
-        rows = combined(self._solved(_USUAL, nodes), np.ones(len(nodes)))
-        error = np.abs(rows @ targets.signals[:, whole] - targets.desired(mesh.nodes_mm[nodes], targets=whole))
+        rows = combine_widths(self._solve_rows(_USUAL, nodes), np.ones(len(nodes)))
+        error = np.abs(rows @ targets.signals[:, whole] - targets.desired_images(mesh.nodes_mm[nodes], targets=whole))
         away = mesh.nodes_mm[nodes][:, None] - targets.centres_mm[whole]
         far = (away**2).sum(axis=2) > (_NEAR * head_mm) ** 2
         loudest: Array = np.where(far, error, 0).max(axis=1, initial=0) * 2 * np.pi * self.design.head_variance_mm2
@@ -114,7 +114,7 @@ class GreitRows:
         return noise_figure(matrix, self._signal, self.problem.mesh.areas_mm2)
 
 
-def combined(solved: Array, width: Array) -> Array:
+def combine_widths(solved: Array, width: Array) -> Array:
     """Rows (n, g) for a width of each node (n,), from rows for :data:`WIDTHS` (n, g, w): a cubic in log width."""
     at, known = np.log(width), np.log(WIDTHS)
     shares = np.ones((len(width), len(known)))
@@ -141,8 +141,8 @@ class _Fit:
             weight = _weight(np.hypot(*(targets.centres_mm[around] - node).T) / near_mm)
             here = signals[:, around] * weight
             self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
-            self._far_right[row] = _FAR**2 * targets.desired(node[None])[0] @ signals.T
-            near_right = here @ targets.desired(node[None], WIDTHS, around)[0]
+            self._far_right[row] = _FAR**2 * targets.desired_images(node[None])[0] @ signals.T
+            near_right = here @ targets.desired_images(node[None], WIDTHS, around)[0]
             self.normal[row] = (here @ signals[:, around].T + self._far_normal) * self._share[row]
             self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
         self._raised = np.ones(len(nodes))

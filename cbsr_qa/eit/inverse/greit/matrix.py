@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combined
+from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combine_widths
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, neighbours, node_areas_mm2
 
 _ROUNDS: Final = 10  # iterations: offsets are then 0.02 mm on the 100 mm disc, down from 0.4 mm
@@ -58,13 +58,13 @@ class Calibration:
         variance, nodes = self._fits.design.head_variance_mm2, len(solved)
         scale, width = np.ones(nodes), np.ones(nodes)  # the second of the nominal second moment
         for _ in range(_ROUNDS if self._any else 0):
-            images = scale[:, None] * combined(solved, width) @ self._signals
+            images = scale[:, None] * combine_widths(solved, width) @ self._signals
             offset, spread = self._masks.moments(images)
             slope = np.where(self._beyond[:, None], 0.0, -offset[self._place] / variance)
             scale = scale * np.exp(self._slopes.fit(slope))
             scale = scale / (2 * np.pi * variance * float(np.median(images.max(axis=0))))
             width = np.clip(self._average @ (width[self._node] * variance / spread), WIDTHS[0], WIDTHS[-1])
-        return scale[:, None] * combined(solved, width)
+        return scale[:, None] * combine_widths(solved, width)
 
 
 class _SoftMasks:
@@ -161,8 +161,8 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
 
     NumericsError if λ is negative, not finite, or too small to determine the image, or a target affects no reading.
     """
-    kept = _kept(problem, design)
-    return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).at(hyperparameter)
+    kept = _recall_results(problem, design)
+    return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).find_matrix(hyperparameter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ class GreitChoice:
 
 def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
     """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError names the range otherwise."""
-    kept = _kept(problem, design)
+    kept = _recall_results(problem, design)
     if noise_figure not in kept.chosen:
         kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)
     return kept.chosen[noise_figure]
@@ -197,7 +197,7 @@ class _Kept:
 _PROBLEMS: Final[OrderedDict[tuple[bytes, TargetDesign], _Kept]] = OrderedDict()
 
 
-def _kept(problem: ImagingProblem, design: TargetDesign) -> _Kept:
+def _recall_results(problem: ImagingProblem, design: TargetDesign) -> _Kept:
     """Cached results for problems with the same numbers."""
     variance = problem.noise_variance
     digest = blake2b(problem.used.tobytes())
@@ -218,7 +218,7 @@ class _Search:
         self._calibration = Calibration(self._fits)
         self._seen: dict[float, float] = {}
 
-    def at(self, hyperparameter: float) -> GreitMatrix:
+    def find_matrix(self, hyperparameter: float) -> GreitMatrix:
         matrices = self._kept.matrices
         if hyperparameter not in matrices:
             values = self._fits.matrix(self._calibration.rows(hyperparameter))
@@ -248,14 +248,14 @@ class _Search:
 
         root = float(brentq(over, low, high, xtol=_REACHED))
         value = exactly.get(root, float(np.exp(root)))
-        self._seen[value] = self.at(value).noise_figure  # and its matrix is cached
+        self._seen[value] = self.find_matrix(value).noise_figure  # and its matrix is cached
         searched = np.array(sorted(self._seen))
         return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
 
     def _figure(self, hyperparameter: float) -> float:
         """Noise figure of a λ, cached for the search."""
         if hyperparameter not in self._seen:
-            self._seen[hyperparameter] = self.at(hyperparameter).noise_figure
+            self._seen[hyperparameter] = self.find_matrix(hyperparameter).noise_figure
         return self._seen[hyperparameter]
 
     def _ends(self, target: float) -> tuple[float, float] | None:

@@ -43,7 +43,7 @@ class TargetDesign:
     radii_mm: tuple[float, ...]
 
     @classmethod
-    def of(
+    def for_problem(
         cls, problem: ImagingProblem, head_diameter_mm: float | None, diameters_mm: tuple[float, ...] | None
     ) -> Self:
         """Fill in defaults: a head of 0.13 of the sheet's diameter; targets from 8/13 to 20/13 of it.
@@ -107,7 +107,9 @@ class Targets:
         integral: Array = (mass @ np.exp(-square / (2 * places[:, 2])))[number.ravel()]
         return integral
 
-    def desired(self, places_mm: Array, widths: tuple[float, ...] = (1.0,), targets: Indices | slice = _ALL) -> Array:
+    def desired_images(
+        self, places_mm: Array, widths: tuple[float, ...] = (1.0,), targets: Indices | slice = _ALL
+    ) -> Array:
         """Images of some targets at places (k, 2): Gaussians, each with an integral of one over the sheet.
 
         Parameters

@@ -53,7 +53,7 @@ class SheetState:
         """All unknowns, (e + electrodes,)."""
         return np.concatenate([self.log_conductance, self.log_contact])
 
-    def moved(self, by: Array) -> "SheetState":
+    def step(self, by: Array) -> "SheetState":
         """Return the state a step (e + electrodes,) further."""
         count = len(self.log_conductance)
         return SheetState(self.log_conductance + by[:count], self.log_contact + by[count:])
@@ -67,7 +67,7 @@ class SheetModel:
 
     def __init__(self, problem: ImagingProblem, mesh_size: float) -> None:
         sensor = problem.sensor_type
-        self.fold = ReadingFold.of(problem)
+        self.fold = ReadingFold.from_problem(problem)
         self._even = even_model(sensor, mesh_size)
         self._share: sparse.csr_matrix = overlap_fractions(self._even.mesh, problem.mesh)
         drive, measure = np.argwhere(problem.used)[self.fold.first].T
@@ -78,7 +78,7 @@ class SheetModel:
 
     def at(self, state: SheetState) -> "SolvedSheet":
         conductance = self._share @ np.exp(state.log_conductance)
-        model = self._even.changed(conductance=conductance, contact_impedance=np.exp(state.log_contact))
+        model = self._even.with_values(conductance=conductance, contact_impedance=np.exp(state.log_contact))
         return SolvedSheet(state, model, self._share, self._drive, self._measure)
 
 
@@ -116,7 +116,7 @@ class SheetPrior:
     contact: float
 
     @classmethod
-    def of(cls, mesh: Mesh, *, spread: float, length_mm: float, level: float, contact: float) -> "SheetPrior":
+    def from_mesh(cls, mesh: Mesh, *, spread: float, length_mm: float, level: float, contact: float) -> "SheetPrior":
         """Matérn covariance of smoothness 3/2, and a level common to all elements; raises as :func:`matern`.
 
         Parameters
@@ -221,7 +221,7 @@ class _Place:
     away: Array
     weights: Array
 
-    def moved(self, step: Array, weights: Array, length: float) -> "_Place":
+    def step(self, step: Array, weights: Array, length: float) -> "_Place":
         return _Place(self.away + length * step, self.weights + length * weights)
 
     def cost(self) -> float:
@@ -245,12 +245,12 @@ def most_probable_state(
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
             raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
         if fall <= TOLERANCE + _SHARE * cost:
-            return _found(here, wanted, number)
+            return _describe_state(here, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
-            tried = place.moved(step, weights, length)
+            tried = place.step(step, weights, length)
             try:
-                solved = model.at(origin.moved(tried.away))
+                solved = model.at(origin.step(tried.away))
             except ValueRangeError:  # states this far out have no readings
                 lower = np.inf
             else:
@@ -259,9 +259,9 @@ def most_probable_state(
                 break
             length /= 2
         else:
-            raise _not_found(number + 1, fall, "no step lowers the misfit")
+            raise _refuse_unconverged(number + 1, fall, "no step lowers the misfit")
         place, cost, here = tried, lower, Linearised(solved, prior, variance)
-    raise _not_found(most_steps, fall, "steps ran out")
+    raise _refuse_unconverged(most_steps, fall, "steps ran out")
 
 
 def _misfit(readings: Array, wanted: Array, variance: Array) -> float:
@@ -269,7 +269,7 @@ def _misfit(readings: Array, wanted: Array, variance: Array) -> float:
         return float(((readings - wanted) ** 2 / variance).sum())
 
 
-def _found(here: Linearised, wanted: Array, steps: int) -> FoundState:
+def _describe_state(here: Linearised, wanted: Array, steps: int) -> FoundState:
     apart = here.readings - wanted
     return FoundState(
         here.solved,
@@ -287,7 +287,7 @@ def _beyond(what: str) -> NumericsError:
     )
 
 
-def _not_found(steps: int, fall: float, why: str) -> NumericsError:
+def _refuse_unconverged(steps: int, fall: float, why: str) -> NumericsError:
     return NumericsError(
         f"the absolute image did not converge: after {steps} steps {why}, and the misfit would still fall by"
         f" {fall:.2g} (χ²)",

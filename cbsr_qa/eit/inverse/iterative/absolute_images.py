@@ -52,7 +52,7 @@ class Expected:
         reference = (problem.nominal or problem).reference
         return float(10 ** (-self.noise_dB / 20) * np.abs(reference).mean())
 
-    def chosen_spread(self, problem: ImagingProblem) -> tuple[float, str]:
+    def choose_spread(self, problem: ImagingProblem) -> tuple[float, str]:
         """Spread of loads, and how it was chosen: σ/λ of a one-step image."""
         if self.load_spread is not None:
             return self.load_spread, "load_spread given"
@@ -86,7 +86,7 @@ class AbsoluteImages:
     load: SheetPrior
 
     @classmethod
-    def of(cls, method: str, problem: ImagingProblem, expected: Expected) -> "AbsoluteImages":
+    def find(cls, method: str, problem: ImagingProblem, expected: Expected) -> "AbsoluteImages":
         """Find the reference's state and linearise there.
 
         NumericsError if the reference readings fit no such sheet, or the iteration does not converge.
@@ -94,13 +94,13 @@ class AbsoluteImages:
         model = SheetModel(problem, expected.mesh_size)
         variance = expected.deviation(problem) ** 2 * model.fold.variance
         reference, scale = _reference_state(problem, expected, model, variance)
-        spread, how = expected.chosen_spread(problem)
+        spread, how = expected.choose_spread(problem)
         length_mm = expected.load_length * problem.sensor_type.radius_mm
         # A contact changes as little as conductance does; otherwise it would explain too much.
-        load = SheetPrior.of(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
+        load = SheetPrior.from_mesh(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         before = Linearised(reference.solved, load, variance)
         figure = _noise_figure(problem, model, before)
-        how = f"{how}; {_said(problem, reference)}"
+        how = f"{how}; {_describe_reference(problem, reference)}"
         criterion = "noise-figure" if expected.load_spread is None else "given"
         choice = ParameterChoice(spread, how, figure, "spread of ln γ under loads", criterion=criterion)
         return cls(method, problem, choice, expected, model, reference, scale, before, load)
@@ -160,7 +160,7 @@ def _reference_state(
     problem: ImagingProblem, expected: Expected, model: SheetModel, variance: Array
 ) -> tuple[FoundState, float]:
     """State of the unloaded sheet, and the scale of its readings."""
-    prior = SheetPrior.of(
+    prior = SheetPrior.from_mesh(
         problem.mesh,
         spread=expected.spread,
         length_mm=expected.length * problem.sensor_type.radius_mm,
@@ -199,7 +199,7 @@ def _noise_figure(problem: ImagingProblem, model: SheetModel, before: Linearised
     return noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
 
 
-def _said(problem: ImagingProblem, reference: FoundState) -> str:
+def _describe_reference(problem: ImagingProblem, reference: FoundState) -> str:
     if problem.measured is None:
         return "the reference is the nominal sheet: its readings are unknown"
     return (

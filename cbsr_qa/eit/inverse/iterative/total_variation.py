@@ -64,7 +64,7 @@ class TotalVariation:
     ) -> None:
         self._rows = rows
         self._jumps = jump_matrix(mesh)
-        self._graph = _Graph.of(self._jumps)
+        self._graph = _Graph.from_jumps(self._jumps)
         self._even = self._graph.laplacian(np.ones(self._jumps.shape[0]))
         self._tolerance = tolerance
         self._most_steps = most_steps
@@ -76,18 +76,18 @@ class TotalVariation:
         """
         with np.errstate(all="ignore"), warnings.catch_warnings():  # non-finite values are refused below
             warnings.simplefilter("ignore", linalg.LinAlgWarning)
-            return self._flat_image(readings, alpha) or self._converged(readings, alpha)
+            return self._flat_image(readings, alpha) or self._minimise(readings, alpha)
 
     def flattening(self, readings: Array) -> float:
         """Return an α above which the image of readings is flat; raises as :meth:`image` does."""
         with np.errstate(all="ignore"):
             return self._flattest(readings)[1]
 
-    def _converged(self, readings: Array, alpha: float) -> TvImage:
+    def _minimise(self, readings: Array, alpha: float) -> TvImage:
         state = _State.beginning(self._rows.shape[1], self._jumps.shape[0], readings, alpha)
         pull, steps = float(np.abs(self._rows.T @ readings).max()), 0
         while True:
-            here = _Here.at(state, self._rows, self._jumps, readings)
+            here = _Here.evaluate(state, self._rows, self._jumps, readings)
             gap, apart = here.gap(alpha, readings), float(np.abs(here.imbalance).max()) / pull
             if abs(gap) <= self._tolerance and apart <= _BALANCED and np.isfinite(state.image).all():
                 return TvImage(state.image, float(here.residual @ here.residual), gap, steps)
@@ -98,8 +98,9 @@ class TotalVariation:
             except (RuntimeError, ValueError):  # singular to rounding, or no longer finite
                 break
             steps += 1
+        why = self._why_not_converged(gap, apart)
         raise NumericsError(
-            f"total variation did not converge: after {steps} of {self._most_steps} steps {self._left(gap, apart)}",
+            f"total variation did not converge: after {steps} of {self._most_steps} steps {why}",
             remedy="raise the hyperparameter, or "
             + (
                 "allow more iterations"
@@ -108,7 +109,7 @@ class TotalVariation:
             ),
         )
 
-    def _left(self, gap: float, apart: float) -> str:
+    def _why_not_converged(self, gap: float, apart: float) -> str:
         """Why an image is not accepted as the minimiser; without balance a duality gap is meaningless."""
         if not (np.isfinite(gap) and np.isfinite(apart)):
             return "the image has non-finite values"
@@ -145,7 +146,7 @@ class TotalVariation:
         newton = _Newton(self._rows, self._jumps, self._graph.laplacian(weights), weights)
         predicted = _direction(newton, state, here, alpha, 0.0, 0.0)
         before = state.complementarity(alpha)
-        after = state.moved(predicted, state.room(predicted, alpha)).complementarity(alpha)
+        after = state.step(predicted, state.room(predicted, alpha)).complementarity(alpha)
         centring = before * (after / before) ** 3
         corrected = _direction(
             newton,
@@ -155,7 +156,7 @@ class TotalVariation:
             centring + predicted.up * predicted.dual,
             centring - predicted.down * predicted.dual,
         )
-        return state.moved(corrected, min(1.0, _SHY * state.room(corrected, alpha)))
+        return state.step(corrected, min(1.0, _SHY * state.room(corrected, alpha)))
 
 
 def jump_matrix(mesh: Mesh) -> sparse.csr_matrix:
@@ -184,7 +185,7 @@ class _State:
         jump = np.full(edges, float(readings @ readings) / (2 * alpha * edges))
         return cls(np.zeros(elements), jump, jump, np.zeros(edges))
 
-    def moved(self, by: "_State", length: float) -> "_State":
+    def step(self, by: "_State", length: float) -> "_State":
         return _State(
             self.image + length * by.image,
             self.up + length * by.up,
@@ -217,7 +218,7 @@ class _Here:
     jumps: Array
 
     @classmethod
-    def at(cls, state: _State, rows: Array, jumps: sparse.csr_matrix, readings: Array) -> "_Here":
+    def evaluate(cls, state: _State, rows: Array, jumps: sparse.csr_matrix, readings: Array) -> "_Here":
         residual = rows @ state.image - readings
         across = jumps @ state.image
         imbalance = rows.T @ residual + jumps.T @ state.dual
@@ -274,7 +275,7 @@ class _Graph:
     corner: int
 
     @classmethod
-    def of(cls, jumps: sparse.csr_matrix) -> "_Graph":
+    def from_jumps(cls, jumps: sparse.csr_matrix) -> "_Graph":
         first, second = jumps.indices.reshape(-1, 2).T.astype(np.int64)
         a, b = jumps.data.reshape(-1, 2).T
         row = np.concatenate([first, second, first, second])

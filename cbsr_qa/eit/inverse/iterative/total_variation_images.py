@@ -22,7 +22,7 @@ from cbsr_qa.eit.inverse.noise_figures import (
     Evidence,
     central_signal,
     evidence_of,
-    simulated_evidence,
+    simulate_evidence,
 )
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold
@@ -45,8 +45,8 @@ class WhiteReadings:
     rows: Array
 
     @classmethod
-    def of(cls, problem: ImagingProblem) -> "WhiteReadings":
-        fold = ReadingFold.of(problem)
+    def from_problem(cls, problem: ImagingProblem) -> "WhiteReadings":
+        fold = ReadingFold.from_problem(problem)
         deviation = np.sqrt(fold.variance)
         return cls(fold, deviation, fold.rows(problem.jacobian) / deviation[:, None])
 
@@ -74,7 +74,7 @@ class TotalVariationImages:
     variance: float | None = None
 
     @classmethod
-    def of(
+    def from_problem(
         cls,
         method: str,
         problem: ImagingProblem,
@@ -85,7 +85,7 @@ class TotalVariationImages:
         most_steps: int,
     ) -> "TotalVariationImages":
         """Prepare for a problem; tolerance and steps as for :class:`TotalVariation`."""
-        readings = WhiteReadings.of(problem)
+        readings = WhiteReadings.from_problem(problem)
         minimise = TotalVariation(problem.mesh, readings.rows, tolerance=tolerance, most_steps=most_steps)
         return cls(method, problem, choice, readings, minimise, variance)
 
@@ -145,21 +145,25 @@ def choose_alpha(
         If no α leaves a residual as large as the noise.
     """
     if problem.sample is not None:
-        return _chosen(problem, given, noise_dB)
-    return _of_type(problem.sensor_type, given, noise_dB)
+        return _choose_alpha(problem, given, noise_dB)
+    return _choose_for_type(problem.sensor_type, given, noise_dB)
 
 
 @lru_cache(maxsize=16)
-def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> tuple[ParameterChoice, float | None]:
-    return _chosen(imaging_problem(sensor_type), given, noise_dB)
+def _choose_for_type(
+    sensor_type: SensorType, given: float | None, noise_dB: float
+) -> tuple[ParameterChoice, float | None]:
+    return _choose_alpha(imaging_problem(sensor_type), given, noise_dB)
 
 
-def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> tuple[ParameterChoice, float | None]:
+def _choose_alpha(
+    problem: ImagingProblem, given: float | None, noise_dB: float
+) -> tuple[ParameterChoice, float | None]:
     size_mm = _COARSE * problem.sensor_type.radius_mm
     coarse = imaging_problem(
         problem.sensor_type, used=problem.used, noise_variance=problem.noise_variance, image_size_mm=size_mm
     )
-    simulated = simulated_evidence(coarse, _DRAWS, _FRAMES)
+    simulated = simulate_evidence(coarse, _DRAWS, _FRAMES)
     assert simulated.variance is not None
     louder = 10 ** ((NOISE_DB - noise_dB) / 20)
     looks = problem.sample is not None and given is None
@@ -167,9 +171,9 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> tu
     if given is not None:
         value, how, variance = given, "hyperparameter given", None
     elif looks:
-        value, how, variance = _by_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
+        value, how, variance = _alpha_of_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
     else:
-        value = float(f"{louder * _by_discrepancy(coarse, evidence):.6g}")
+        value = float(f"{louder * _alpha_of_discrepancy(coarse, evidence):.6g}")
         how, variance = _SAID + evidence.words, louder**2 * simulated.variance
         how += "" if louder == 1 else f", times {louder:.3g} for noise of {noise_dB:g} dB"
     # Scaling target and noise scales the image: if α holds for one, factor · α holds for the other.
@@ -182,7 +186,7 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> tu
     return ParameterChoice(value, how, figure, "α", criterion=criterion), variance
 
 
-def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
+def _alpha_of_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
     if evidence.variance is None:
         raise NumericsError(
             "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
@@ -200,7 +204,7 @@ def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
             "the changes to choose α on have no noise: repeated readings are identical to the last digit",
             remedy="choose it on readings as measured, or give the hyperparameter itself",
         )
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     search = _Search(TotalVariation(problem.mesh, white.rows), white.white(changes), evidence.variance)
     return float(f"{search.alpha():.6g}")
 
@@ -241,7 +245,7 @@ class _Search:
 def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> tuple[float, float]:
     """Noise figure (Adler et al. 2009 form) at the evidence's contrast and noise, and its jackknife error."""
     assert evidence.variance is not None
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     method = TotalVariation(problem.mesh, white.rows)
     images = np.array([method.image(draw, alpha).image for draw in white.white(evidence.changes)])
     images *= problem.mesh.areas_mm2

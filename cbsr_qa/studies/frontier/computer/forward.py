@@ -85,7 +85,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
         SERIES_FORWARD[electrodes],
         {"element_order": order, "element_size_mm": size_mm},
         {name: Accuracy(error, None, "1") for name, error in accuracy.items()},
-        fastest_s(lambda: model.changed().voltages()),
+        fastest_s(lambda: model.with_values().voltages()),
         note=f"{len(model.mesh.elements)} elements",
         costs={
             "setup_s": setup_s,
@@ -120,7 +120,7 @@ def _model(sensor: SensorType, contact_mm: float, order: int, size_mm: float) ->
 def _arc_errors(model: ForwardModel) -> dict[str, float]:
     share, contrast = _INCLUSION
     covered = cover(model.elements, RoundFootprint(0.0, 0.0, share * _disc().radius_mm))
-    included = model.changed_on(covered.elements, covered.change(model.conductance, contrast - 1))
+    included = model.with_change_on(covered.elements, covered.change(model.conductance, contrast - 1))
     return {
         "voltage_error": _error(model, model.readings(_exact_arcs(0.0))),
         "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(share))),
@@ -169,5 +169,5 @@ def _exact_pins() -> tuple[Array, Array]:
     """Voltages of the unloaded disc, and changes of the used readings under each of the nine loads alone (9, m)."""
     pinned = PinnedDisc(_disc().radius_mm, _disc().electrodes, _PIN_CONTACT_MM)
     pattern, count = _disc().pattern, len(NINE_LOCATIONS_MM)
-    loads = RoundLoads.of_contrast(np.array(NINE_LOCATIONS_MM), np.full(count, _HEAD_MM), np.full(count, _CONTRAST))
+    loads = RoundLoads.from_contrast(np.array(NINE_LOCATIONS_MM), np.full(count, _HEAD_MM), np.full(count, _CONTRAST))
     return pinned.transfer_impedance(), RoundLoadModel(pinned, pattern).readings(loads).change[:, pattern.usable()]

@@ -13,7 +13,14 @@ from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.results import Image, PreparedReconstruction
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.imaging import SpatialFigures, contour_regions, floored, nearest_blob, noise_floor, spatial_figures
+from cbsr_qa.eit.imaging import (
+    SpatialFigures,
+    contour_regions,
+    nearest_blob,
+    noise_floor,
+    spatial_figures,
+    subtract_noise_floor,
+)
 from cbsr_qa.eit.inverse import changes, scale_of
 from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, press_loads
@@ -132,7 +139,7 @@ def _sensor(
     seen: list[SpatialFigures | None] = []
     for change, head in zip(loaded, readings.heads, strict=True):
         (image,) = prepared.images(change[None])  # one frame at a time, as on a rig: independent of its neighbours
-        regions = contour_regions(Image(prepared.problem.mesh, floored(image, floor)), _MASK)
+        regions = contour_regions(Image(prepared.problem.mesh, subtract_noise_floor(image, floor)), _MASK)
         seen += spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
     return seen
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from cbsr_qa.calibration.fits import fit_quasi_static, learn_kernel
 from cbsr_qa.calibration.runtime import Matches
-from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predicted_change, sheet_gauge_factor, sheet_pose_of
+from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predict_change, sheet_gauge_factor, sheet_pose_of
 from cbsr_qa.domain import Array, CalibrationError, NumericsError
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
@@ -107,7 +107,7 @@ def error_of_a_line_far_from_zero() -> Answer:
     middle, spread = 1e5, 1.0
     x = middle + spread * (_STRAINS - _STRAINS.mean()) / _STRAINS.std()
     fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), (0.001 * x).tolist(), [0.01] * 6)
-    _, error = predicted_change(fit.as_parameters("case"), middle)
+    _, error = predict_change(fit.as_parameters("case"), middle)
     condition = 2 * (middle / spread) ** 2  # of the terms that cancel to their sum
     return conditioned(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), condition)
 

@@ -41,7 +41,7 @@ def readings_of(conductance: Array | None = None, ratio: float | None = None) ->
     lengths = small_model().prepared.contacts.lengths_mm
     impedance = np.full(ELECTRODES, _USUAL_MM) if ratio is None else ratio * lengths
     values = inclusion(1.0) if conductance is None else conductance
-    return against_fifty_digits(small_model().changed(conductance=values, contact_impedance=impedance))
+    return against_fifty_digits(small_model().with_values(conductance=values, contact_impedance=impedance))
 
 
 def against_fifty_digits(
@@ -70,7 +70,7 @@ def _in_other_units(length: float, conductance: float) -> Answer:
 def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answer:
     """Worst column of the Jacobian, of elements or of contacts, against fifty digits; two fields make a column."""
     contacts = ratio * small_model().prepared.contacts.lengths_mm
-    model = small_model().changed(conductance=conductance, contact_impedance=contacts)
+    model = small_model().with_values(conductance=conductance, contact_impedance=contacts)
     used = model.pattern.usable()
     exact = exact_derivatives(model.mesh, model.pattern, model.conductance, contacts)[int(of_contacts)][used]
     computed = (
@@ -176,7 +176,7 @@ def reciprocity_when_all_is_hard() -> Answer:
     """Conductances over five decades and contacts over eight, at once."""
     lengths = small_model().prepared.contacts.lengths_mm
     contacts = lengths * np.geomspace(1e-4, 1e4, ELECTRODES)
-    model = small_model().changed(conductance=scattered(5.0), contact_impedance=contacts)
+    model = small_model().with_values(conductance=scattered(5.0), contact_impedance=contacts)
     readings = model.voltages()
     return conditioned(relative_error(readings.T, readings, model.pattern), reading_condition(model))
 
@@ -196,7 +196,7 @@ def sensitivity_to_perfect_contacts() -> Answer:
 @AREA.against("Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V, exactly")
 def derivatives_over_8_decades() -> Answer:
     """Sensitivities of elements whose conductances lie eight decades apart."""
-    model = small_model().changed(conductance=scattered(8.0))
+    model = small_model().with_values(conductance=scattered(8.0))
     used = model.pattern.usable()
     voltages = model.voltages()[used]
     whole = model.jacobian()[used] @ model.conductance - model.contact_jacobian()[used] @ model.contact_impedance

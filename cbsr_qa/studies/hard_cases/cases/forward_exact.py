@@ -68,7 +68,7 @@ def _against_series(
 def _with_inclusion(contrast: float) -> Answer:
     def model_of(disc: ForwardModel) -> ForwardModel:
         inside = np.hypot(*disc.mesh.centroids_mm.T) < _INSIDE
-        return disc.changed(conductance=np.where(inside, contrast, 1.0))
+        return disc.with_values(conductance=np.where(inside, contrast, 1.0))
 
     return _against_series(ConcentricSheet(1.0, 1.0, _INSIDE, contrast), model_of, _CONTACT, 12)
 
@@ -93,6 +93,6 @@ def contacts_next_to_open_on_a_disc() -> Answer:
     """Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly."""
 
     def model_of(disc: ForwardModel) -> ForwardModel:
-        return disc.changed(contact_impedance=np.full(_ELECTRODES, 1e7))
+        return disc.with_values(contact_impedance=np.full(_ELECTRODES, 1e7))
 
     return _against_series(ConcentricSheet(1.0, 1.0), model_of, 0.0, 1)

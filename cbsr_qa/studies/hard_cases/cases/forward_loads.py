@@ -29,9 +29,9 @@ def _under_a_head() -> NDArray[np.int64]:
 
 def loaded(before: Array, factor: float) -> Answer:
     """A load that leaves a factor of the sheet's conductances (e,) [S], by local update, against fifty digits."""
-    model, elements = small_model().changed(conductance=before), _under_a_head()
+    model, elements = small_model().with_values(conductance=before), _under_a_head()
     change = (factor - 1) * before[elements]
-    pressed = model.changed_on(elements, change)
+    pressed = model.with_change_on(elements, change)
     return against_fifty_digits(
         pressed, LocalUpdate(model).voltages(elements, change), condition=reading_condition(pressed, before)
     )
@@ -67,9 +67,9 @@ def load_between_electrodes_parted_by_1e8() -> Answer:
 def load_beside_perfect_contacts() -> Answer:
     """A load on a sheet whose contacts are next to perfect, solved for without factorising it again."""
     elements = _under_a_head()
-    model = small_model().changed(contact_impedance=1e-8 * small_model().prepared.contacts.lengths_mm)
+    model = small_model().with_values(contact_impedance=1e-8 * small_model().prepared.contacts.lengths_mm)
     change = np.ones(len(elements))
-    return against_fifty_digits(model.changed_on(elements, change), LocalUpdate(model).voltages(elements, change))
+    return against_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
 
 
 @AREA.against(FIFTY)
@@ -79,7 +79,7 @@ def loads_a_nanometre_apart() -> Answer:
     loads = [disc_coverage(model.mesh, x, -3.0, 9.0) for x in (8.0, 8.0 + 1e-6)]
     elements = np.concatenate([covered for covered, _ in loads])
     change = np.concatenate([0.5 * share for _, share in loads])
-    return against_fifty_digits(model.changed_on(elements, change), LocalUpdate(model).voltages(elements, change))
+    return against_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
 
 
 @AREA.against(FIFTY)
@@ -88,7 +88,7 @@ def contacts_become_1e7_poorer() -> Answer:
     model = small_model()
     impedance = 1e7 * model.prepared.contacts.lengths_mm
     computed = LocalUpdate(model).voltages(np.zeros(0, dtype=np.int64), np.zeros(0), impedance)
-    return against_fifty_digits(model.changed(contact_impedance=impedance), computed)
+    return against_fifty_digits(model.with_values(contact_impedance=impedance), computed)
 
 
 @AREA.against("the readings of the sheet before")
@@ -96,7 +96,7 @@ def load_of_1e6_taken_off_again() -> Answer:
     """A contrast of a million is put on and taken off."""
     model, elements = small_model(), _under_a_head()
     change = np.full(len(elements), 1e6)
-    pressed = model.changed_on(elements, change)
+    pressed = model.with_change_on(elements, change)
     released = LocalUpdate(pressed).voltages(elements, -change)
     error = relative_error(released, model.voltages(), model.pattern)
     return conditioned(error, reading_condition(model, pressed.conductance))

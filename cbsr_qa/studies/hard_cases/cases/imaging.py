@@ -10,14 +10,14 @@ from cbsr_qa.domain.results import Image
 from cbsr_qa.eit.imaging import (
     Raster,
     contour_regions,
+    find_blobs_by_mask,
     find_regions,
-    floored,
     greit_figures,
-    masked_blobs,
     noise_floor,
     percentage_mask,
     pixel_image,
     split_touching,
+    subtract_noise_floor,
 )
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import largest_relative_error, relative_error
@@ -31,7 +31,7 @@ def single_element(scale: float) -> Answer:
     """Area, weight and centre of a blob of one element, of an image of this size."""
     image = _mesh_image(np.zeros((_SIDE, _SIDE)))
     image.values[90] = scale
-    (blob,) = masked_blobs(image, (0.85,))[0]
+    (blob,) = find_blobs_by_mask(image, (0.85,))[0]
     corners = image.mesh.corners_mm[90]
     values = [blob.area_mm2, blob.weight / scale, *blob.centre_mm().tolist()]
     digits = max(1.0, float(np.finfo(np.float64).tiny) / scale)  # a subnormal number has fewer digits
@@ -43,7 +43,7 @@ def empty_image(value: float) -> Answer:
     """Regions found where nothing was sensed."""
     values = np.full((_SIDE, _SIDE), value)
     image = _mesh_image(values)
-    count = len(masked_blobs(image, (0.85,))[0]) + len(contour_regions(image, 0.85))
+    count = len(find_blobs_by_mask(image, (0.85,))[0]) + len(contour_regions(image, 0.85))
     count += len(find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85))
     count += greit_figures(image, RoundFootprint(5.5, 5.5, 3.0)) is not None
     return Answer(float(count), 0.0, unit="regions")
@@ -132,7 +132,7 @@ def touching_blobs() -> Answer:
     """Two equal loads that touch in a corner, or whose slopes overlap: ties in every comparison."""
     squares = np.zeros((_SIDE, _SIDE))
     squares[2:5, 2:5] = squares[5:8, 5:8] = 1.0
-    corners = len(masked_blobs(_mesh_image(squares), (0.85,))[0])
+    corners = len(find_blobs_by_mask(_mesh_image(squares), (0.85,))[0])
     y, x = np.mgrid[:40, :40]
     slopes = sum(np.exp(-((x - at) ** 2 + (y - 20) ** 2) / 18.0) for at in (15, 24))
     raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
@@ -176,8 +176,8 @@ def centre_of_mass_far_from_the_origin() -> Answer:
     y, x = np.mgrid[:_SIDE, :_SIDE]
     values = 1.0 + 0.01 * x + 0.02 * y
     first = 1e6
-    near = masked_blobs(_mesh_image(values), (0.5,))[0][0].centre_mm()
-    far = masked_blobs(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
+    near = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
+    far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
     condition = first / float(near.min())
     return conditioned(largest_relative_error(far - first, near.tolist()), condition)
 
@@ -186,5 +186,5 @@ def centre_of_mass_far_from_the_origin() -> Answer:
 def noise_floor_of_identical_images() -> Answer:
     """Unloaded images without any noise: a floor that equals every value."""
     images = np.full((8, _SIDE**2), 0.1 + 0.2)
-    left = floored(images[0], noise_floor(images))
+    left = subtract_noise_floor(images[0], noise_floor(images))
     return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")

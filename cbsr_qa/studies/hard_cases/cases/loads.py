@@ -11,7 +11,7 @@ from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import Array, CalibrationError, NumericsError
 from cbsr_qa.domain.results import ForceModel, Lattice, LoadEstimate
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
+from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merge_reciprocal
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
@@ -32,13 +32,13 @@ def disc() -> tuple[RoundLoadModel, MergedReadings]:
     """Model and readings of the 100 mm disc."""
     sensor_type = load_sensor_type("disc-100mm").value
     pattern = sensor_type.pattern
-    return load_model(sensor_type), merged_readings(pattern, pattern.usable(), np.full(pattern.shape, _NOISE**2))
+    return load_model(sensor_type), merge_reciprocal(pattern, pattern.usable(), np.full(pattern.shape, _NOISE**2))
 
 
 def changes_of(x_mm: float, y_mm: float, contrast: float = 0.1) -> Array:
     """Changes (1, m) of the used readings under one head."""
     model, readings = disc()
-    load = RoundLoads.of_contrast(np.array([[x_mm, y_mm]]), np.array([_RADIUS_MM]), np.array([contrast]))
+    load = RoundLoads.from_contrast(np.array([[x_mm, y_mm]]), np.array([_RADIUS_MM]), np.array([contrast]))
     return model.readings(load).change[:, readings.used]
 
 
@@ -55,7 +55,7 @@ def located(x_mm: float) -> Answer:
         return Answer(float("inf"), 0.0)
     error = float(np.hypot(estimate.place_mm[0] - x_mm, estimate.place_mm[1]))
     # The place moves by its standard error per unit of a row, and rows round by their size.
-    rows = disc()[1].of_data(changes)
+    rows = disc()[1].merge_changes(changes)
     condition = float(np.sqrt(np.trace(estimate.place_covariance_mm2)) * np.linalg.norm(rows))
     return conditioned(error, condition, unit="mm")
 
@@ -134,7 +134,7 @@ def sized_templates(log_size: float) -> Answer:
     """Strength of a head whose templates are this large."""
     finder = TemplateFilter(force_model(0.0, log_size))
     place = np.array([2.0, -1.0])
-    match = finder.at(0.1 * finder.template(place[None]), place)
+    match = finder.match_at(0.1 * finder.template(place[None]), place)
     condition = 1 + abs(log_size)
     return conditioned(relative_error(float(match.strength[0]), mpmath.mpf(0.1)), condition)
 
@@ -174,7 +174,7 @@ def noise_twelve_powers_of_ten_apart() -> Answer:
     """Readings whose noise differs by 1e12, merged with their reciprocal ones."""
     pattern = load_sensor_type("disc-100mm").value.pattern
     variance = 10.0 ** np.linspace(-24.0, 0, pattern.shape[0] * pattern.shape[1]).reshape(pattern.shape)
-    readings = merged_readings(pattern, pattern.usable(), variance)
+    readings = merge_reciprocal(pattern, pattern.usable(), variance)
     merged = (readings.merging**2 * variance[readings.used]).sum(axis=1)
     return conditioned(largest_relative_error(merged, [mpmath.mpf(1)] * len(merged)), 1.0)
 

@@ -194,7 +194,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
     decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain.reference)))
     problem = replace(plain, noise_variance=10**decades)
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     computed = fold.fold(readings[None])[0]
     weights = [1 / Fraction(one) for one in (10**decades).tolist()]
     above, below, size = ([Fraction(0)] * len(computed) for _ in range(3))

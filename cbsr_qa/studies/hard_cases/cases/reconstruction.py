@@ -9,7 +9,7 @@ from scipy import linalg
 
 from cbsr_qa.domain import Array, ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smoothed
+from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smooth
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor
@@ -37,7 +37,7 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     """
     problem = usual_problem(kind)
     weights = _weights(name, problem)
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     rows = fold.rows(problem.jacobian)
     sizes = linalg.svdvals(rows / np.sqrt(fold.variance)[:, None] / np.sqrt(weights))
     value = relative * float(sizes[0])
@@ -70,7 +70,7 @@ def ridge_condition(sizes: Array, value: float) -> float:
 def _l_curve(relative: float) -> Answer:
     """xᵀRx of the L-curve at an extreme λ against fifty digits."""
     problem = usual_problem()
-    sizes = linalg.svdvals(ReadingFold.of(problem).rows(problem.jacobian))
+    sizes = linalg.svdvals(ReadingFold.from_problem(problem).rows(problem.jacobian))
     values, coefficients = sizes**2, np.random.default_rng(_SEED).standard_normal((1, len(sizes)))
     curves = RidgeCurves(values, coefficients)
     s = float(2 * np.log(relative * sizes[0]))
@@ -92,7 +92,7 @@ def _lasting(frames: float) -> Answer:
     count, ridge2 = 12, 1e-9
     values = np.geomspace(1e-12, 1.0, 5)
     readings = np.random.default_rng(_SEED).standard_normal((count, len(values)))
-    computed = smoothed(readings, values, ridge2, Correlation(frames))
+    computed = smooth(readings, values, ridge2, Correlation(frames))
     exact = np.empty_like(computed)
     conditions = []
     with mp.workdps(DIGITS):
@@ -156,7 +156,7 @@ def nothing_but_regularisation() -> Answer:
     readings = _changes(problem)
     value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
     computed = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
-    fold = ReadingFold.of(problem)
+    fold = ReadingFold.from_problem(problem)
     limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
     condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
     return conditioned(apart(computed, limit), condition)

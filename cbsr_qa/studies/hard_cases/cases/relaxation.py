@@ -6,10 +6,10 @@ import mpmath
 import numpy as np
 
 from cbsr_qa.calibration.fits import (
+    estimate_restricted_mean,
     fit_common_relaxation,
     fit_relaxation,
     predict_steady,
-    restricted_mean,
     settling_time,
 )
 from cbsr_qa.domain import Array, NumericsError
@@ -222,7 +222,7 @@ def never_settled() -> Answer:
 def settling_times_that_agree() -> Answer:
     """The deviation of times that agree to 1e-8 is a small difference of large squares."""
     times = [30.0, 30.0 + 3e-7, 30.0 - 3e-7, 30.0 + 1e-7]
-    _, deviation = restricted_mean(times, [False] * 4)
+    _, deviation = estimate_restricted_mean(times, [False] * 4)
     with mpmath.workdps(DIGITS):
         exact = [mpmath.mpf(time) for time in times]
         mean = mpmath.fsum(exact) / 4

@@ -96,7 +96,7 @@ def test_the_noise_figure_asked_for_is_the_one_of_random_noise(problem, target):
 
 def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
     """Against a least-squares solver on the stacked system, where far errors were not raised."""
-    design = TargetDesign.of(problem, None, None)
+    design = TargetDesign.for_problem(problem, None, None)
     rows = GreitRows(problem, design)
     targets, nodes = rows.targets, problem.mesh.nodes_mm
     at, level = 0.1, np.sqrt((targets.signals**2).mean())
@@ -107,7 +107,7 @@ def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
         share = 1 / weight.sum()
         system = np.vstack([(targets.signals * np.sqrt(weight * share)).T, at * level * np.eye(len(targets.signals))])
         for column, width in enumerate(WIDTHS):
-            wide = targets.desired(nodes[node][None], (width, 1.0))[0]
+            wide = targets.desired_images(nodes[node][None], (width, 1.0))[0]
             aim = near * wide[:, 0] + 0.01 * wide[:, 1]
             right = np.concatenate([np.sqrt(share / weight) * aim, np.zeros(len(targets.signals))])
             expected = np.linalg.lstsq(system, right)[0]
@@ -116,13 +116,13 @@ def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
 
 
 def test_desired_images_are_as_large_as_their_targets(problem):
-    design = TargetDesign.of(problem, None, None)
-    targets = make_targets(problem, ReadingFold.of(problem), design)
-    integral = node_areas_mm2(problem.mesh) @ targets.desired(problem.mesh.nodes_mm)
+    design = TargetDesign.for_problem(problem, None, None)
+    targets = make_targets(problem, ReadingFold.from_problem(problem), design)
+    integral = node_areas_mm2(problem.mesh) @ targets.desired_images(problem.mesh.nodes_mm)
     assert np.allclose(integral, 1, rtol=1e-12)
     at = np.flatnonzero(targets.of_head)[0]
     x, y = targets.centres_mm[at]
-    peak, outline = targets.desired(np.array([[x, y], [x + design.head_mm, y]]))[:, at]
+    peak, outline = targets.desired_images(np.array([[x, y], [x + design.head_mm, y]]))[:, at]
     assert outline / peak == pytest.approx(0.85, rel=1e-12)
 
 

@@ -119,12 +119,12 @@ def test_derivatives_are_those_of_the_readings(problem):
     """Central differences come closer with the square of the step, for conductances and contacts at once."""
     model = SheetModel(imaging_problem(problem.sensor_type, used=_EVERY, image_size_mm=8.0), 0.15)
     random = np.random.default_rng(2)
-    state = model.nominal.moved(0.3 * random.standard_normal(len(model.nominal.unknowns)))
+    state = model.nominal.step(0.3 * random.standard_normal(len(model.nominal.unknowns)))
     direction = random.standard_normal(len(state.unknowns))
     slope = model.at(state).jacobian() @ direction
     steps, errors = (0.1, 0.05, 0.025), []
     for step in steps:
-        ahead, behind = (model.at(state.moved(sign * step * direction)).readings() for sign in (1, -1))
+        ahead, behind = (model.at(state.step(sign * step * direction)).readings() for sign in (1, -1))
         errors.append(float(np.linalg.norm((ahead - behind) / (2 * step) - slope)))
     assert_expected_order(errors, steps, 2.0, 0.05)
 
@@ -143,7 +143,7 @@ def test_small_changes_are_imaged_by_the_first_step(problem):
 def test_strong_loads_keep_their_amplitude_where_a_step_saturates(simulated):
     problem = simulated.problem()
     covered = np.hypot(*(simulated.model.mesh.centroids_mm - [10.0, 5.0]).T) < 8
-    pressed = simulated.model.changed(conductance=simulated.model.conductance * np.where(covered, 4.0, 1.0))
+    pressed = simulated.model.with_values(conductance=simulated.model.conductance * np.where(covered, 4.0, 1.0))
     change = _UNIT * (pressed.voltages() - simulated.model.voltages())[problem.used] / simulated.scale(problem)
     prepared = AbsoluteGaussNewton(load_spread=0.5, load_length=0.2).prepare(problem)
     image = prepared.images(change[None])[0]

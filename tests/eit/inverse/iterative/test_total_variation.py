@@ -66,7 +66,7 @@ def test_a_bump_too_weak_for_its_edges_is_levelled():
 
 
 def test_nothing_near_the_minimiser_is_better(problem, noisy):
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     readings = white.white(noisy[None])[0]
     found = Minimise(problem.mesh, white.rows, tolerance=1e-7).image(readings, _ALPHA)
     best = objective(problem.mesh, white.rows, readings, _ALPHA, found.image)
@@ -80,7 +80,7 @@ def test_nothing_near_the_minimiser_is_better(problem, noisy):
 
 
 def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem, noisy):
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     found = TotalVariation(hyperparameter=_ALPHA).prepare(problem).minimisers(noisy[None])[0]
     jumps = jump_matrix(problem.mesh)
     for value in (0.002, 0.01, 0.03):
@@ -95,7 +95,7 @@ def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem,
 @given(factor=st.floats(1e-3, 1e3), sign=st.sampled_from([-1, 1]))
 @drawn(6)
 def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     minimise = Minimise(problem.mesh, white.rows, tolerance=1e-7)
     one = minimise.image(white.white(noisy[None])[0], _ALPHA).image
     other = minimise.image(sign * factor * white.white(noisy[None])[0], factor * _ALPHA).image
@@ -103,7 +103,7 @@ def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
 
 
 def test_from_some_parameter_on_the_image_is_flat(problem, noisy):
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     readings, minimise = white.white(noisy[None])[0], Minimise(problem.mesh, white.rows, tolerance=1e-7)
     flat = minimise.flattening(readings)
     ones = white.rows.sum(axis=1)
@@ -216,7 +216,7 @@ def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, noisy, var
     chosen = TotalVariation(hyperparameter=_ALPHA).prepare(problem).choice
     options = {"tolerance": 1e-5, "most_steps": 60}
     with np.errstate(all="ignore"), pytest.raises(NumericsError, match="total variation") as refused:
-        TotalVariationImages.of(
+        TotalVariationImages.from_problem(
             "total-variation", replace(problem, noise_variance=variance), chosen, **options
         ).images(noisy[None])
     assert refused.value.remedy
@@ -231,7 +231,7 @@ def test_readings_whose_squares_are_no_numbers_are_refused(problem, noisy):
 @pytest.mark.parametrize("alpha", [1e-300, 1e-30, 1e-15])
 def test_what_is_said_not_to_have_converged_did_not(problem, noisy, alpha):
     """A gap of zero is no reason: it is that of an image whose dual does not balance it."""
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     with pytest.raises(NumericsError) as refused:
         Minimise(problem.mesh, white.rows).image(white.white(noisy[None])[0], alpha)
     said = re.search(r"(balance by|gap is) (\S+?)[, ].* (\S+) is needed", refused.value.reason)
@@ -240,7 +240,7 @@ def test_what_is_said_not_to_have_converged_did_not(problem, noisy, alpha):
 
 
 def test_the_steps_that_are_allowed_are_taken(problem, noisy):
-    white = WhiteReadings.of(problem)
+    white = WhiteReadings.from_problem(problem)
     readings = white.white(noisy[None])[0]
     steps = Minimise(problem.mesh, white.rows).image(readings, _ALPHA).steps
     assert Minimise(problem.mesh, white.rows, most_steps=steps).image(readings, _ALPHA).steps == steps

@@ -47,7 +47,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
     impedance = 10 ** np.array(contacts) * model.prepared.contacts.lengths_mm
     made = None
     with suppress(ValueRangeError):
-        made = model.changed(conductance=kind(10**contrast), contact_impedance=impedance)
+        made = model.with_values(conductance=kind(10**contrast), contact_impedance=impedance)
     if made is not None:
         event("accepted")
         check(against_fifty_digits(made))
@@ -65,7 +65,7 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
 @example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
 @_FEW
 def test_any_scatter_of_conductances_is_right(seed, decades):
-    answer = against_fifty_digits(small_model().changed(conductance=scattered(decades, seed)))
+    answer = against_fifty_digits(small_model().with_values(conductance=scattered(decades, seed)))
     check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, _SCATTERED)))
 
 
