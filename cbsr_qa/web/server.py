@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import resource
 import secrets
 import signal
 import socket
@@ -20,7 +21,7 @@ from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.system import check_regular, read_foreign
 from cbsr_qa.web.application import make_application
-from cbsr_qa.web.connections import ServerLoop, connection_settings
+from cbsr_qa.web.connections import ListeningSocket, ServerLoop, connection_settings
 from cbsr_qa.web.guard import LOG, Access
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.stations import served_stations
@@ -28,6 +29,8 @@ from cbsr_qa.web.stations import served_stations
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
 _LARGEST_TOKEN: Final = 2**12
+#: Files that may be open: twice as many as connections.
+_MOST_FILES: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,7 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
         Before anything is served: a file, an address or a certificate is wrong, or the port is taken.
     """
     _log_to_stderr()
+    _raise_file_limit()
     served = served_stations(request.stations, request.recipes)
     loopback = _is_loopback(request.host)
     tls = _certificate(request, loopback=loopback)
@@ -66,7 +70,8 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
     listening = _listening(request.host, request.port)
     port = listening.getsockname()[1]
     scheme = "http" if tls is None else "https"
-    access = Access(_hosts(request, port), scheme, token, request.anyone_may_look, port, _cookie_key())
+    emergencies = frozenset(f"/stations/{station.name}/emergency" for station in served)
+    access = Access(_hosts(request, port), scheme, token, request.anyone_may_look, port, _cookie_key(), emergencies)
     line = Line(served, request.database)
     config = uvicorn.Config(
         make_application(line, access),
@@ -99,6 +104,14 @@ class _Server(uvicorn.Server):
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+def _raise_file_limit() -> None:
+    """Let all connections be open at once beside the files of the program, as far as the system allows."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _MOST_FILES if hard == resource.RLIM_INFINITY else min(_MOST_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def _log_to_stderr() -> None:
@@ -187,7 +200,7 @@ def _read_secret(file: Path, what: str) -> str:
 def _listening(host: str, port: int) -> socket.socket:
     """Return a socket that listens. RefusedError if the address is not this computer's, or the port is taken."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening = ListeningSocket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
