@@ -264,8 +264,15 @@ class Archive:
 
     def _add(self, phase: int, group: h5py.Group) -> None:
         arrays = dict(_own_members(group))
+        numbers, counts = arrays.pop("block"), arrays.pop("frames")
+        if not numbers.shape == counts.shape == (numbers.size,) or {numbers.dtype.kind, counts.dtype.kind} != {"i"}:
+            raise ValueError(f"blocks of the shape {numbers.shape} with frames of the shape {counts.shape}")
+        lengths = counts[()]
+        frames = {len(one) for one in arrays.values()}
+        if lengths.min(initial=1) < 1 or frames - {int(lengths.sum())}:
+            raise ValueError(f"blocks of {lengths.sum()} frames in all, and arrays of {sorted(frames)}")
         start = 0
-        for number, count in zip(arrays["block"][()].tolist(), arrays["frames"][()].tolist(), strict=True):
+        for number, count in zip(numbers[()].tolist(), lengths.tolist(), strict=True):
             self._places[phase, number] = group, slice(start, start + count)
             start += count
 
@@ -306,5 +313,5 @@ def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
 def _readable() -> Iterator[None]:
     try:
         yield
-    except (OSError, KeyError, ValueError, RuntimeError, AttributeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, IndexError, RuntimeError, AttributeError) as error:
         raise StoreError(f"the archive cannot be read: {error}") from error

@@ -133,6 +133,40 @@ def _zeros(content):
     group.create_dataset("time_s", shape=(2**28,), dtype=float, chunks=(2**16,), compression="gzip")
 
 
+def _negative(content):
+    group = content.create_group("phase-0/1x1-V")
+    group["block"], group["frames"] = np.array([0]), np.array([-1])
+    group.create_dataset("time_s", shape=(2**28,), dtype=float, chunks=(2**16,), compression="gzip")
+
+
+def _scalar(content):
+    group = content.create_group("phase-0/1x1-V")
+    group["block"], group["frames"], group["time_s"] = 0, 1, np.zeros(1)
+
+
+def _longer(content):
+    group = content.create_group("phase-0/1x1-V")
+    group["block"], group["frames"], group["time_s"] = np.array([0]), np.array([1]), np.zeros(2)
+
+
+@pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
+@pytest.mark.parametrize(
+    ("fill", "why"),
+    [
+        (_negative, "blocks of -1 frames in all, and arrays of .268435456"),
+        (_scalar, "blocks of the shape "),
+        (_longer, r"blocks of 1 frames in all, and arrays of .2\]"),
+    ],
+)
+def test_an_archive_whose_blocks_do_not_fit_its_arrays_is_refused_unread(line, fill, why):
+    with h5py.File(line.file, "w") as content:
+        fill(content)
+    line.name(line.file.relative_to(line.database.parent))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    line.refused(f"the archive cannot be read: {why}")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # KiB
+
+
 @pytest.mark.rest
 @pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
 @pytest.mark.parametrize(
