@@ -9,7 +9,7 @@ from calibration_samples import sample_force
 from sqlalchemy import JSON, Boolean, DateTime, Double, Integer, LargeBinary, create_engine, select
 from stored_runs import SETTING, calibration, short_run
 
-from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.file import stamp
 from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
@@ -41,7 +41,7 @@ def fill(url):
         record, software = store.load_run(second), (("cbsr-qa", "0.2.0"),)
         issued = calibration(store.new_id(), second)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
-        issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        issued = stamp(replace(issued, force=model, digest="", record_digest=""))
         again = Reanalysis(second, 64 * "0", "{}", software, decide(PASSED), PASSED, ("one",), "equal", None, ())
         store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
         store.save_result(RunResult(record, None, FAILED, decide(FAILED), issued, "", warnings=("one", "two")))

@@ -137,9 +137,18 @@ def altered_runs(
             stored[place[0]][place] = content
     linked, doubted = _linked(connection, chains, kinds)
     doubted |= {run for run, chain in chains.items() if linked.get(run, {}) != (stored[run] if chain else {})}
+    doubted |= _unchained_with_links(connection, {run for run, chain in chains.items() if not chain})
     if ended:
         doubted |= runs_with_a_gap(connection, [run for run, chain in chains.items() if chain])
     return dict(_problems(connection, sorted(doubted), kinds))
+
+
+def _unchained_with_links(connection: Connection, unchained: set[str]) -> set[str]:
+    """Return the runs whose row states no chain, although links of it, of whatever kind, are there."""
+    if not unchained:
+        return set()
+    links = select(LinkRow.run).where(among(connection, LinkRow.run, sorted(unchained))).distinct()
+    return unchained.intersection(connection.scalars(links))
 
 
 def _linked(

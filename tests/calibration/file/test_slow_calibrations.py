@@ -10,7 +10,7 @@ from calibration_samples import sample_calibration
 from pressed_sheets import issued_from_presses
 
 from cbsr_qa.app.calibration import read_any
-from cbsr_qa.calibration.file import encode, hdf5, read_in_child, read_json_calibration, stamped, write_calibration
+from cbsr_qa.calibration.file import encode, hdf5, read_in_child, read_json_calibration, stamp, write_calibration
 from cbsr_qa.calibration.file.content import Entry, content_digest, schema_version
 from cbsr_qa.calibration.file.json import dataset
 from cbsr_qa.calibration.runtime import Calibration
@@ -153,7 +153,7 @@ def test_a_long_run_of_loads_is_read_and_opened(tmp_path):
 def test_presses_that_would_not_be_read_are_not_issued():
     issued = issued_from_presses()
     with pytest.raises(CalibrationError, match="readings/pairs: 70000 is too many; a calibration has at most 65536"):
-        stamped(replace(issued, pairs=np.zeros((70_000, 4), dtype=np.int64)))
+        stamp(replace(issued, pairs=np.zeros((70_000, 4), dtype=np.int64)))
 
 
 @pytest.mark.rest
