@@ -77,6 +77,8 @@ def verdict_pages(connection: Connection, chosen: Conditions) -> Iterator[list[S
 
     Raises
     ------
+    StoreError
+        If an unchained run holds an unknown outcome or end.
     TypeError, ValueError
         If a cell holds a value of another type than its column.
     """
@@ -118,13 +120,8 @@ def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVer
         if run in altered:
             yield _altered(facts, chain, state, altered[run])
             continue
-        try:
-            found = StoredVerdict(facts, chain, *_ended(run, state))
-            if analysis is not None:
-                found = _with_result(found, analysis, decided.get((run, analysis[0])))
-        except StoreError as error:  # an unchained run with an unknown word: others are listed all the same
-            found = _altered(facts, chain, state, error.reason)
-        yield found
+        found = StoredVerdict(facts, chain, *_ended(run, state))
+        yield found if analysis is None else _with_result(found, analysis, decided.get((run, analysis[0])))
 
 
 def _ended(run: str, state: tuple[Any, ...] | None) -> tuple[EndReason, str, float]:

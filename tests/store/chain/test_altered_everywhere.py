@@ -253,17 +253,3 @@ def test_a_run_whose_chain_was_removed_but_not_all_its_links_is_altered(copied, 
     with open_store(f"sqlite:///{path}") as store:
         (listed,) = [one for one in store.listed_runs() if one.run == run]
     assert "states no chain, and run_links holds links" in listed.altered
-
-
-@pytest.mark.parametrize(
-    "cell",
-    ["analyses set outcome = 'odd'", "run_states set \"end\" = 'odd'", "verdict_overrides set outcome = 'odd'"],
-)
-def test_an_unknown_word_of_an_unchained_run_hides_no_other_run(copied, cell):
-    path, run, _ = copied
-    change(path, "update runs set chain = NULL")
-    change(path, "delete from run_links")
-    change(path, f"update {cell}")
-    with open_store(f"sqlite:///{path}") as store:
-        (listed,) = [one for one in store.listed_runs() if one.run == run]
-    assert "odd" in listed.altered
