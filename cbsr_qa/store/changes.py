@@ -139,7 +139,7 @@ def _last_accepted(connection: Connection, identity: RunIdentity) -> str:
         .where(RunRow.sensor_type == identity.sensor.sensor_type, RunRow.recipe == identity.recipe)
         .where(RunRow.run < identity.run, AnalysisRow.outcome.in_(_ACCEPTED))
     )
-    for run in connection.scalars(passed.distinct().order_by(RunRow.run.desc()).execution_options(yield_per=1)):
+    for run in connection.scalars(passed.distinct().order_by(RunRow.run.desc())).all():
         found = verdict_of(connection, run)
         if found is not None and found.outcome in _ACCEPTED:
             return run

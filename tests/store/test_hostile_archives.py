@@ -129,7 +129,7 @@ def _raw(content):
 
 def _zeros(content):
     group = content.create_group("phase-0/1x1-V")
-    group["block"], group["frames"] = np.array([0, 1]), np.array([1, 2**28])
+    group["block"], group["frames"] = np.array([0, 1]), np.array([1, 2**28 - 1])
     group.create_dataset("time_s", shape=(2**28,), dtype=float, chunks=(2**16,), compression="gzip")
 
 
