@@ -20,15 +20,20 @@ _ARGUMENTS = [
 
 
 @pytest.fixture(scope="session")
-def line(tmp_path_factory):
-    """A served line; its lock files are found by the tests too."""
+def served_line(tmp_path_factory):
+    """A line that is served for all tests."""
     line = ServedLine(tmp_path_factory.mktemp("line"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CBSR_QA_VAR", str(line.folder / "var"))
-        try:
-            yield line.start()
-        finally:
-            line.stop()
+    try:
+        yield line.start()
+    finally:
+        line.stop()
+
+
+@pytest.fixture
+def line(served_line, monkeypatch):
+    """The served line; its lock files are found by the test too, and by no other test of this process."""
+    monkeypatch.setenv("CBSR_QA_VAR", str(served_line.folder / "var"))
+    return served_line
 
 
 @pytest.fixture(scope="session")
