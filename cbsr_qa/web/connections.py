@@ -1,6 +1,6 @@
 """Connections to the server: every head of a request is timed, and those without the token share a few places.
 
-Who has not shown the token can therefore not keep others out, however many connections they open: whoever has it is
+Who has not shown the token takes no place of those who have: whoever has it is
 always let in, and an emergency stop is answered.
 """
 
