@@ -11,6 +11,7 @@ from typing import Final
 from sqlalchemy import Connection, inspect, text
 
 from cbsr_qa.store.standing import up_to_date_sql
+from cbsr_qa.store.tables import FEW_LINKS
 
 _RUNS: Final = f"""
 SELECT
@@ -23,7 +24,9 @@ SELECT
     o.operator AS overridden_by,
     o.why AS overridden_why,
     a.analysis, a.analysed_at,
-    r.run IN (SELECT c.golden_run FROM station_checks AS c WHERE c.golden_run IS NOT NULL) AS of_check,
+    r.run IN (
+        SELECT c.golden_run FROM station_checks AS c JOIN runs AS g ON g.run = c.golden_run AND g.station = c.station
+    ) AS of_check,
     CAST(r.simulated AS TEXT) <> '[]' AS simulated
 FROM runs AS r
 LEFT JOIN run_states AS s
@@ -53,15 +56,30 @@ JOIN measurements AS m
     ON m.analysis = a.analysis
 """
 
-_CALIBRATIONS: Final = """
+#: A row that was added without a link, or to a run of another sensor, is no calibration. Runs from before chains have
+#: no links.
+_ISSUED: Final = f"""{{run}}.run = {{row}}.run AND {{run}}.serial = {{row}}.serial AND (
+        {{run}}.chain IS NULL OR EXISTS (
+            SELECT 1 FROM run_links AS l
+            WHERE l.run = {{row}}.run AND l.kind = 'calibrations' AND l.document = {{row}}.calibration
+                AND l.{FEW_LINKS}
+        )
+    )"""
+
+_CALIBRATIONS: Final = f"""
 SELECT
     c.serial, c.calibration, c.run, r.batch, r.sensor_type, r.station, r.recipe, c.issued_at, r.verdict,
     c.content_sha256, c.file_sha256
 FROM calibrations AS c
+JOIN runs AS own
+    ON {_ISSUED.format(run="own", row="c")}
 JOIN v_runs AS r
     ON r.run = c.run
 WHERE NOT EXISTS (
-    SELECT 1 FROM calibrations AS later WHERE later.serial = c.serial AND later.calibration > c.calibration
+    SELECT 1 FROM calibrations AS later
+    JOIN runs AS its
+        ON {_ISSUED.format(run="its", row="later")}
+    WHERE later.serial = c.serial AND later.calibration > c.calibration
 )
 """
 

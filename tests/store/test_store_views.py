@@ -54,6 +54,29 @@ def test_one_row_of_each_view_is_what_holds(analysed_twice):
     assert (held["serial"], held["calibration"], held["verdict"]) == ("S-1", issued, "fail")
 
 
+@pytest.mark.parametrize("of_run", ["its own run", "a run of another sensor", "no run"])
+def test_a_calibration_that_no_link_names_is_not_the_valid_one(tmp_path, of_run):
+    """Its identifier is of the future, so that it would be the latest."""
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        run, other = store.new_id(), store.new_id()
+        for name, serial in ((run, "S-1"), (other, "S-2")):
+            journalled(store, short_run(name, serial))
+        issued = calibration(store.new_id(), run)
+        values = measured(5.0, 0.1)
+        store.save_result(RunResult(store.load_run(run), None, values, decide(values), issued, ""))
+    owner = {"its own run": run, "a run of another sensor": other}.get(of_run, "none")
+    with sqlite3.connect(tmp_path / "runs.db") as database:
+        columns = [row[1] for row in database.execute("PRAGMA table_info(calibrations)")]
+        others = ", ".join(f'"{name}"' for name in columns if name not in ("calibration", "run"))
+        database.execute(
+            f"INSERT INTO calibrations (calibration, run, {others})"
+            f" SELECT 'ffffffff-0000-7000-8000-000000000000', ?, {others} FROM calibrations",
+            [owner],
+        )
+        held = database.execute("SELECT serial, calibration, run FROM v_calibrations").fetchall()
+    assert held == [("S-1", issued.calibration, run)]
+
+
 def test_an_override_of_an_earlier_analysis_does_not_hold(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
         run = store.new_id()
