@@ -1,16 +1,29 @@
 """Translation of database errors into one clear message with a remedy."""
 
+import json
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from enum import StrEnum
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, Final, TypeVar
 
-from sqlalchemy import URL, ColumnElement, Connection, Table, select, type_coerce
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
+from sqlalchemy import JSON, URL, Column, ColumnElement, Connection, DateTime, Table, Text, cast, select, type_coerce
+from sqlalchemy.exc import DataError, DBAPIError, SQLAlchemyError, StatementError
 from sqlalchemy.types import NullType
 
 from cbsr_qa.domain import CbsrError, StoreError
+
+#: Raised where a cell has another type than its column, JSON without end, or a moment that no calendar has.
+FOREIGN_VALUE: Final = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
+#: The same where a cell is read; a driver raises the last one, and for some values that are looked for.
+FOREIGN_CELL: Final = (*FOREIGN_VALUE, DataError)
+
+#: Columns of JSON that hold an object; others hold a list.
+_OBJECTS: Final = frozenset({"setting", "settings", "step", "kernels"})
+#: The column of versions, whose list is of pairs.
+_VERSIONS: Final = "software"
 
 #: Part of the driver's message → (what it means, what to do). The first that fits is used.
 _KNOWN = (
@@ -137,15 +150,13 @@ def foreign_cell(
     what : start of the message.
     """
     for table, wanted in rows:
-        kinds = [(one, one.type.dialect_impl(connection.dialect)) for one in table.columns]
-        converters = [(one, kind.result_processor(connection.dialect, None)) for one, kind in kinds]
-        raw = select(*(type_coerce(one, NullType()).label(one.name) for one in table.columns))
+        converters = [(one, cell_reader(connection, one)) for one in table.columns]
+        raw = select(*(raw_cell(connection, one) for one in table.columns))
         for row in connection.execute(raw.where(wanted)).mappings():
             for column, convert in converters:
                 try:
-                    if convert is not None:
-                        convert(row[column.name])
-                except (TypeError, ValueError, AttributeError):
+                    convert(row[column.name])
+                except FOREIGN_CELL:
                     key = ", ".join(f"{one.name} {row[one.name]}" for one in table.primary_key)
                     return StoreError(
                         f"{what}: {table.name}.{column.name} ({key}) holds {repr(row[column.name])[:60]},"
@@ -153,3 +164,39 @@ def foreign_cell(
                         remedy="restore the database from a copy; the row is left unchanged",
                     )
     return None
+
+
+def raw_cell(connection: Connection, column: Column[Any]) -> Any:
+    """Select a column as it is stored; of PostgreSQL moments and JSON as text, which its driver turns into values."""
+    if connection.dialect.name == "postgresql" and isinstance(_plain_type(column), (DateTime, JSON)):
+        return cast(column, Text).label(column.name)
+    return type_coerce(column, NullType()).label(column.name)
+
+
+def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], Any]:
+    """Return what turns a cell of :func:`raw_cell` into a value; it raises one of :data:`FOREIGN_VALUE`."""
+    kind = _plain_type(column)
+    if connection.dialect.name == "postgresql":  # which checks types itself
+        if isinstance(kind, JSON):
+            return partial(_json_value, column.name, json.loads)
+        if isinstance(kind, DateTime):
+            return lambda cell: None if cell is None else datetime.fromisoformat(cell)
+        return lambda cell: cell
+    convert = column.type.dialect_impl(connection.dialect).result_processor(connection.dialect, None)
+    if convert is None:
+        return lambda cell: cell
+    return partial(_json_value, column.name, convert) if isinstance(kind, JSON) else convert
+
+
+def _plain_type(column: Column[Any]) -> Any:
+    return getattr(column.type, "impl", column.type)
+
+
+def _json_value(name: str, convert: Callable[[Any], Any], cell: Any) -> Any:
+    """Return JSON of the kind that a column holds, an object or a list; TypeError for another."""
+    value = None if cell is None else convert(cell)
+    if value is not None and not isinstance(value, dict if name in _OBJECTS else list):
+        raise TypeError(f"it holds {type(value).__name__}")
+    if name == _VERSIONS and value is not None and not all(isinstance(one, list) and len(one) == 2 for one in value):
+        raise TypeError("it holds other items than [package, version]")
+    return value

@@ -21,7 +21,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store.damage import foreign_cell, shown, translated
+from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, shown, translated
 from cbsr_qa.system import UnfitFileError, check_regular
 
 #: How long a writer waits for another one [ms].
@@ -151,7 +151,7 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
     """Raise StoreError in place of an error caused by a cell of the wrong type."""
     try:
         yield
-    except (TypeError, ValueError, AttributeError, IndexError) as error:
+    except FOREIGN_VALUE as error:
         from cbsr_qa.store.tables import Base
 
         try:

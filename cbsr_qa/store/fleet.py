@@ -28,8 +28,11 @@ from cbsr_qa.store.chain import (
     words,
 )
 from cbsr_qa.store.damage import stored
-from cbsr_qa.store.selected import Conditions, read_selected
-from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, StationCheckRow
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.left_out import with_left_out
+from cbsr_qa.store.selected import Conditions, conditions, naming_runs
+from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow
 from cbsr_qa.store.types import made_at
 from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts
 
@@ -51,11 +54,10 @@ def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine
     Raises
     ------
     StoreError
-        If the database cannot be read, or holds an unknown outcome or a cell of the wrong type.
+        If the database cannot be read.
     """
-    return read_selected(
-        engine, selection, lambda connection, chosen: tuple(line for line, _ in _lines(connection, chosen))
-    )
+    with reading(engine) as connection:
+        return tuple(line for line, _ in _lines(connection, _selected(connection, selection)))
 
 
 def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
@@ -72,7 +74,7 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
         runs: list[RunLine] = []
         places: dict[str, int] = {}
         known: list[Known | None] = []
-        for line, one in _lines(connection, chosen):
+        for line, one in _lines(connection, _selected(connection, selection, chosen)):
             one.checked()
             if one.analysis:
                 places[one.analysis] = len(runs)
@@ -81,19 +83,27 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
         kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
-    return read_selected(engine, selection, table)
+    with reading(engine) as connection:
+        return naming_runs(connection, conditions(selection), table)
 
 
-def _lines(connection: Connection, chosen: Conditions) -> Iterator[tuple[RunLine, StoredVerdict]]:
-    of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
+def _selected(connection: Connection, selection: RunSelection, chosen: Conditions | None = None) -> list[str]:
+    query = select(RunRow.run).where(*(conditions(selection) if chosen is None else chosen)).order_by(RunRow.run)
+    return with_left_out(connection, selection, list(connection.scalars(query)))
+
+
+def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLine, StoredVerdict]]:
+    of_checks = believed_golden_runs(connection, set(connection.scalars(golden_runs())).intersection(names))
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
-    for one in stored_verdicts(connection, chosen):
+    for one in stored_verdicts(connection, names):
         yield _line(one, shared, of_check=one.run in of_checks), one
 
 
 def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
-    row, simulated = one.values, tuple(one.values["simulated"])
-    material = row["setting"].get("material", {}).get("name", "")
+    row = one.values
+    simulated = () if one.altered else tuple(map(str, row["simulated"]))  # of an altered run it may be anything
+    described = None if one.altered else row["setting"].get("material")
+    material = str(described.get("name", "")) if isinstance(described, dict) else ""
     return RunLine(
         run=row["run"],
         serial=row["serial"],

@@ -1,36 +1,52 @@
 """Runs as a shift lists them, by columns and indices: only the selected runs and their latest results are read."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, exists, func, select
+from sqlalchemy import Connection, Engine, exists, func, select, type_coerce
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
-from cbsr_qa.store.chain import AT_ONCE, RESTORE, altered_runs, read_rows
+from cbsr_qa.domain.results import Bound, EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
+from cbsr_qa.store.apart import read_apart
+from cbsr_qa.store.chain import RESTORE, ReadRows, altered_runs, covered, read_rows
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.left_out import with_left_out
 from cbsr_qa.store.results import stored_measurement
-from cbsr_qa.store.selected import Conditions, conditions, naming_runs
-from cbsr_qa.store.tables import MeasurementRow, RunRow, RunStateRow, StationCheckRow
+from cbsr_qa.store.selected import conditions
+from cbsr_qa.store.tables import Base, MeasurementRow, RunRow, RunStateRow
 from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts, verdict_pages
 
 _EVERY: Final = RunSelection()
+#: Runs up to which the others of their sensors are looked up; those of all sensors are read for more.
+_FEW: Final = 1000
+#: Columns of measurements that hold one of some words.
+_WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map(str, Bound))}
 
 
 def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
     """Return the selected runs in the order they were made in; those that were altered are marked.
 
+    An altered run is also returned where the selection leaves it out, as what selects may be what was altered.
     What is shown of a run is compared with the links of its rows, not the whole chain: see docs/explanation.
 
     Raises
     ------
     StoreError
-        If the database cannot be read, or a cell of a selected run is damaged; the message names the run.
+        If the database cannot be read.
     """
     with reading(engine) as connection:
-        return naming_runs(connection, conditions(selection), _listed)
+        return _listed(connection, _names(connection, selection))
+
+
+def runs_named(engine: Engine, runs: Sequence[str]) -> tuple[ListedRun, ...]:
+    """Return some runs as :func:`listed_runs`; names of no stored run are passed over."""
+    with reading(engine) as connection:
+        return _listed(connection, runs)
 
 
 def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
@@ -41,10 +57,14 @@ def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
 
 
 def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ...]:
-    """Return the identifiers of the selected runs in the order they were made in. StoreError as for listed_runs."""
+    """Return the identifiers of the runs that :func:`listed_runs` returns, in the order they were made in."""
     with reading(engine) as connection:
-        query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
-        return tuple(connection.scalars(query.execution_options(yield_per=AT_ONCE)))
+        return tuple(_names(connection, selection))
+
+
+def _names(connection: Connection, selection: RunSelection) -> list[str]:
+    query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
+    return with_left_out(connection, selection, list(connection.scalars(query)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +89,16 @@ def measured_runs(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
     Raises
     ------
     StoreError
-        If the database cannot be read, or a cell of one of the runs is damaged; the message names the run.
+        If the database cannot be read.
     """
     with reading(engine) as connection:
-        return naming_runs(connection, [RunRow.run.in_(runs)], _measured)
+        parts = list(read_apart(connection, runs, partial(_measured, connection), _unmeasured)) if runs else []
+    names = [column.name for column in covered(Base.metadata.tables[MeasurementRow.__tablename__])]
+    return MeasuredRuns(
+        [run for part in parts for run in part.runs],
+        {name: [cell for part in parts for cell in part.columns.get(name, ())] for name in names},
+        {run: problem for part in parts for run, problem in part.altered.items()},
+    )
 
 
 def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
@@ -90,24 +116,50 @@ def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[M
     return found
 
 
-def _measured(connection: Connection, chosen: Conditions) -> MeasuredRuns:
-    verdicts = {one.run: one for one in stored_verdicts(connection, chosen)}
-    rows = read_rows(connection, MeasurementRow, list(verdicts))
-    chains = {run: one.values["chain"] for run, one in verdicts.items() if not one.altered}
+def _unmeasured(run: str, problem: str) -> MeasuredRuns:
+    return MeasuredRuns((), {}, {run: problem})
+
+
+def _measured(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
+    verdicts = {one.run: one for one in stored_verdicts(connection, runs)}
+    sound = [run for run, one in verdicts.items() if not one.altered]
+    rows = read_rows(connection, MeasurementRow, sound)
     altered = {run: one.altered for run, one in verdicts.items() if one.altered}
-    altered |= altered_runs(connection, chains, [rows.of_runs(chains)])
+    altered |= altered_runs(connection, {run: verdicts[run].values["chain"] for run in sound}, [rows])
+    altered |= _unknown_words(rows, altered)
     latest = {one.analysis for run, one in verdicts.items() if run not in altered}
     shown = [at for at, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
     columns = {name: [cells[at] for at in shown] for name, cells in rows.columns.items()}
     return MeasuredRuns([rows.runs[at] for at in shown], columns, altered)
 
 
-def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:
-    earlier = _earlier(connection, chosen)
-    of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
+def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
+    """Return what is wrong with runs, not altered by their links, whose measurements hold unknown words."""
+    found: dict[str, str] = {}
+    for column, words in _WORDS.items():
+        if set(rows.columns[column]) <= words:
+            continue
+        for run, analysis, number, word in zip(
+            rows.runs, *(rows.columns[name] for name in ("analysis", "number", column)), strict=True
+        ):
+            if word not in words and run not in altered:
+                place = f"analysis {analysis}, measurement {number}, has measurements.{column} {word[:64]!r}"
+                found.setdefault(run, f"run {run}: {place}; allowed: {', '.join(sorted(words))}")
+    return found
+
+
+def _listed(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
+    earlier, of_checks = _earlier(connection, names)
     runs: list[ListedRun] = []
-    for page in verdict_pages(connection, chosen):  # not all at once: garbage is looked for among what is kept
-        failed, altered = _failed(connection, page)
+    for page in verdict_pages(connection, names):  # not all at once: garbage is looked for among what is kept
+        verdicts = {one.run: one for one in page if one.outcome is Outcome.FAIL}
+        failed: dict[str, dict[MetricKey, None]] = {}
+        altered: dict[str, str] = {}
+        for metrics, problems in read_apart(
+            connection, list(verdicts), partial(_failed, connection, verdicts), _not_listed
+        ):
+            failed |= metrics
+            altered |= problems
         runs += (
             _run(
                 one,
@@ -150,18 +202,17 @@ def _run(
 
 
 def _failed(
-    connection: Connection, verdicts: Sequence[StoredVerdict]
+    connection: Connection, verdicts: Mapping[str, StoredVerdict], runs: Sequence[str]
 ) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
     """Return the metrics outside their limits, by analysis, and what is wrong with runs that were altered.
 
-    Only of analyses that failed, as one such metric decides.
+    Only of runs that failed, as one such metric decides.
     """
-    chains = {one.run: one.values["chain"] for one in verdicts if one.outcome is Outcome.FAIL}
-    latest = {one.analysis for one in verdicts if one.run in chains}
-    if not chains:
+    if not runs:
         return {}, {}
-    rows = read_rows(connection, MeasurementRow, list(chains))
-    altered = altered_runs(connection, chains, [rows])
+    latest = {verdicts[run].analysis for run in runs}
+    rows = read_rows(connection, MeasurementRow, runs)
+    altered = altered_runs(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
     found: dict[str, dict[MetricKey, None]] = {}
     cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
     for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
@@ -170,17 +221,26 @@ def _failed(
     return found, altered
 
 
-def _earlier(connection: Connection, chosen: Conditions) -> dict[str, int]:
-    """Return how many finished runs of the sensor and recipe are before each run."""
+def _not_listed(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
+    return {}, {run: problem}
+
+
+def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, int], set[str]]:
+    """Return how many finished runs of the sensor and recipe are before each run, and the runs of golden sensors."""
     r, s = RunRow, RunStateRow
     finished = exists().where(s.run == r.run, s.end == str(EndReason.FINISHED))
-    checks = select(StationCheckRow.golden_run).where(StationCheckRow.golden_run.is_not(None))
-    query = select(r.run, r.serial, r.recipe, finished).where(r.run.not_in(checks)).order_by(r.run)
-    if chosen:
-        query = query.where(r.serial.in_(select(r.serial).where(*chosen)))
+    # A cell of another type must not stop this: the run is marked where its row is read.
+    columns: list[Any] = [type_coerce(column, NullType()) for column in (r.run, r.serial, r.recipe)]
+    query = select(*columns, finished).order_by(r.run)
+    if len(names) < _FEW:
+        query = query.where(r.serial.in_(select(r.serial).where(r.run.in_(names))))
+    rows = [tuple(row) for row in connection.execute(query)]
+    named = set(connection.scalars(golden_runs()))
+    of_checks = believed_golden_runs(connection, named.intersection(row[0] for row in rows))
     before: Counter[tuple[str, str]] = Counter()
     found = {}
-    for run, serial, recipe, ended in connection.execute(query):
-        found[run] = before[serial, recipe]
-        before[serial, recipe] += ended
-    return found
+    for run, serial, recipe, ended in rows:
+        if run not in of_checks:
+            found[run] = before[serial, recipe]
+            before[serial, recipe] += ended
+    return found, of_checks

@@ -16,7 +16,7 @@ from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, 
 from cbsr_qa.store.chain import KEY_OPTION
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
-from cbsr_qa.store.listed import judged_measurements, listed_runs, measured_runs, run_count, run_names
+from cbsr_qa.store.listed import judged_measurements, listed_runs, measured_runs, run_count, run_names, runs_named
 from cbsr_qa.store.results import (
     Reanalysis,
     analyses as analysed,
@@ -119,6 +119,7 @@ class Repository:
         return locks.sensor_claimed(self._engine, serial, recipe, locks.this_process(operator))
 
     seeds_of = _of_engine(outcomes.seeds_of)
+    altered_elsewhere = _of_engine(outcomes.altered_elsewhere)
     writer_of = _of_engine(locks.writer_of)
 
     load_run = _of_engine(runs.load_run)
@@ -162,6 +163,7 @@ class Repository:
     listed_runs = _of_engine(listed_runs)
     run_count = _of_engine(run_count)
     run_names = _of_engine(run_names)
+    runs_named = _of_engine(runs_named)
     judged_measurements = _of_engine(judged_measurements)
     measured_runs = _of_engine(measured_runs)
     altered_records = _of_engine(changed.altered_records)

@@ -1,17 +1,20 @@
 """Seals of station checks: a digest of all rows of a check, signed where a key is set. No chain covers these rows."""
 
 import hmac
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from sqlalchemy import Connection, select
 
 from cbsr_qa.domain.run import CheckSeal
 from cbsr_qa.store.chain import covered, row_text, sha256, signing_key
+from cbsr_qa.store.damage import FOREIGN_CELL
 from cbsr_qa.store.tables import Base, StationCheckFramesRow, StationCheckLineRow, StationCheckRow
 
 _TABLES: Final = (StationCheckRow, StationCheckLineRow, StationCheckFramesRow)
 _PLAIN: Final = "sha256"
+#: Checks whose rows are in memory at once.
+_AT_ONCE: Final = 500
 
 #: Tables, and the rows of one check in them as they are stored.
 CheckRows = Iterable[tuple[type[Base], Mapping[str, Any]]]
@@ -23,6 +26,12 @@ def new_seal(connection: Connection, check: str, rows: CheckRows) -> str:
     return f"{_PLAIN}:{digest}" if key is None else f"{key.key_id}:{digest}:{key.sign(check, digest)}"
 
 
+def key_of_seal(seal: str) -> str:
+    """Return the key that signed a seal; empty where none did."""
+    kind = str(seal).partition(":")[0]
+    return "" if kind == _PLAIN else kind
+
+
 def check_seal(connection: Connection, check: str, seal: str | None) -> tuple[CheckSeal, str]:
     """Compare the rows of a check with its seal.
 
@@ -30,11 +39,26 @@ def check_seal(connection: Connection, check: str, seal: str | None) -> tuple[Ch
     -------
     State of the seal, and what does not match; empty if all does, and for a check of before seals.
     """
+    return check_seals(connection, {check: seal})[check]
+
+
+def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict[str, tuple[CheckSeal, str]]:
+    """Compare the rows of checks with their seals, by check; returns as :func:`check_seal`."""
+    sealed = [check for check, seal in seals.items() if seal is not None]
+    digests = {
+        check: digest
+        for first in range(0, len(sealed), _AT_ONCE)
+        for check, digest in _stored_digests(connection, sealed[first : first + _AT_ONCE]).items()
+    }
+    return {check: _state(connection, check, seal, digests.get(check, "")) for check, seal in seals.items()}
+
+
+def _state(connection: Connection, check: str, seal: str | None, stored: str) -> tuple[CheckSeal, str]:
     if seal is None:
         return CheckSeal.NONE, ""
-    kind, _, rest = seal.partition(":")
+    kind, _, rest = str(seal).partition(":")
     digest, _, mac = rest.partition(":")
-    if not hmac.compare_digest(_digest(_stored_rows(connection, check)), digest):
+    if not hmac.compare_digest(stored.encode(), digest.encode()):
         return CheckSeal.NONE, f"station check {check} was altered: it does not match its seal"
     if kind == _PLAIN:
         return CheckSeal.DIGEST, ""
@@ -50,8 +74,17 @@ def _digest(rows: CheckRows) -> str:
     return sha256(*sorted(row_text(Base.metadata.tables[kind.__tablename__], row) for kind, row in rows))
 
 
-def _stored_rows(connection: Connection, check: str) -> CheckRows:
-    for kind in _TABLES:
-        table = Base.metadata.tables[kind.__tablename__]
-        for row in connection.execute(select(*covered(table)).where(table.c.check_id == check)).mappings():
-            yield kind, dict(row)
+def _stored_digests(connection: Connection, checks: Sequence[str]) -> dict[str, str]:
+    """Return the digest of the rows of each check; empty for one of which a cell cannot be read."""
+    rows: dict[str, list[tuple[type[Base], Mapping[str, Any]]]] = {check: [] for check in checks}
+    try:
+        for kind in _TABLES:
+            table = Base.metadata.tables[kind.__tablename__]
+            query = select(*covered(table)).where(table.c.check_id.in_(checks))
+            for row in connection.execute(query).mappings():
+                rows[row["check_id"]].append((kind, dict(row)))
+        return {check: _digest(own) for check, own in rows.items()}
+    except FOREIGN_CELL:
+        if len(checks) == 1:
+            return {checks[0]: ""}
+        return {check: digest for one in checks for check, digest in _stored_digests(connection, [one]).items()}

@@ -1,35 +1,25 @@
 """Conditions that select runs, and reads that name the first run that cannot be read."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, time
-from functools import partial
 from typing import Final, TypeAlias, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, Engine, select
+from sqlalchemy import ColumnElement, Connection, select
 from sqlalchemy.exc import OperationalError
 
 from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.store.chain import check_run, unreadable
-from cbsr_qa.store.engine import reading
-from cbsr_qa.store.tables import RunRow, StationCheckRow
+from cbsr_qa.store.chain import unreadable
+from cbsr_qa.store.damage import FOREIGN_CELL
+from cbsr_qa.store.golden import golden_runs
+from cbsr_qa.store.tables import RunRow
 
 Conditions: TypeAlias = list[ColumnElement[bool]]
 
 _T = TypeVar("_T")
 #: Raised by a cell whose value has another type than its column.
-_UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, OperationalError)
+_UNREADABLE: Final = (*FOREIGN_CELL, OperationalError)
 #: Columns that select runs by name, as :func:`_names` gives them.
 _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
-
-
-def read_selected(engine: Engine, selection: RunSelection, read: Callable[[Connection, Conditions], _T]) -> _T:
-    """Read the selected runs; if that fails, name the first run that cannot be read."""
-    with reading(engine) as connection:
-        chosen = conditions(selection)
-        if chosen and selection.latest is None:  # the latest are selected through each run's end: by indices alone
-            naming_runs(connection, [], partial(_check_left_out, selection))
-        return naming_runs(connection, chosen, read)
 
 
 def naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], _T]) -> _T:
@@ -41,21 +31,6 @@ def naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Conn
         if run is None:  # the database failed, not a run
             raise
         raise unreadable(connection, run, error) from error
-
-
-def _check_left_out(selection: RunSelection, connection: Connection, chosen: Conditions) -> None:
-    """Raise for a run that only a damaged cell excludes from a selection: a name, or when it began.
-
-    A name is checked only if no other run shares it, as damage leaves it: checking every run takes 0.3 ms each.
-    """
-    columns = RunRow.run, RunRow.serial, RunRow.started_at, *_BY_NAME
-    runs = connection.execute(select(*columns).where(*chosen)).all()
-    for column, wanted in zip(_BY_NAME, _names(selection), strict=True):
-        counts = Counter(getattr(run, column.key) for run in runs) if wanted else Counter[str]()
-        unique = {name for name, count in counts.items() if count == 1}.difference(wanted)
-        for run in runs:
-            if getattr(run, column.key) in unique:
-                check_run(connection, run.run, ("runs",))
 
 
 def _names(selection: RunSelection) -> Iterator[Sequence[str]]:
@@ -98,8 +73,7 @@ def conditions(selection: RunSelection) -> Conditions:
     chosen += [RunRow.run > selection.after] if selection.after else []
     chosen += [RunRow.run <= selection.up_to] if selection.up_to else []
     if not selection.checks:
-        of_checks = select(StationCheckRow.golden_run).where(StationCheckRow.golden_run.is_not(None))
-        chosen.append(RunRow.run.not_in(of_checks))
+        chosen.append(RunRow.run.not_in(golden_runs()))  # left_out.py adds those whose checks are not believed
     if selection.latest is not None:
         latest = select(RunRow.run).where(*chosen).order_by(RunRow.run.desc()).limit(selection.latest)
         chosen.append(RunRow.run.in_(latest))

@@ -6,16 +6,17 @@ Rows of a run, its states, analyses and overrides are compared with their links 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any, Final
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Decision, EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import ChainState
+from cbsr_qa.store.apart import read_apart, readable_values
 from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, altered_runs, chain_state, read_rows
 from cbsr_qa.store.damage import stored
-from cbsr_qa.store.selected import Conditions
 from cbsr_qa.store.standing import outdated_analyses
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, VerdictOverrideRow
 
@@ -40,8 +41,9 @@ class StoredVerdict:
     analysis, analysed_at, outcome, reason, software : of the latest analysis after its last session; empty and None
         without one.
     decision : the latest override of that analysis; None without one.
-    altered : what does not match the chain; nothing else is then known but ``values`` and ``end`` as they stand, and
-        there is no result. Empty for a sound run, and for an unchained one, where nothing can be compared.
+    altered : what does not match the chain, or cannot be read; nothing else is then known but ``values`` and ``end``
+        as they stand, and there is no result. Empty for a sound run, and for an unchained one that can be read, where
+        nothing can be compared.
     """
 
     values: Mapping[str, Any]
@@ -72,33 +74,41 @@ class StoredVerdict:
         return self
 
 
-def verdict_pages(connection: Connection, chosen: Conditions) -> Iterator[list[StoredVerdict]]:
-    """Yield what holds of the selected runs, in the order they were made in, some at a time.
+def verdict_pages(connection: Connection, runs: Sequence[str]) -> Iterator[list[StoredVerdict]]:
+    """Yield what holds of runs, given by their names in order, some at a time.
 
-    Raises
-    ------
-    StoreError
-        If an unchained run holds an unknown outcome or end.
-    TypeError, ValueError
-        If a cell holds a value of another type than its column.
+    A run of which a cell cannot be read, or holds an unknown outcome or end, is marked as an altered one is.
     """
-    runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
+    read, instead = partial(_verdicts, connection), partial(_unreadable, connection)
     for first in range(0, len(runs), RUNS_AT_ONCE):
-        yield list(_verdicts(connection, runs[first : first + RUNS_AT_ONCE]))
+        some = runs[first : first + RUNS_AT_ONCE]
+        yield [one for found in read_apart(connection, some, read, instead) for one in found]
 
 
-def stored_verdicts(connection: Connection, chosen: Conditions) -> Iterator[StoredVerdict]:
-    """Yield what holds of the selected runs, one by one, as :func:`verdict_pages`."""
-    for page in verdict_pages(connection, chosen):
+def stored_verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
+    """Yield what holds of runs, one by one, as :func:`verdict_pages`."""
+    for page in verdict_pages(connection, runs):
         yield from page
 
 
 def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
-    """Return what holds of a run; None if it is not stored. Raises as :func:`stored_verdicts`."""
-    return next(stored_verdicts(connection, [RunRow.run == run]), None)
+    """Return what holds of a run; None if it is not stored."""
+    return next(stored_verdicts(connection, [run]), None)
 
 
-def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
+def _verdicts(connection: Connection, runs: Sequence[str]) -> list[StoredVerdict]:
+    return list(_each_verdict(connection, runs))
+
+
+def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVerdict]:
+    values = readable_values(connection, run)
+    shown = {name: value for name, value in values.items() if name not in _LONG}
+    return [
+        StoredVerdict(shown, chain_state(connection, values["chain"]), EndReason.RUNNING, "", 0.0, altered=problem)
+    ]
+
+
+def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
     tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
     own, states, analyses, overrides = read = [read_rows(connection, table, runs) for table in tables]
     chains = dict(zip(own.runs, own.columns["chain"], strict=True))
@@ -120,8 +130,15 @@ def _verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVer
         if run in altered:
             yield _altered(facts, chain, state, altered[run])
             continue
+        _check_shapes(facts)
         found = StoredVerdict(facts, chain, *_ended(run, state))
         yield found if analysis is None else _with_result(found, analysis, decided.get((run, analysis[0])))
+
+
+def _check_shapes(facts: Mapping[str, Any]) -> None:
+    """Raise TypeError for JSON of another shape than its column's, which an unchained run may hold."""
+    if not (isinstance(facts["simulated"], list) and isinstance(facts["setting"], dict)):
+        raise TypeError("runs.simulated or runs.setting holds JSON of another shape")
 
 
 def _ended(run: str, state: tuple[Any, ...] | None) -> tuple[EndReason, str, float]:

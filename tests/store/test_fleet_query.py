@@ -1,7 +1,7 @@
 """What a comparison reads from a database, and what ``cbsr-qa compare`` refuses before it does."""
 
 import sqlite3
-from datetime import date
+from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from stored_lots import judged, measured, store_run
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.domain.run import StationCheck
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import read_amounts, read_groups
 
@@ -42,14 +43,11 @@ def changed(path, statement, *values):
 
 
 def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(copied, capsys):
-    path, url, runs = copied
-    columns = "check_id, station, operator, checked_at, sensor_type, configuration_digest, software, instruments"
-    changed(
-        path,
-        f"INSERT INTO station_checks ({columns}, outcome, golden_run) VALUES (?,?,?,?,?,?,?,?,?,?)",
-        *(runs[0], "A", "", "2026-11-21 08:00:00.000000", "disc-100mm", "0" * 64, "[]", "[]", "ok", runs[1]),
-    )
+    _, url, runs = copied
     with open_store(url) as store:
+        station, now = store.identity(runs[1]).station, datetime.now(UTC)
+        about = (store.new_id(), station, "", now, "disc-100mm", "0" * 64, (), (), ())
+        store.save_station_check(StationCheck(*about, golden_run=runs[1]))
         assert [run.of_check for run in store.fleet().runs] == [False, True, False, False]
     guarded(["compare", "--by", "batch", "--database", url])
     assert "Left out: 1 run of golden sensors that checked a station" in capsys.readouterr().out
@@ -98,7 +96,7 @@ def test_a_cell_of_another_type_is_refused_with_its_run(copied, cell, value, cha
         assert guarded([*command, "--database", url]) == 2
         named = f"{cell} ("
         if (cell, value) == ("analyses.software", 7):  # 7 is JSON, so only a digest or what reads it tells
-            named = "analyses (analysis " if chained else "it cannot be read: "
+            named = "analyses (analysis " if chained else "analyses.software (analysis "
         assert f"run {runs[2]}: {named}" in capsys.readouterr().err
 
 
@@ -111,11 +109,15 @@ def test_a_cell_of_another_type_is_refused_with_its_run(copied, cell, value, cha
         ("operator", RunSelection(operators=("me",))),
     ],
 )
-def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_refused(copied, column, selection):
+def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_marked_or_refused(copied, column, selection):
     path, url, runs = copied
     changed(path, f"UPDATE runs SET {column} = 'shorz' WHERE run = ?", runs[2])
-    with open_store(url) as store, pytest.raises(StoreError, match=f"run {runs[2]}: runs was changed"):
-        store.run_lines(selection)
+    with open_store(url) as store:
+        marked = {line.run: line.altered for line in store.run_lines(selection) if line.altered}
+        assert list(marked) == [runs[2]]
+        assert f"run {runs[2]}: runs was changed" in marked[runs[2]]
+        with pytest.raises(StoreError, match=f"run {runs[2]}: runs was changed"):
+            store.fleet(selection)
 
 
 @pytest.mark.parametrize(

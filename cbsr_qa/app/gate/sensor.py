@@ -24,13 +24,18 @@ def serial_fits(asked: Asked) -> Finding:
 def retest_allowed(asked: Asked) -> Finding:
     """Count finished runs of this sensor and recipe; those of station checks, aborted and broken ones do not count.
 
-    A run that was altered since counts: what it was cannot be known.
+    A run of the sensor that was altered since counts: what it was cannot be known. A recent run of another sensor
+    that was altered refuses: it may have been given that serial number.
     """
     recipe, serial = asked.configuration.recipe.name, asked.request.serial
     if asked.request.tested_by:
         words = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
         return Finding(False, words, "wait for the verdict of that run")
     tries = () if asked.store is None else asked.store.sensor_history(asked.sensor, recipe).tries
+    elsewhere = {} if asked.store is None else asked.store.altered_elsewhere(serial)
+    for problem in elsewhere.values():
+        words = f"{problem}; it may be a run of {serial}"
+        return Finding(False, words, "restore the database from a copy; cbsr-qa db check names what was altered")
     finished = [one for one in tries if one.changed or one.end is EndReason.FINISHED]
     passed = [one for one in finished if _decided(one) in _PASSED]
     if passed:

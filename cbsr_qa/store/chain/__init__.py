@@ -18,7 +18,6 @@ if TYPE_CHECKING:
         unreadable as unreadable,
     )
     from .fleet import (
-        AT_ONCE as AT_ONCE,
         Figures as Figures,
         Known as Known,
         check_figures as check_figures,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
         chain_head as chain_head,
         checking_key as checking_key,
         few_links as few_links,
+        key_id_of as key_id_of,
         key_to_continue as key_to_continue,
         link_digest as link_digest,
         new_chain as new_chain,
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     )
     from .many_runs import (
         RUNS_AT_ONCE as RUNS_AT_ONCE,
+        ReadRows as ReadRows,
         altered_runs as altered_runs,
         read_rows as read_rows,
     )

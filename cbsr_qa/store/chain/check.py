@@ -32,7 +32,7 @@ from cbsr_qa.store.chain.run_documents import (
     stored_figures,
     tables,
 )
-from cbsr_qa.store.damage import foreign_cell
+from cbsr_qa.store.damage import FOREIGN_CELL, foreign_cell
 from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, RunRow, RunStateRow
 
 #: Columns read of a run to judge its outcome and to identify it.
@@ -69,7 +69,7 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
     """
     try:
         return _checked(connection, run, kinds)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except FOREIGN_CELL as error:
         raise unreadable(connection, run, error) from error
 
 
@@ -104,6 +104,7 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     if row.chain is None:
         if links:
             raise _broken(run, "its row in runs states no chain, and run_links holds links of it")
+        _check_never_chained(connection, run)
         return ChainState()
     if not links:
         raise _broken(run, "it is chained, and run_links holds no link of it")
@@ -118,6 +119,17 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
         return _checked(connection, run, ())  # names the link
     return chain_state(connection, row.chain)
+
+
+def _check_never_chained(connection: Connection, run: str) -> None:
+    """Raise StoreError if another run, whose own chain covers this, says that a run without a chain had one."""
+    after = select(RunRow.run).where(
+        RunRow.before_run == run, RunRow.before_sha256.is_not(None), RunRow.chain.is_not(None)
+    )
+    if (following := connection.scalar(after.order_by(RunRow.run).limit(1))) is not None:
+        raise _broken(
+            run, f"its row in runs states no chain, and run {following}, begun after it, names a link of it"
+        )
 
 
 def chain_state(connection: Connection, chain: str | None) -> ChainState:

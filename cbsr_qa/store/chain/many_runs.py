@@ -19,7 +19,7 @@ from cbsr_qa.store.chain.check import among, check_run, runs_with_a_gap
 from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
 from cbsr_qa.store.chain.run_documents import covered
-from cbsr_qa.store.tables import AnalysisRow, Base, LinkRow
+from cbsr_qa.store.tables import AnalysisRow, Base, LinkRow, RunRow
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 #: Runs whose rows are in memory at once.
@@ -137,18 +137,25 @@ def altered_runs(
             stored[place[0]][place] = content
     linked, doubted = _linked(connection, chains, kinds)
     doubted |= {run for run, chain in chains.items() if linked.get(run, {}) != (stored[run] if chain else {})}
-    doubted |= _unchained_with_links(connection, {run for run, chain in chains.items() if not chain})
+    doubted |= _chained_before(connection, {run for run, chain in chains.items() if not chain})
     if ended:
         doubted |= runs_with_a_gap(connection, [run for run, chain in chains.items() if chain])
     return dict(_problems(connection, sorted(doubted), kinds))
 
 
-def _unchained_with_links(connection: Connection, unchained: set[str]) -> set[str]:
-    """Return the runs whose row states no chain, although links of it, of whatever kind, are there."""
+def _chained_before(connection: Connection, unchained: set[str]) -> set[str]:
+    """Return the runs whose row states no chain, although links of any kind, or another run, say that it had one.
+
+    The run begun next names the digest of the last link that it then had, which its own chain covers.
+    """
     if not unchained:
         return set()
-    links = select(LinkRow.run).where(among(connection, LinkRow.run, sorted(unchained))).distinct()
-    return unchained.intersection(connection.scalars(links))
+    runs, after = sorted(unchained), aliased(RunRow)
+    links = select(LinkRow.run).where(among(connection, LinkRow.run, runs)).distinct()
+    named = select(after.before_run).where(
+        among(connection, after.before_run, runs), after.before_sha256.is_not(None), after.chain.is_not(None)
+    )
+    return unchained.intersection([*connection.scalars(links), *connection.scalars(named)])
 
 
 def _linked(

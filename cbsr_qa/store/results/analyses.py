@@ -9,8 +9,17 @@ from sqlalchemy import Connection, Engine, Row, select
 
 from cbsr_qa.domain import fitted
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, chain_head, check_run, stored_figures
-from cbsr_qa.store.damage import stored
+from cbsr_qa.store.chain import (
+    FIGURES,
+    RESULTS,
+    add_links,
+    add_rows,
+    chain_head,
+    check_run,
+    stored_figures,
+    unreadable,
+)
+from cbsr_qa.store.damage import FOREIGN_CELL, stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
@@ -134,8 +143,11 @@ def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
         if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
             check_run(connection, run, RESULTS)
         query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run, up_to_date())
-        rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
-        return tuple(_analysis(connection, row) for row in rows)
+        try:
+            rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
+            return tuple(_analysis(connection, row) for row in rows)
+        except FOREIGN_CELL as error:
+            raise unreadable(connection, run, error) from error
 
 
 def _numbered(analysis: str, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

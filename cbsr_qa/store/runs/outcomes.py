@@ -2,19 +2,26 @@
 
 import json
 from datetime import UTC, datetime
+from typing import Final
 
-from sqlalchemy import Connection, Engine, exists, select
+from sqlalchemy import Connection, Engine, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, Outcome, ResultState
 from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store.chain import KEY_OPTION, SigningKey, unreadable
-from cbsr_qa.store.damage import shown
+from cbsr_qa.store.apart import problem_of
+from cbsr_qa.store.chain import KEY_OPTION, SigningKey
+from cbsr_qa.store.damage import FOREIGN_CELL, shown
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, sqlite_file
-from cbsr_qa.store.tables import RunRow, StationCheckRow
+from cbsr_qa.store.golden import believed_golden_runs
+from cbsr_qa.store.left_out import altered_among
+from cbsr_qa.store.tables import RunRow
 from cbsr_qa.store.types import made_at
 from cbsr_qa.store.verdicts import verdict_of
+
+#: Runs that are looked at where a station waits: 50 ms.
+_RECENT: Final = 1000
 
 
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
@@ -45,22 +52,33 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
 
     An altered run is returned with the problem instead of its result.
     """
-    run, of_check = RunRow, exists().where(StationCheckRow.golden_run == RunRow.run)
-    query = select(run.run, run.recipe, of_check).where(run.serial == serial).order_by(run.run)
+    run = RunRow
+    query = select(run.run, run.recipe).where(run.serial == serial).order_by(run.run)
     if before:
         query = query.where(run.run < before)
     with reading(engine) as connection:
-        return tuple(_earlier(connection, serial, *row) for row in connection.execute(query).all())
+        rows = connection.execute(query).all()
+        of_checks = believed_golden_runs(connection, {row.run for row in rows})
+        return tuple(_earlier(connection, serial, row.run, row.recipe, of_check=row.run in of_checks) for row in rows)
 
 
-def _earlier(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
+def altered_elsewhere(engine: Engine, serial: str) -> dict[str, str]:
+    """Return what is wrong with the rows of recent runs of other sensors that were altered, by run.
+
+    One of them may be of this sensor. The latest 1000 runs are looked at, as a station waits for it.
+    """
+    with reading(engine) as connection:
+        return altered_among(connection, [RunRow.serial != serial], (), latest=_RECENT)
+
+
+def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_check: bool) -> EarlierRun:
     try:
         found = verdict_of(connection, run)
         if found is None:
             raise StoreError(f"run {run} is no longer there")
         decision, values = found.checked().decision, found.values
-    except (StoreError, ValueError, TypeError, AttributeError) as error:
-        changed = (error if isinstance(error, StoreError) else unreadable(connection, run, error)).reason
+    except (*FOREIGN_CELL, StoreError) as error:
+        changed = problem_of(connection, run, error)
         began = made_at(run) or datetime.fromtimestamp(0, UTC)
         sensor = SensorIdentity(serial, "", "")
         return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)

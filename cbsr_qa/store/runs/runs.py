@@ -24,8 +24,9 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
-from cbsr_qa.store.damage import address, shown, stored
+from cbsr_qa.store.damage import FOREIGN_CELL, address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
+from cbsr_qa.store.left_out import altered_among
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.runs.attendance import attendance_of
 from cbsr_qa.store.runs.codec import (
@@ -116,7 +117,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
             )
         except StoreError:
             raise
-        except (KeyError, TypeError, ValueError, RefusedError) as error:
+        except (*FOREIGN_CELL, RefusedError) as error:
             raise unreadable(connection, run, error) from error
 
 
@@ -209,7 +210,8 @@ def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ..
     """Return runs, the latest first: of one sensor, or all. Those that were altered are marked."""
     chosen = [] if serial is None else [RunRow.serial == serial]
     with reading(engine) as connection:
-        found = list(stored_verdicts(connection, chosen))
+        names = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
+        found = list(stored_verdicts(connection, names))
     return tuple(
         fitted(RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered)
         for one in reversed(found)
@@ -222,13 +224,19 @@ def resolve(engine: Engine, run_or_serial: str) -> str:
     Raises
     ------
     StoreError
-        If it is neither a stored run nor a tested sensor.
+        If it is neither a stored run nor a tested sensor, or if a later run was altered, which may be of the sensor.
     """
     with reading(engine) as connection:
         if run_row(connection, run_or_serial) is not None:
             return run_or_serial
         latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
         found = connection.scalar(latest)
+        later = {} if found is None else altered_among(connection, [RunRow.run > found], ())
+    for problem in later.values():
+        raise StoreError(
+            f"{problem}; it may be a later run of sensor {run_or_serial}",
+            remedy=f"restore the database from a copy, or name the run that is meant: the one before is {found}",
+        )
     if found is None:
         raise StoreError(
             f"there is no run and no sensor {run_or_serial[:64]!r} in this database",

@@ -160,6 +160,7 @@ class SensorEntry:
     verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided. ``altered`` if
         a run after it, or it, does not match its chain; ``reason`` then says what does not.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
+    chain : of the last decided run, else of the last one, as of a :class:`RunEntry`.
     """
 
     serial: str
@@ -178,6 +179,7 @@ class SensorEntry:
     failed_limits: tuple[str, ...]
     first_pass: bool | None
     run: str
+    chain: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,11 +216,12 @@ def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     of: dict[tuple[str, str], list[ListedRun]] = {}
     for run in runs:
         of.setdefault((run.serial, run.recipe), []).append(run)
-    groups = sorted(of.values(), key=lambda own: own[-1].run)
+    groups = [*of.values(), *([run] for own in of.values() for run in _unshown(own))]
+    groups.sort(key=lambda own: own[-1].run)
     if request.failed or request.limit:
         groups = [own for own in groups if any(_failed(run, request.limit) for run in settled_runs(own)[-1:])]
     groups = groups[-(request.latest or 0) :]
-    kept = sorted((run for own in groups for run in own), key=lambda run: run.run)
+    kept = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
     notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept)))
     return SensorList(summarised(kept), tuple(map(_state, groups)), notes)
 
@@ -242,8 +245,7 @@ def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[Ru
     kept: deque[ListedRun] = deque(maxlen=request.latest)
     for start in range(0, len(names), size):
         own = names[start : start + size]
-        # of the runs selected up to the last one, the latest are these
-        page = store.listed_runs(replace(selection, up_to=own[-1], latest=len(own)))
+        page = store.runs_named(own)
         done = start + len(own)
         if not filtered:
             yield RunPage(page, done, len(names))
@@ -267,7 +269,7 @@ def _listed(store: Repository, request: ListRequest) -> list[ListedRun]:
 
 def _check_each_name(store: Repository, selection: RunSelection) -> None:
     """Refuse a name without stored runs."""
-    if not all(store.listed_runs(replace(of_name, latest=1)) for of_name in _of_each_name(selection)):
+    if not all(store.run_count(of_name) for of_name in _of_each_name(selection)):
         check_names(store, selection)
 
 
@@ -308,6 +310,11 @@ def _failed(run: ListedRun, limit: str) -> bool:
     return run.verdict is Outcome.FAIL and (not limit or any(limit in (k.name, k.label, k.title) for k in keys))
 
 
+def _unshown(runs: Sequence[ListedRun]) -> list[ListedRun]:
+    """Return the altered runs of a sensor that its row does not show: each may be of another, and gets a row."""
+    return [run for run in runs if run.altered and run not in settled_runs(runs)[-1:]]
+
+
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
     last, settled = runs[-1], settled_runs(runs)
     first = [run.passed for run in settled if not run.earlier and not run.altered]
@@ -323,4 +330,5 @@ def _state(runs: Sequence[ListedRun]) -> SensorEntry:
         reason=settled[-1].reason if settled else "",
         failed_limits=tuple(key.label for run in settled[-1:] for key in failed_limits(run)),
         first_pass=first[0] if first else None,
+        chain=(settled[-1] if settled else last).chain.label,
     )

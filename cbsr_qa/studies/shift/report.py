@@ -17,6 +17,7 @@ from cbsr_qa.domain.results import (
     Section,
     Table,
 )
+from cbsr_qa.domain.run import UNCHAINED
 from cbsr_qa.report import plural, text_table
 from cbsr_qa.stats import Yield
 from cbsr_qa.studies.shift.lists import Altered, RunEntry, RunList, SensorEntry, SensorList
@@ -136,7 +137,7 @@ def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
         run.batch or "–",
         run.station,
         run.recipe,
-        _verdict(run.verdict, run.end),
+        _verdict(run.verdict, run.end, run.chain),
         why,
     )
 
@@ -149,17 +150,19 @@ def _sensor_row(sensor: SensorEntry) -> tuple[str | Cell, ...]:
         sensor.recipe,
         str(sensor.runs),
         sensor.station,
-        _verdict(sensor.verdict, sensor.end),
+        _verdict(sensor.verdict, sensor.end, sensor.chain),
         sensor.reason,
     )
 
 
-def _verdict(verdict: Outcome | Altered | None, end: EndReason) -> Cell:
+def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> Cell:
     if verdict == ALTERED:
         return Cell(ALTERED, Outcome.NOT_MEASURED)
+    unsaid = f", {chain}" if chain == UNCHAINED.label else ""  # nothing would tell if it was altered
     if verdict is not None:
-        return Cell(str(verdict), verdict)
-    return Cell("no result" if end is EndReason.FINISHED else str(end), Outcome.NOT_MEASURED)
+        return Cell(f"{verdict}{unsaid}", verdict)
+    words = "no result" if end is EndReason.FINISHED else str(end)
+    return Cell(f"{words}{unsaid}", Outcome.NOT_MEASURED)
 
 
 def _moment(moment: datetime) -> str:

@@ -164,15 +164,15 @@ def test_a_file_is_replaced_only_on_demand_and_only_by_a_whole_one(exported, fiv
     file.write_text("mine")
     with pytest.raises(RefusedError, match="exists already"):
         exported("runs.csv")
-    read = Repository.listed_runs
+    read = Repository.runs_named
 
-    def full(store, selection):
-        if selection.up_to != five[1]["failed"]:  # on the second page
+    def full(store, runs):
+        if runs[-1] != five[1]["failed"]:  # on the second page
             raise OSError(errno.ENOSPC, "No space left on device")
-        return read(store, selection)
+        return read(store, runs)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Repository, "listed_runs", full)
+        patched.setattr(Repository, "runs_named", full)
         with pytest.raises(RefusedError, match=r"runs\.csv cannot be written: No space"):
             exported("runs.csv", force=True)
     assert file.read_text() == "mine"

@@ -1,0 +1,73 @@
+"""Runs of golden sensors that checked a station: lists leave them out, if the check is one to believe.
+
+A row in ``station_checks`` must not hide a failed run. So its station and its time must fit those of the run, and
+its rows must match its seal, which is signed where the run is. Checks of before seals count for one recipe only.
+"""
+
+from collections.abc import Collection, Sequence
+from datetime import timedelta
+from typing import Any, Final
+
+from sqlalchemy import Connection, Row, Select, select, type_coerce
+from sqlalchemy.types import NullType
+
+from cbsr_qa.store.chain import key_id_of
+from cbsr_qa.store.seals import check_seals, key_of_seal
+from cbsr_qa.store.tables import RunRow, StationCheckRow
+from cbsr_qa.store.types import made_at
+
+#: Recipe of a golden sensor's run, in checks that have no seal.
+GOLDEN_RECIPE: Final = "golden-check"
+#: Longest time from the beginning of a golden sensor's run to its check.
+_LONGEST: Final = timedelta(days=1)
+
+
+def golden_runs() -> Select[Any]:
+    """Query the runs that checks name as those of their golden sensors, believed or not."""
+    named = StationCheckRow.golden_run
+    return select(type_coerce(named, NullType())).where(named.is_not(None))
+
+
+def believed_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
+    """Return the runs, of some, that a check to believe names as that of its golden sensor."""
+    if not runs:
+        return set()
+    named = _named(connection, runs)
+    doubted = _problems(connection, named)
+    return {row.golden_run for row in named if row.check_id not in doubted}
+
+
+def doubted_checks(connection: Connection) -> dict[str, str]:
+    """Return why checks that name a run of a golden sensor are not believed, by check; the others are absent."""
+    return _problems(connection, _named(connection))
+
+
+def _named(connection: Connection, runs: Collection[str] | None = None) -> list[Row[Any]]:
+    """Return the checks that name some runs (None: any run), each with what is compared of that run."""
+    c, r = StationCheckRow, RunRow
+    columns = c.check_id, c.golden_run, c.station, c.seal, r.station.label("tested_at"), r.recipe, r.chain
+    plain: list[Any] = [type_coerce(one, NullType()).label(one.key) for one in columns]
+    query: Any = select(*plain)
+    query = query.outerjoin(r, r.run == c.golden_run).where(c.golden_run.is_not(None)).order_by(c.check_id)
+    return [row for row in connection.execute(query) if runs is None or row.golden_run in runs]
+
+
+def _problems(connection: Connection, named: Sequence[Row[Any]]) -> dict[str, str]:
+    found = {row.check_id: problem for row in named if (problem := _unlike_run(row))}
+    seals = {row.check_id: row.seal for row in named if row.check_id not in found}
+    return found | {check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem}
+
+
+def _unlike_run(row: Row[Any]) -> str:
+    """Say what of a check does not fit the run that it names; empty where all does."""
+    made, begun = made_at(str(row.check_id)), made_at(str(row.golden_run))
+    what = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
+    if row.station != row.tested_at:
+        return f"{what} it is of station {str(row.station)[:64]!r}, the run of {str(row.tested_at)[:64]!r}"
+    if made is not None and begun is not None and not begun <= made <= begun + _LONGEST:
+        return f"{what} was made at {made:%Y-%m-%d %H:%M} UTC, the run at {begun:%Y-%m-%d %H:%M}"
+    if row.seal is None and row.recipe != GOLDEN_RECIPE:
+        return f"{what} has no seal, and the run is not one of recipe {GOLDEN_RECIPE}"
+    if row.seal is not None and (key := key_id_of(str(row.chain or ""))) and key != key_of_seal(row.seal):
+        return f"{what} is not signed with the key of the run, {key}"
+    return ""

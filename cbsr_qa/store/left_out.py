@@ -1,0 +1,107 @@
+"""Runs that a selection leaves out, though they may belong to it: altered ones, and those hidden as golden sensors'.
+
+A selection reads columns of runs that anybody who can write the database can change. So the rows of the runs that it
+leaves out are compared with their links too: one that does not match is listed whatever the selection says.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, time, timedelta
+from functools import partial
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, select, type_coerce
+from sqlalchemy.types import NullType
+
+from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.store.apart import read_apart
+from cbsr_qa.store.chain import RUNS_AT_ONCE, altered_runs, read_rows
+from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.selected import Conditions, conditions
+from cbsr_qa.store.tables import RunRow
+
+#: How much earlier than its run began an identifier may have been made. It may be later by any time: identifiers
+#: go on from the latest one where a clock was set back.
+_EARLIER: Final = timedelta(hours=1)
+_ANY: Final = RunSelection()
+
+
+def with_left_out(connection: Connection, selection: RunSelection, selected: Collection[str]) -> list[str]:
+    """Return selected runs together with those that the selection must not leave out, in the order of their names.
+
+    Parameters
+    ----------
+    selected : the runs that the columns select.
+    """
+    within = _within(selection, selected)
+    hidden = _hidden(connection, selection, within)
+    altered = altered_among(connection, within, {*selected, *hidden}) if _reads_columns(selection) else {}
+    return sorted({*selected, *hidden, *altered})
+
+
+def altered_among(
+    connection: Connection, within: Conditions, known: Collection[str], latest: int | None = None
+) -> dict[str, str]:
+    """Return what is wrong with the rows in ``runs`` of those that do not match their links, by run.
+
+    Parameters
+    ----------
+    within : which runs are looked at.
+    known : runs that are not.
+    latest : only so many of the latest; None for all.
+    """
+    name: Any = type_coerce(RunRow.run, NullType())
+    query = select(name).where(*within).order_by(RunRow.run.desc()).limit(latest)
+    runs = sorted(set(connection.scalars(query)).difference(known))
+    found: dict[str, str] = {}
+    for first in range(0, len(runs), RUNS_AT_ONCE):
+        some = runs[first : first + RUNS_AT_ONCE]
+        for altered in read_apart(connection, some, partial(_altered, connection), lambda run, why: {run: why}):
+            found |= altered
+    return found
+
+
+def _altered(connection: Connection, runs: Collection[str]) -> dict[str, str]:
+    rows = read_rows(connection, RunRow, sorted(runs))
+    return altered_runs(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows])
+
+
+def _reads_columns(selection: RunSelection) -> bool:
+    """Whether a selection depends on a column of runs other than their names."""
+    return replace(selection, checks=True, after="", up_to="", latest=None) != _ANY
+
+
+def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:
+    """Return the conditions on names of runs that may belong to a selection."""
+    bounds: list[ColumnElement[bool]] = []
+    if selection.after:
+        bounds.append(RunRow.run > selection.after)
+    if selection.up_to:
+        bounds.append(RunRow.run <= selection.up_to)
+    if selection.latest is not None and len(selected) >= selection.latest:
+        bounds.append(RunRow.run > min(selected))
+    if moments := list(_begins(selection)):
+        bounds.append(RunRow.run >= _first_name(max(moments) - _EARLIER))
+    return bounds
+
+
+def _begins(selection: RunSelection) -> Iterator[datetime]:
+    if selection.since is not None:
+        yield datetime.combine(selection.since, time(), UTC)
+    if selection.from_moment is not None:
+        yield selection.from_moment
+
+
+def _first_name(moment: datetime) -> str:
+    """Return what sorts before every identifier that was made at a moment or later."""
+    digits = f"{max(int(moment.timestamp() * 1000), 0):012x}"
+    return f"{digits[:8]}-{digits[8:]}"
+
+
+def _hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:
+    """Return the runs that are left out as golden sensors', though no check that names them is to be believed."""
+    if selection.checks:
+        return set()
+    others = conditions(replace(selection, checks=True, latest=None))
+    named = set(connection.scalars(select(RunRow.run).where(*others, *within, RunRow.run.in_(golden_runs()))))
+    return named - believed_golden_runs(connection, named)
