@@ -20,8 +20,8 @@ from cbsr_qa.store.tables import RunRow
 from cbsr_qa.store.types import made_at
 from cbsr_qa.store.verdicts import verdict_of
 
-#: Runs that are looked at where a station waits: 50 ms.
-_RECENT: Final = 1000
+#: Runs that are looked at where a station waits, in 40 ms.
+_RECENT: Final = 500
 
 
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
@@ -65,7 +65,7 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
 def altered_elsewhere(engine: Engine, serial: str) -> dict[str, str]:
     """Return what is wrong with the rows of recent runs of other sensors that were altered, by run.
 
-    One of them may be of this sensor. The latest 1000 runs are looked at, as a station waits for it.
+    One of them may be of this sensor. The latest 500 of them are looked at, as a station waits for it.
     """
     with reading(engine) as connection:
         return altered_among(connection, [RunRow.serial != serial], (), latest=_RECENT)

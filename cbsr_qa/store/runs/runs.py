@@ -12,7 +12,7 @@ from sqlalchemy.orm import InstrumentedAttribute
 from cbsr_qa.domain import RefusedError, StoreError, fitted
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import EndReason, Outcome, RunSelection
 from cbsr_qa.domain.run import (
     LoadRecord,
     PhaseRecord,
@@ -26,7 +26,7 @@ from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
 from cbsr_qa.store.damage import FOREIGN_CELL, address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
-from cbsr_qa.store.left_out import altered_among
+from cbsr_qa.store.left_out import altered_among, with_left_out
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.runs.attendance import attendance_of
 from cbsr_qa.store.runs.codec import (
@@ -41,6 +41,7 @@ from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
+from cbsr_qa.store.selected import conditions
 from cbsr_qa.store.tables import (
     FrameBlockRow,
     LoadRow,
@@ -207,10 +208,14 @@ def goes_on_at_s(engine: Engine, run: str) -> float:
 
 
 def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
-    """Return runs, the latest first: of one sensor, or all. Those that were altered are marked."""
-    chosen = [] if serial is None else [RunRow.serial == serial]
+    """Return runs, the latest first: of one sensor, or all. Those that were altered are marked.
+
+    Altered runs of other sensors are among those of one: each may be of it.
+    """
+    selection = RunSelection(serials=() if serial is None else (serial,))
     with reading(engine) as connection:
-        names = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
+        query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
+        names = with_left_out(connection, selection, list(connection.scalars(query)))
         found = list(stored_verdicts(connection, names))
     return tuple(
         fitted(RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered)

@@ -105,7 +105,9 @@ def test_a_failed_run_that_was_given_another_serial_number_is_listed_with_the_ru
     change(path, "update runs set serial = 'S-2' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
         listed = store.listed_runs(RunSelection(serials=("S-1",)))
+        found = store.find_runs("S-1")
     assert [(run.run, bool(run.altered)) for run in listed] == [(names[0], False), (names[1], True)]
+    assert [(run.run, bool(run.altered)) for run in reversed(found)] == [(names[0], False), (names[1], True)]
 
 
 def test_a_serial_number_is_not_resolved_past_an_altered_run(moved):
