@@ -47,9 +47,9 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
         charts = tuple(_chart_changes(store.all_chart_references()))
         altered = store.altered_records()
         changes = Changes(
-            tuple(one for one in store.changes() if one.run not in altered),
+            store.changes(tuple(altered)),
             charts,
-            tuple(one for one in store.overrides() if one.run not in altered),
+            store.overrides(without=tuple(altered)),
             store.adoptions(tuple(altered)),
             tuple(altered.values()),
         )

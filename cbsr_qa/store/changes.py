@@ -2,8 +2,9 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Engine, and_, or_, select
@@ -20,6 +21,7 @@ from cbsr_qa.domain.run import (
     VerdictOverride,
     differences,
 )
+from cbsr_qa.store.apart import read_apart
 from cbsr_qa.store.chain import RESTORE, RUNS_AT_ONCE, add_rows, altered_runs, check_run, few_links, read_rows
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
@@ -102,16 +104,26 @@ def _altered(connection: Connection, runs: Sequence[str], kinds: Sequence[type[B
     found: dict[str, str] = {}
     for first in range(0, len(runs), RUNS_AT_ONCE):
         some = runs[first : first + RUNS_AT_ONCE]
-        rows = connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(some)))
-        chains = {row.run: row.chain for row in rows}
-        found |= altered_runs(connection, chains, [read_rows(connection, kind, some) for kind in kinds], ended=True)
+        read = partial(_altered_at_once, connection, kinds)
+        for altered in read_apart(connection, some, read, lambda run, problem: {run: problem}):
+            found |= altered
     return found
 
 
-def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
-    """Return all noted changes, oldest first; :func:`altered_records` says which of them not to believe."""
+def _altered_at_once(connection: Connection, kinds: Sequence[type[Base]], runs: Sequence[str]) -> dict[str, str]:
+    rows = connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(runs)))
+    chains = {row.run: row.chain for row in rows}
+    read = [read_rows(connection, kind, runs) for kind in kinds]
+    for one in read:
+        for word in one.columns.get("outcome", ()):
+            stored(Outcome, word, f"{one.table.name}.outcome", f"run {runs[0]}")  # named once it is alone
+    return altered_runs(connection, chains, read, ended=True)
+
+
+def all_changes(engine: Engine, without: Collection[str] = ()) -> tuple[ConfigurationChange, ...]:
+    """Return the noted changes of all runs, oldest first, without those of some, as :func:`altered_records` gives."""
     with reading(engine) as connection:
-        return _changes(connection)
+        return _changes(connection, ConfigurationChangeRow.run.not_in(without))
 
 
 def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
@@ -209,8 +221,10 @@ def save_override(
     return made
 
 
-def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, ...]:
-    """Return the overrides of one run's verdicts, or of all, oldest first.
+def overrides(
+    engine: Engine, run: str | None = None, *, without: Collection[str] = ()
+) -> tuple[VerdictOverride, ...]:
+    """Return the overrides of one run's verdicts, or of all but some, oldest first.
 
     StoreError if the run was altered; of all runs, :func:`altered_records` says which not to believe.
     """
@@ -218,8 +232,7 @@ def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, 
     query = select(*row.__table__.columns, AnalysisRow.outcome.label("verdict")).join(
         AnalysisRow, AnalysisRow.analysis == row.analysis
     )
-    if run is not None:
-        query = query.where(row.run == run)
+    query = query.where(row.run.not_in(without) if run is None else row.run == run)
     with reading(engine) as connection:
         altered = {} if run is None else _altered(connection, [run], [VerdictOverrideRow, AnalysisRow])
         for problem in altered.values():

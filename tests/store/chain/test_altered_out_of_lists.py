@@ -253,3 +253,21 @@ def test_a_check_without_the_key_hides_no_signed_run(tmp_path, monkeypatch):
     with open_store(url) as store:
         store.save_station_check(golden_check(store, runs[1]))
         assert [one.run for one in list_runs(store, list_request()).runs] == runs[1:]
+
+
+@pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
+@pytest.mark.parametrize("cell", ["outcome = 'odd'", "why = x'ff'"])
+def test_an_override_that_cannot_be_read_hides_no_other(moved, capsys, cell, chained):
+    path, names = moved
+    with open_store(f"sqlite:///{path}") as store:
+        for run in names[:2]:
+            store.override_verdict(run, Outcome.PASS, operator="Ada", why="seen")
+    if not chained:
+        change(path, "delete from run_links")
+        change(path, "update runs set chain = null")
+    change(path, f"update verdict_overrides set {cell} where run = ?", names[1])
+    assert guarded(["db", "changes", "--database", f"sqlite:///{path}", "--json"]) == 1
+    shown = json.loads(capsys.readouterr().out)
+    assert [one["run"] for one in shown["overrides"]] == names[:1]
+    assert len(shown["altered"]) == 1
+    assert names[1] in shown["altered"][0]
