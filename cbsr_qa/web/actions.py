@@ -95,8 +95,10 @@ class Actions:
         Only guesses at operators who have a PIN count: made-up names would push those out of memory.
         """
         guesser = (station, unicodedata.normalize("NFC", operator))
-        if pin and await run_in_threadpool(has_pin, self._line.stations[station].served, operator):
-            self._pins.admit(guesser, pin)
+        if pin:
+            known = await run_in_threadpool(has_pin, self._line.stations[station].served, operator)
+            if known:
+                self._pins.admit(guesser, pin)
         return guesser
 
     async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:

@@ -64,7 +64,7 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:
-    """Whether the gate asks an operator for a PIN, by the station file as it is now. RefusedError if that is wrong."""
+    """Whether the gate asks an operator for a PIN, by the station file as it is now; RefusedError if it is wrong."""
     return asks_pin(load_station(served.source).value.gate, operator)
 
 
