@@ -12,6 +12,7 @@ from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, deliver_verdict
+from cbsr_qa.app.run.stopping import stoppable_outside_steps
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -136,7 +137,7 @@ def _resumed(
     check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
-    with controlled(configuration, **who, answers=answers) as control:
+    with stoppable_outside_steps(), controlled(configuration, **who, answers=answers) as control:
         gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
