@@ -97,7 +97,7 @@ def _unannounced(connection: Connection, kind: Kind, items: Iterable[str]) -> li
 def _link_counts(connection: Connection) -> dict[str, int]:
     """Return the number of links of each chained run."""
     counted = select(LinkRow.run, func.max(LinkRow.number) + 1).group_by(LinkRow.run)
-    return dict(connection.execute(counted).tuples().all())
+    return {row[0]: row[1] for row in connection.execute(counted)}
 
 
 def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:
