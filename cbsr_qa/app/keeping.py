@@ -28,7 +28,12 @@ from cbsr_qa.system import RealClock
 #: Called with what is done, and parts done and in total.
 Count = Callable[[str, int, int], None]
 
-_REMEDY: Final = "restore a backup (cbsr-qa db restore BACKUP), or recover the file and check it again"
+_RESTORE_FILE: Final = "restore a backup (cbsr-qa db restore BACKUP), or recover the file and check it again"
+_RESTORE_ON_SERVER: Final = (
+    "restore a backup that the server's administrator made (pg_dump, pg_restore). A run that a station sent here is"
+    " also in its own database: once the owner of the tables has deleted all rows of it here, cbsr-qa db sync"
+    " --compare-since at that station sends it again"
+)
 _VERIFIED: Final = (
     "verified: the file is intact, and the chain of every run ends as in the database; db check reads frames too"
 )
@@ -175,12 +180,12 @@ def check_database(
         if not quick:
             problems += [FoundProblem(None, what) for what in store.ring_problems()]
         without_key = unsigned if store.key_id else None
-        return _laid_out(
-            DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
-        )
+        done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
+    of_file = sqlite_file(parsed_url(database_url(option))) is not None
+    return _laid_out(done, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
 
 
-def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
+def _laid_out(done: DatabaseCheck, remedy: str) -> CommandOutcome[DatabaseCheck]:
     checked = "every row" if done.quick else "every row, frame and sample"
     reason = f"{checked} of {plural(done.runs, 'run')} was checked"
     banner = Banner("pass", "✓", "the database is sound", reason)
@@ -192,7 +197,7 @@ def _laid_out(done: DatabaseCheck) -> CommandOutcome[DatabaseCheck]:
     facts = [("Database", done.url)]
     facts += [("Frames", "not checked: --quick")] if done.quick else []
     facts += [("Since", f"{done.since}: earlier runs were not checked")] if done.since else []
-    facts += [("What to do", _REMEDY)] if done.problems else []
+    facts += [("What to do", remedy)] if done.problems else []
     remarks = [_UNCHAINED.format(count=plural(done.unchained, "run is", "runs are"))] if done.unchained else []
     remarks += [_UNSIGNED.format(count=plural(done.unsigned, "run is", "runs are"))] if done.unsigned else []
     remarks += done.notes

@@ -68,6 +68,15 @@ class RefusedItem:
 
 
 @dataclass(frozen=True, slots=True)
+class LostItem:
+    """Something that the centre had confirmed, had lost (or part of it), and has again."""
+
+    kind: str
+    item: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Synchronised:
     """What was sent, and what waits.
 
@@ -78,6 +87,7 @@ class Synchronised:
     items, runs, rows, bytes, seconds : sent by this command.
     compared : runs that the centre had rows of, compared at both ends by this command.
     notes : what the centre has more than this database, in words; only of a command that sends.
+    lost : what this command found that the centre had lost; it was sent again.
     waiting : number of items that wait, by kind.
     backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
     limit_h : longest time that is allowed [h]; None for any.
@@ -105,6 +115,7 @@ class Synchronised:
     centre_problem: str = ""
     compared: int = 0
     notes: tuple[str, ...] = ()
+    lost: tuple[LostItem, ...] = ()
 
 
 def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) -> str:
@@ -186,6 +197,8 @@ def keep_synchronised(
                     total = replace(total, **sums, notes=sent.notes)
                     if sent.items or sent.quarantined:
                         tell(_said(sent, len(sent.quarantined)))
+                    for lost in sent.lost[:_LISTED]:
+                        tell(f"{lost.kind} {lost.item}: {lost.why}")
                 sleep(every_s)
         except KeyboardInterrupt:
             with _station(option) as station:
@@ -219,7 +232,7 @@ def decide_item(option: str | None, item: str, *, again: bool) -> CommandOutcome
         return _outcome(station, "", Sent(), 0.0, None)
 
 
-_TOTALS: Final = ("items", "runs", "compared", "rows", "size")
+_TOTALS: Final = ("items", "runs", "compared", "rows", "size", "lost")
 
 
 @contextmanager
@@ -271,7 +284,8 @@ def _said(sent: Sent, quarantined: int) -> str:
     if not sent.items:
         words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
     compared = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
-    return words + compared + _held_back(quarantined)
+    lost = f"; the centre had lost {plural(len(sent.lost), 'item')}" if sent.lost else ""
+    return words + compared + lost + _held_back(quarantined)
 
 
 def _held_back(quarantined: int) -> str:
@@ -279,7 +293,9 @@ def _held_back(quarantined: int) -> str:
 
 
 def _why(kind: str, item: str, why: str) -> str:
-    return why.removeprefix(f"{kind} {item}: ")
+    """Return why an item is held back, without its name, which stands before it."""
+    name = f"{kind} {item}"
+    return why.replace(f"{name}: ", "", 1).replace(f" of {name} ", " ", 1).removeprefix(f"{name} ")
 
 
 def _outcome(
@@ -296,6 +312,7 @@ def _outcome(
         seconds=round(seconds, 3),
         compared=sent.compared,
         notes=tuple(sent.notes),
+        lost=tuple(filled(LostItem, lost) for lost in sent.lost),
         waiting=dict(Counter(entry.kind for entry in entries)),
         backlog_h=waits.age_h,
         limit_h=limit_h,
@@ -311,15 +328,17 @@ def _outcome(
         for entry in quarantined[:_LISTED]
     ]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
+    facts += [(f"lost {lost.kind}", f"{lost.item}: {lost.why}") for lost in sent.lost[:_LISTED]]
     facts += [("Note", words) for words in sent.notes[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
     count = len(quarantined)
     headline = _said(sent, count) if centre else _safe(waits) + _held_back(count)
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
-    if not quarantined and not result.late:
+    if not quarantined and not result.late and not result.lost:
         return done
-    why = f"the backlog is older than {limit_h:g} h" if result.late else "not everything was accepted"
+    why = "the centre had lost something that it had confirmed" if result.lost else "not everything was accepted"
+    why = f"the backlog is older than {limit_h:g} h" if result.late else why
     return replace(done, exit_code=_NOT_ALL, page=replace(done.page, banner=Banner("fail", "✗", headline, why)))
 
 

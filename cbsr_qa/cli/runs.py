@@ -23,11 +23,12 @@ def report(
 ) -> None:
     """Write the report of a stored run again, from its stored frames and verdict.
 
-    Refuses a verdict that does not follow from the stored measurements.
+    Refuses a verdict that does not follow from the stored measurements. A run without a stored result has no verdict:
+    the report says how to get one, and the exit code is 3.
     """
     from cbsr_qa.app.run import render_stored, rendered_outcome
 
-    show(rendered_outcome(render_stored(run, database=database, folder=to)), as_json=as_json)
+    raise typer.Exit(show(rendered_outcome(render_stored(run, database=database, folder=to)), as_json=as_json))
 
 
 group("verdict", "Override verdicts.")

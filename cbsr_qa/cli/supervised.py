@@ -10,11 +10,11 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
-from cbsr_qa.system import be_watched, end_copy, parsed_json
+from cbsr_qa.system import be_watched, end_copies_of_threads, end_copy, parsed_json
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -111,6 +111,7 @@ class _Child:
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(None if live else cls.printed)
         be_watched()
+        end_copies_of_threads()
         os.set_blocking(echo, False)
         signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
         threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()
@@ -259,7 +260,7 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
     if why:
         why = f"the process of the {'run' if judges else 'command'} {why}"
         if judges and run is not None:
-            why += f"; {_in_database(run, database)[2]}"
+            why += f"; {_in_database(run, database).words}"
     elif judges and not code:
         why = _unstored(run, database)
     if why:
@@ -278,8 +279,11 @@ def _broken(run: str | None, database: str | None, why: str, *, judges: bool) ->
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    has_result, _, _ = _in_database(run, database)  # only its files may be missing then
-    on = f"cbsr-qa {'report' if has_result else 'run --resume'} {run}{database_option(database)}"
+    held = _in_database(run, database)
+    if not held.stored:  # it was named before anything of it was stored
+        return BrokenProcessError(why, remedy=f"{look}. Then start it again: nothing can be continued")
+    # Only the files of a result may be missing.
+    on = f"cbsr-qa {'report' if held.result else 'run --resume'} {run}{database_option(database)}"
     return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {on}")
 
 
@@ -301,19 +305,30 @@ def _unstored(run: str | None, database: str | None) -> str:
     """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
-    _, passed, held = _in_database(run, database)
-    return "" if passed else f"the process of the run reported success, and {held}"
+    held = _in_database(run, database)
+    return "" if held.passed else f"the process of the run reported success, and {held.words}"
 
 
-def _in_database(run: str, database: str | None) -> tuple[bool, bool, str]:
-    """Return whether the database holds a run's result, whether the run passed, and its stored verdict in words."""
+class _Held(NamedTuple):
+    """What a database holds of a run, as far as it can be read: the run, its result, a pass; and that in words."""
+
+    words: str
+    stored: bool = True
+    result: bool = False
+    passed: bool = False
+
+
+def _in_database(run: str, database: str | None) -> _Held:
     from cbsr_qa.config import database_url
     from cbsr_qa.domain.results import ResultState
-    from cbsr_qa.store.runs import latest_result
+    from cbsr_qa.store.runs import NoRunError, latest_result
 
     try:
         result, outcome = latest_result(database_url(database), run)
+    except NoRunError:
+        return _Held("nothing of the run was stored", stored=False)
     except CbsrError as error:
-        return False, False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
+        return _Held(f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}")
     held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
-    return result is ResultState.STORED, outcome is not None and not outcome.exit_code, f"the database holds {held}"
+    passed = outcome is not None and not outcome.exit_code
+    return _Held(f"the database holds {held}", result=result is ResultState.STORED, passed=passed)

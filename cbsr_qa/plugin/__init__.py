@@ -67,7 +67,11 @@ if TYPE_CHECKING:
         plugin_reference as plugin_reference,
         reference_page as reference_page,
     )
-    from .software import kind_named as kind_named, software_versions as software_versions
+    from .software import (
+        NOT_INSTALLED as NOT_INSTALLED,
+        kind_named as kind_named,
+        software_versions as software_versions,
+    )
     from .words import KeyPath as KeyPath, dotted as dotted, echo as echo, printable as printable, shown as shown
 
 door(__name__, __file__)

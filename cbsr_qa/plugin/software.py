@@ -16,6 +16,8 @@ from cbsr_qa.plugin.hooks import Kind
 
 #: Numerical libraries that results depend on.
 _NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py", "sqlalchemy")
+#: In place of the version of a library that is not there.
+NOT_INSTALLED: Final = "not installed"
 #: Libraries for communication with instruments.
 _LINKS: Final = ("pyserial", "pyvisa", "pyvisa-py")
 
@@ -38,7 +40,7 @@ def _installed() -> tuple[tuple[str, str], ...]:
         try:
             found.append((name, _version(name)))
         except PackageNotFoundError:
-            found.append((name, "not installed"))
+            found.append((name, NOT_INSTALLED))
     return tuple(found)
 
 

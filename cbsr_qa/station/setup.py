@@ -115,7 +115,9 @@ def open_station(
     bench = open_bench(configuration.station.instruments, opened, after=after)
     try:
         check_clock(configuration, bench.identities())
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):  # a refusal moves nothing
+            bench.safe_state()
         bench.close()
         raise
     return bench

@@ -1,6 +1,8 @@
 """Translation of database errors into one clear message with a remedy."""
 
+import errno
 import json
+import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -125,8 +127,36 @@ def translated(url: URL) -> Iterator[None]:
         raise StoreError(f"{shown(url)}: {_first_line(str(error))}") from error
 
 
+def check_files(url: URL) -> None:
+    """Raise StoreError if this process may open no more files: SQLite says only that it cannot open its own."""
+    try:
+        ends = os.pipe()
+    except OSError as error:
+        if error.errno not in (errno.EMFILE, errno.ENFILE):
+            return
+        raise StoreError(
+            f"{shown(url)} cannot be opened: {error.strerror}{_file_limit() if error.errno == errno.EMFILE else ''}",
+            remedy="raise the limit (ulimit -n); do without a plugin that lowers it, or leaves files open",
+        ) from error
+    for end in ends:
+        os.close(end)
+
+
+def _file_limit() -> str:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return ""
+    return f" in this process, whose limit is {resource.getrlimit(resource.RLIMIT_NOFILE)[0]}"
+
+
 def _driver_error(url: URL, error: BaseException) -> StoreError:
     said = _first_line(str(error))
+    if "unable to open database file" in said:
+        try:
+            check_files(url)
+        except StoreError as full:
+            return full
     for part, meaning, remedy in _KNOWN:
         if part in said.lower():
             return StoreError(f"{shown(url)} {meaning} ({said})", remedy=remedy)

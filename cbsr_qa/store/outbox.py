@@ -1,6 +1,6 @@
 """The outbox: what a central database has not confirmed yet, announced in the transaction that stores it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Final
 
@@ -32,6 +32,11 @@ _ANNOUNCE: Final = text(
     " version = CASE WHEN excluded.version > outbox.version THEN excluded.version ELSE outbox.version + 1 END,"
     " noted_at = CASE WHEN outbox.sent < outbox.version THEN outbox.noted_at ELSE excluded.noted_at END"
 )
+#: What was confirmed, and is to be looked at again: it waits, and ``sent`` says what the centre confirmed.
+_CONFIRMED: Final = text(
+    "INSERT INTO outbox (kind, item, version, sent, noted_at, state, why)"
+    " VALUES (:kind, :item, :sent + 1, :sent, CURRENT_TIMESTAMP, 'waiting', '')"
+)
 
 
 def announce(connection: Connection, kind: Kind, items: Iterable[str], version: int = 1) -> None:
@@ -39,3 +44,15 @@ def announce(connection: Connection, kind: Kind, items: Iterable[str], version: 
     rows = [{"kind": str(kind), "item": item, "version": version} for item in items]
     if rows:
         connection.execute(_ANNOUNCE, rows)
+
+
+def note_confirmed(connection: Connection, kind: Kind, confirmed: Mapping[str, int]) -> None:
+    """Have items wait that the centre confirmed, and of which nothing waits, to be compared with what it has.
+
+    Parameters
+    ----------
+    confirmed : item → links of a chained run; 1 for anything else.
+    """
+    rows = [{"kind": str(kind), "item": item, "sent": sent} for item, sent in confirmed.items()]
+    if rows:
+        connection.execute(_CONFIRMED, rows)

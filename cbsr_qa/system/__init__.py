@@ -17,7 +17,12 @@ if TYPE_CHECKING:
         on_tick as on_tick,
         passing as passing,
     )
-    from .copies import COPY_ENDED as COPY_ENDED, come_back_once as come_back_once, end_copy as end_copy
+    from .copies import (
+        COPY_ENDED as COPY_ENDED,
+        come_back_once as come_back_once,
+        end_copies_of_threads as end_copies_of_threads,
+        end_copy as end_copy,
+    )
     from .files import (
         FileLock as FileLock,
         HeldError as HeldError,

@@ -5,9 +5,10 @@ print, and what it would clean up is not its own.
 """
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 #: Exit code of a copy, for a plugin that waits for it.
 COPY_ENDED: Final = 70
@@ -27,3 +28,20 @@ def end_copy(process: int) -> None:
     """End this process at once and silently, unless it is the given one."""
     if os.getpid() != process:
         os._exit(COPY_ENDED)
+
+
+def end_copies_of_threads() -> None:
+    """From now on, a copy of this process that a thread forks ends, silently, where the thread's function returns.
+
+    Such a copy comes back to nobody: Python would print a traceback, or crash, while it ends the thread. A copy that
+    goes on in the function, as a worker does, is left alone.
+    """
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=_end_with_thread)
+
+
+def _end_with_thread() -> None:
+    thread: Any = threading.current_thread()
+    if not isinstance(thread, threading._MainThread):  # type: ignore[attr-defined]
+        # What a thread calls last, and when its function raises; there is no public way.
+        thread._delete = thread._invoke_excepthook = lambda *_: os._exit(COPY_ENDED)

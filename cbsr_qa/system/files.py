@@ -51,13 +51,30 @@ class HeldError(Exception):
         self.who = who
 
 
+#: Descriptors of the locks that this process holds.
+_held: Final[set[int]] = set()
+
+
+def _close_in_copy() -> None:
+    """Close a forked copy's descriptors of locks, which would hold them on after this process is killed."""
+    for file in _held:
+        with suppress(OSError):
+            os.close(file)
+    _held.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_close_in_copy)
+
+
 class FileLock:
     """Holds a file's lock until it is released or the process ends.
 
-    The kernel keeps the lock, so the file of a killed process blocks no one: the next holder takes it over and
-    removes it. A file that belongs to another user may stay where only its owner may remove it. HeldError if it is
-    held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`; OSError if the file cannot be made, or
-    ``who`` not be written in it. ``path``: of the file; its folder exists.
+    The kernel keeps the lock, and no process that this one starts or forks has it, so the file of a killed process
+    blocks no one: the next holder takes it over and removes it. A file that belongs to another user may stay where
+    only its owner may remove it. HeldError if it is held, by somebody who wrote a name or has held it for
+    :data:`_NAMELESS_S`; OSError if the file cannot be made, or ``who`` not be written in it. ``path``: of the file;
+    its folder exists.
     """
 
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
@@ -76,6 +93,7 @@ class FileLock:
                 break
         else:
             raise OSError(errno.ENOENT, "a file created there disappears at once", str(path))
+        _held.add(self._file)
         try:
             os.ftruncate(self._file, 0)
             os.lseek(self._file, 0, os.SEEK_SET)
@@ -94,10 +112,11 @@ class FileLock:
                 os.ftruncate(file, 0)
             with suppress(OSError):
                 self._path.unlink()
-            # Said explicitly: a copy of the descriptor in a forked worker would hold the lock on.
+            # Said explicitly: a copy that a library's C code forked would hold the lock on.
             with suppress(OSError):
                 _unlock(file)
         finally:
+            _held.discard(file)
             os.close(file)
 
 

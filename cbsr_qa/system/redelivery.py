@@ -4,6 +4,7 @@ Python prints and drops what a signal's handler raises while a weak reference's 
 (``sys.unraisablehook``); HDF5's handles and pools of connections have many of those. Without this a Ctrl-C is lost.
 """
 
+import os
 import signal
 import sys
 import threading
@@ -23,6 +24,7 @@ class Redelivery:
     def __init__(self) -> None:
         #: The signal that comes again; a handler for another than Ctrl-C sets it before it raises.
         self.number: int = signal.SIGINT
+        self._process = os.getpid()
         self._dropped = False
         self._due: threading.Timer | None = None
         self._before: Any = None
@@ -50,6 +52,8 @@ class Redelivery:
                 raise KeyboardInterrupt
 
     def _hear(self, lost: "sys.UnraisableHookArgs") -> None:
+        if os.getpid() != self._process:  # a copy that a plugin forked is silent: what is lost there is nobody's
+            return
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             self._before(lost)
             return

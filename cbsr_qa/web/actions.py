@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.config import validate_operator, validate_reason
 from cbsr_qa.domain import CbsrError, RefusedError
-from cbsr_qa.web.gate import check_pin, gate_view
+from cbsr_qa.web.gate import check_pin, gate_view, has_pin
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
@@ -64,7 +64,7 @@ class Actions:
         """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
         wanted = StartForm.of(watch.served, form)
-        guesser = self._count_pin(station, wanted.operator, wanted.pin)
+        guesser = await self.count_pin(station, wanted.operator, wanted.pin)
         view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database, with_pin=True)
         if view.pin_is_right:
             self._pins.accept(guesser)
@@ -82,18 +82,23 @@ class Actions:
             raise RefusedError(text("problem.no_run"))
         operator = validate_operator(form.get("operator", look.operator))
         pin = form.get("pin", "")
-        guesser = self._count_pin(station, operator, pin)
+        guesser = await self.count_pin(station, operator, pin)
         await run_in_threadpool(check_pin, watch.served, operator, pin)
         self._pins.accept(guesser)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
         await self._begin(station, arguments, look.serial, pin)
         return _said(words=text("station.resumed"))
 
-    def _count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
-        """Return whose PIN this is a guess of. TooManyGuessesError if it is not compared yet."""
+    async def count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
+        """Return whose PIN this is a guess of. TooManyGuessesError if it is not compared yet.
+
+        Only guesses at operators who have a PIN count: made-up names would push those out of memory.
+        """
         guesser = (station, unicodedata.normalize("NFC", operator))
         if pin:
-            self._pins.admit(guesser, pin)
+            known = await run_in_threadpool(has_pin, self._line.stations[station].served, operator)
+            if known:
+                self._pins.admit(guesser, pin)
         return guesser
 
     async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:

@@ -63,6 +63,11 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     return GateView(shown.refused is None, shown.asks_pin, answers)
 
 
+def has_pin(served: ServedStation, operator: str) -> bool:
+    """Whether the gate asks an operator for a PIN, by the station file as it is now; RefusedError if it is wrong."""
+    return asks_pin(load_station(served.source).value.gate, operator)
+
+
 def check_pin(served: ServedStation, operator: str, pin: str) -> None:
     """Check the PIN of whoever resumes a run by the station file as it is now, as the run's process does again.
 

@@ -51,6 +51,17 @@ def test_a_copy_that_a_plugin_forks_neither_stores_nor_prints(place, bench, tmp_
     assert _counted(tmp_path, "run_states") == 2
 
 
+@pytest.mark.parametrize("ends", ["returns", "raises"])
+@pytest.mark.parametrize("place", ["register", "measuring", "metric"])
+def test_a_copy_that_a_plugin_forks_in_a_thread_is_silent(place, ends, bench, tmp_path):
+    after = "1 / 0" if ends == "raises" else "pass"
+    act = f"def act():\n import os\n c = os.fork()\n if c: os.waitpid(c, 0)\n else: {after}\n"
+    hostile = f"{place}: import threading; exec({act!r}); t = threading.Thread(target=act); t.start(); t.join()"
+    done = run_hostile(bench, tmp_path, hostile)
+    assert (done.returncode, document(done)["outcome"], verdicts(tmp_path)) == (0, "pass", ["pass"]), done.stderr
+    assert not {"Traceback", "Exception", "Fatal"} & {*done.stderr.replace(":", " ").split()}, done.stderr
+
+
 def test_a_copy_forked_while_a_run_is_analysed_again_stores_nothing(bench, tmp_path):
     run_hostile(bench, tmp_path, "")
     again = ("reanalyse", "--fresh", "--workers", "1", "--json")

@@ -215,3 +215,41 @@ def test_help_needs_no_second_process():
         code = f"import os; os.fork = None; from cbsr_qa.cli.main import ended; raise SystemExit(ended({arguments}))"
         done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=60)
         assert (done.returncode, bool(done.stdout)) == (0, True), done.stderr
+
+
+@pytest.mark.parametrize("place", ["measuring", "metric"])
+def test_a_plugin_that_lowers_the_limit_of_open_files_is_no_damaged_database(place, bench, tmp_path):
+    lowers = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (8, resource.getrlimit(7)[1]))"
+    done = run_hostile(bench, tmp_path, f"{place}: {lowers}")
+    told = document(done)
+    assert (done.returncode, told["outcome"], verdicts(tmp_path)) == (3, "not measured", [])
+    assert "Too many open files in this process, whose limit is 8" in told["reason"]
+    assert "ulimit -n" in told["remedy"]
+    assert "restore" not in done.stderr
+    assert f"cbsr-qa run --resume {told['run']}" in told["remedy"]
+    resumed = run_hostile(bench, tmp_path, "", arguments=("run", "--resume", told["run"], "--json"))
+    assert (resumed.returncode, verdicts(tmp_path)) == (0, ["pass"])
+
+
+def test_a_run_killed_before_it_is_stored_is_started_again_not_continued(bench, tmp_path):
+    kill = (
+        "import: from cbsr_qa.store import Repository; Repository.writing_alone = lambda *_: os.kill(os.getpid(), 9)"
+    )
+    done = run_hostile(bench, tmp_path, kill)
+    assert done.returncode == 3
+    assert "was killed by SIGKILL; nothing of the run was stored" in done.stderr
+    assert "Then start it again" in done.stderr
+    assert "--resume" not in done.stderr
+
+
+def test_a_run_whose_plugin_was_removed_says_what_to_install(bench, tmp_path):
+    stopped = run_hostile(bench, tmp_path, "measuring: os.kill(os.getpid(), 15)")
+    run = document(stopped)["run"]
+    removed = cbsr_qa(tmp_path, "run", "--resume", run, "--json", check=False)
+    told = document(removed)["refused"]
+    assert (removed.returncode, "'hostile'" in told["reason"]) == (2, True), told
+    assert "the run was begun with hostile 1.0, which is not installed now" in told["reason"]
+    assert "install it again, then resume the run" in told["remedy"]
+    assert "pip install hostile==1.0" in told["remedy"]
+    resumed = run_hostile(bench, tmp_path, "", arguments=("run", "--resume", run, "--json"))
+    assert (resumed.returncode, verdicts(tmp_path)[-1]) == (0, "pass")

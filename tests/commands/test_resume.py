@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from command import cbsr_qa, document, refused
@@ -31,6 +32,7 @@ from killing import (
 from made_once import made_once
 from pages import HOW_TO, commands, typed
 
+import cbsr_qa as qa
 from cbsr_qa.app.run import RunRequest, conclusion, run_sensor
 from cbsr_qa.domain import UnconcludedError
 from cbsr_qa.store import open_store
@@ -350,6 +352,30 @@ def brief(tmp_path_factory):
     return left_alone(tmp_path_factory.mktemp("brief"))
 
 
+def check_named_without_result(folder, run):
+    """Whatever shows one run says that it has no result and how it gets one; nothing reads like a verdict."""
+    how = f"no result is stored; to compute and store it: cbsr-qa run --resume {run}"
+    shown = cbsr_qa(folder, "report", run, check=False)
+    assert shown.returncode == 3
+    assert " ".join(shown.stdout.split()).startswith(f"? NOT MEASURED: {how}")
+    assert not {"✓", "PASS", "pass"} & {*shown.stdout.split()}
+    said = cbsr_qa(folder, "report", run, "--json", check=False)
+    told = document(said)
+    assert (said.returncode, told["outcome"], told["reason"]) == (3, "not measured", how)
+    page = Path(folder, told["report"]).read_text()
+    assert how in page
+    assert "✓" not in page
+    assert "PASS" not in page
+    shown_in_python = qa.Run(run, str(folder / "var" / "cbsr-qa.db"))
+    assert (shown_in_python.verdict, shown_in_python.result.exit_code) == (None, 3)
+    assert shown_in_python.result.reason.startswith("no result is stored")
+    assert f"cbsr-qa run --resume {run}" in shown_in_python.result.resume
+    exported = folder / "frames.nc"
+    cbsr_qa(folder, "export", run, "--to", exported)
+    with h5py.File(exported) as file:
+        assert file.attrs["verdict"] == "none"
+
+
 @pytest.mark.rest
 def test_a_run_that_was_stopped_resumed_and_killed_while_it_was_computed_gets_its_result(brief, tmp_path):
     write_files(tmp_path, recipe=BRIEF)
@@ -364,10 +390,7 @@ def test_a_run_that_was_stopped_resumed_and_killed_while_it_was_computed_gets_it
     listed = " ".join(cbsr_qa(tmp_path, "runs").stdout.split())
     assert "no result" in listed
     assert f"cbsr-qa run --resume {run}" in listed
-    (warning,) = [
-        one for one in document(cbsr_qa(tmp_path, "report", run, "--json"))["warnings"] if "no analysis" in one
-    ]
-    assert f"cbsr-qa run --resume {run} computes and stores its result" in warning
+    check_named_without_result(tmp_path, run)
     refused(tmp_path, "verdict", "override", run, "--outcome", "pass", "--by", "Kim", "--why", "as I say")
     assert strike(tmp_path, resume, at=-1, number=0).code == 0
     check_come_through(tmp_path, run, brief[0])

@@ -77,6 +77,34 @@ def test_what_was_altered_at_the_centre_is_found_when_it_is_compared(station):
     assert "cannot be given together" in sync(station, "--status", "--compare-since", "2026-11-01").stderr
 
 
+def test_what_the_centre_had_lost_is_said_and_the_exit_code_is_1_once(station):
+    sync(station, "--to", "centre.db", check=True)
+    compare = ("--to", "centre.db", "--compare-since", "2026-11-01")
+    for form in ((), ("--json",)):
+        (station / "centre.db").unlink()
+        open_store(f"sqlite:///{station / 'centre.db'}").close()
+        done = sync(station, *compare, *form)
+        assert done.returncode == 1
+        assert ("did not have it" in " ".join(done.stdout.split()), "✓" in done.stdout) == (True, False)
+        assert "PASS" not in done.stdout
+    (lost,) = json.loads(done.stdout)["lost"]
+    with sqlite3.connect(station / "station.db") as database:
+        assert database.execute("SELECT run FROM runs").fetchall() == [(lost["item"],)]
+    assert json.loads(sync(station, *compare, "--json", check=True).stdout)["lost"] == []
+
+
+@pytest.mark.parametrize("place", ["station.db", "centre.db"])
+def test_the_name_of_a_held_run_is_said_once(station, place):
+    sync(station, "--to", "centre.db", check=True)
+    with sqlite3.connect(station / place) as database:
+        (run,) = database.execute("SELECT run FROM runs").fetchone()
+        database.execute("UPDATE loads SET x_mm = 1.5")
+    sync(station, "--to", "centre.db", "--compare-since", "2026-11-01")
+    shown = sync(station, "--status", "--to", "centre.db").stdout
+    assert shown.count(run) == 2  # quarantined here, and refused there
+    assert shown.count("was changed") == 2
+
+
 def refused(folder):
     status = json.loads(sync(folder, "--status", "--to", "centre.db", "--json").stdout)
     return [one["item"] for one in status["refused"]]

@@ -1,6 +1,8 @@
 """A plugin that forks and lets the copy come back: the copy ends as it leaves the plugin, and cleans nothing up."""
 
 import os
+import signal
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -154,6 +156,32 @@ def test_a_copy_releases_no_lock(tmp_path):
     assert holder(tmp_path / "lock") == b"Kim"
     lock.release()
     assert holder(tmp_path / "lock") is None
+
+
+def test_a_copy_that_outlives_a_killed_process_holds_no_lock(tmp_path):
+    out, into = os.pipe()
+    if (process := fork()) == 0:
+        try:
+            lock = FileLock(tmp_path / "lock", b"Kim")
+            copy = fork() or os.getpid()
+            if copy != os.getpid():
+                os.write(into, b"%d " % copy)
+            time.sleep(60)
+            lock.release()
+        finally:
+            os._exit(0)
+    copy = int(os.read(out, 64))
+    try:
+        assert holder(tmp_path / "lock") == b"Kim"
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        os.kill(copy, 0)  # lives on
+        assert holder(tmp_path / "lock") is None
+        FileLock(tmp_path / "lock", b"Ada").release()
+    finally:
+        os.kill(copy, signal.SIGKILL)
+        os.close(out)
+        os.close(into)
 
 
 def test_a_copy_drives_no_instrument():

@@ -1,6 +1,6 @@
 """A hundred runs, each struck with SIGKILL or SIGTERM up to four times, also while its result is computed.
 
-``--junitxml`` says how often each was struck.
+``-o junit_family=xunit1 --junitxml=FILE`` says how often each was struck.
 """
 
 import os

@@ -10,7 +10,7 @@ from station_files import station_file
 
 from cbsr_qa.app.run import RunRequest, plan_run, run_sensor, session as running
 from cbsr_qa.cli import ask_operator, guarded, operator_at_terminal
-from cbsr_qa.domain import AbortedError, ConfigError
+from cbsr_qa.domain import AbortedError, ConfigError, StoppedError
 from cbsr_qa.station.interrupts import Stopped
 
 INSTRUMENTS = """
@@ -119,7 +119,7 @@ def test_instruments_and_prompts_are_given_the_operator(station, monkeypatch):
 
     monkeypatch.setattr(running, "open_station", opening)
     monkeypatch.setattr(running, "execute", executed)
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         run_sensor(RunRequest(station, "nine-locations", "S-1", seed=1), ask=ask)
     assert len(given) == 2
     assert [one("?") for one in given] == ["yes", "yes"]

@@ -13,7 +13,7 @@ from stored_runs import journalled, short_run
 
 from cbsr_qa.app import back_up, check_database, restore_backup, upgrade_database
 from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.store import HEAD, copies, found_version, open_engine, open_store, parsed_url, schema
+from cbsr_qa.store import HEAD, copies, found_version, open_engine, open_store, parsed_url, schema, writing
 
 
 def quiet(what, done, of):
@@ -252,6 +252,19 @@ def test_a_check_names_what_is_not_as_it_was_stored(database, statement, said, i
     assert any(said in problem.what for problem in done.result.problems), done.result.problems
     assert done.result.runs == 2
     assert check_database(str(database), None, quiet, quick=True).exit_code == in_quick
+
+
+def test_a_check_advises_what_is_possible_where_the_database_is(database_url):
+    with open_store(database_url) as store:
+        journalled(store, short_run(store.new_id()))
+    engine = open_engine(parsed_url(database_url))
+    with writing(engine) as connection:
+        connection.exec_driver_sql("UPDATE loads SET x_mm = 1.5")
+    engine.dispose()
+    done = check_database(database_url, None, quiet, quick=True)
+    advice = dict(done.page.identity)["What to do"]
+    of_file = database_url.startswith("sqlite")
+    assert ("cbsr-qa db restore" in advice, "pg_restore" in advice) == (of_file, not of_file)
 
 
 def test_a_sound_database_is_said_to_be(database):

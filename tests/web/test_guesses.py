@@ -1,8 +1,15 @@
 """How long somebody who guesses has to wait."""
 
+import asyncio
+from types import SimpleNamespace
+
 import pytest
 
+from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.system import hashed_pin
+from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.guesses import FREE_GUESSES, LONGEST_WAIT_S, Guesses, TooManyGuessesError, client_network
+from cbsr_qa.web.stations import served_stations
 
 
 class _Clock:
@@ -84,3 +91,29 @@ def test_after_a_quarter_of_an_hour_all_is_forgotten(guesses, clock):
 )
 def test_a_client_with_many_addresses_is_one(address, network):
     assert client_network(address) == network
+
+
+@pytest.fixture
+def actions(tmp_path):
+    """What is asked of a station where Ada has a PIN, and Ben none."""
+    file = tmp_path / "bench.toml"
+    listed = '[[gate.operators]]\nname = "Ada"\npin = "{}"\n\n[[gate.operators]]\nname = "Ben"\n'
+    text = open_document(DocumentKind.STATION, "simulated").text
+    file.write_text(f'{text}\n[gate]\noperator = "refuse"\n\n{listed.format(hashed_pin("4711"))}')
+    watch = SimpleNamespace(served=served_stations([str(file)], [])[0])
+    return Actions(SimpleNamespace(stations={"bench": watch}), SimpleNamespace())
+
+
+def test_made_up_names_do_not_push_out_the_guesses_at_an_operator(actions, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.web.guesses._MOST_GUESSERS", 3)
+
+    def guess(operator, pin):
+        return asyncio.run(actions.count_pin("bench", operator, pin))
+
+    for n in range(FREE_GUESSES):
+        guess("Ada", f"{n:04d}")
+    for n in range(20):
+        assert guess(f"nobody {n}", "0000") == ("bench", f"nobody {n}")  # nothing to guess: never slowed down
+        guess("Ben", f"{n:04d}")
+    with pytest.raises(TooManyGuessesError):
+        guess("Ada", "4711")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis import characterise_run, evaluate_run
+from cbsr_qa.analysis import characterise_run
 from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
@@ -17,7 +17,7 @@ from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepare_force
 from cbsr_qa.config import database_url, reports_folder, restore
-from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, as_filed, filled
+from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, as_filed
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
     Calibration,
@@ -29,6 +29,7 @@ from cbsr_qa.domain.results import (
     Outcome,
     RunObservation,
     RunResult,
+    Verdict,
 )
 from cbsr_qa.domain.run import ChainState, GateAnswer, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
@@ -36,7 +37,6 @@ from cbsr_qa.report import render_run, report_name, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.charts import charts_after
-from cbsr_qa.system import Stages
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +115,7 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     facts = (("Run", rendered.result.record.identity.words), ("Stored rows", rendered.chain.words))
     printed = (("Report", str(rendered.report)),)
     page = replace(page, identity=facts, warnings=rendered.warnings, printed=printed)
-    return CommandOutcome(rendered, page)
+    return CommandOutcome(rendered, page, exit_code=3 if rendered.result.missing else 0)
 
 
 def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutcome:
@@ -141,7 +141,7 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
         material=(material if material is not None and material.exists() else None, why),
         warnings=result.warnings,
         seed=restore(store.configuration(run)).seed,
-        resume="" if result.record.end is EndReason.FINISHED else resume_command(run, store),
+        resume=resume_command(run, store) if result.missing or result.record.end is not EndReason.FINISHED else "",
     )
 
 
@@ -151,8 +151,8 @@ def rebuilt(
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
-    stored frames and configuration. A run that was not analysed since its last session is analysed here, without
-    storing the result.
+    stored frames and configuration. A run that was not analysed since its last session is not analysed here: its
+    result says that none is stored, and how to get one.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def rebuilt(
     history = store.change_history(record)
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
-        now = _analysed_now(record, recipe, plugins, resume_command(run, store))
-        return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
+        known = _without_result(record, resume_command(run, store))
+        return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
     observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
     calibration, unseen = _calibration(store, stored, observation)
@@ -247,21 +247,20 @@ def _calibration(
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 
-def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins, resume: str) -> RunResult:
-    follows = "computes and stores its result" if record.end is EndReason.FINISHED else "continues it"
-    evaluated = evaluate_run(record, recipe, plugins, Stages())
-    return filled(
-        RunResult,
-        evaluated,
+def _without_result(record: RunRecord, resume: str) -> RunResult:
+    """Return what is known of a run that has no stored analysis: nothing that reads like a verdict."""
+    finished = record.end is EndReason.FINISHED
+    ended = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
+    missing = f"no result is stored; to {'compute and store it' if finished else 'continue the run'}: {resume}"
+    return RunResult(
         record=record,
+        observation=None,
+        measurements=(),
+        verdict=Verdict(Outcome.NOT_MEASURED, missing if finished else ended),
         calibration=None,
-        calibration_why="this run was never concluded at the station",
-        limits_version=recipe.limits_version,
-        warnings=(
-            *evaluated.warnings,
-            *record.chain.warnings,
-            f"this run was analysed for this report alone; no analysis of it is stored: {resume} {follows}",
-        ),
+        calibration_why="no result is stored",
+        warnings=(*(() if finished else (missing,)), *record.chain.warnings),
+        missing=True,
     )
 
 

@@ -1,7 +1,7 @@
 """Resume an interrupted run from the database."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Final
 
@@ -12,6 +12,7 @@ from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, deliver_verdict
+from cbsr_qa.app.run.stopping import stoppable_outside_steps
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -22,11 +23,11 @@ from cbsr_qa.config import (
     validate_operator,
     writable_folder,
 )
-from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, ConfigError, StoreError
+from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, ConfigError, PluginError, StoreError
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.results import ResultState
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
-from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.plugin import NOT_INSTALLED, Plugins, discover, software_versions
 from cbsr_qa.station import describe, plan_of, schedule
 from cbsr_qa.store import Repository, open_existing, open_store, parsed_url, shown
 from cbsr_qa.system import RealClock, Stages
@@ -129,14 +130,20 @@ def _resumed(
             remedy=f"{report_command(run, store)} writes its report and calibration file again",
         )
     if result is ResultState.MISSING:
-        check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
+        with naming_removed(stored, identity):
+            check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
         outcome = concluded(run, store, configuration, plugins, Stages(tell), changed)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
-    check_configuration(configuration, plugins)
+    with naming_removed(stored, identity):
+        check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
-    with controlled(configuration, **who, answers=answers) as control:
+    with (
+        naming_removed(stored, identity),
+        stoppable_outside_steps(),
+        controlled(configuration, **who, answers=answers) as control,
+    ):
         gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
@@ -165,11 +172,39 @@ def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
     """Return a warning if software versions differ from those at the start of the run."""
     before, after = dict(stored.software), dict(now.software)
     differing = ", ".join(
-        f"{name} {before.get(name, 'not installed')} → {after.get(name, 'not installed')}"
+        f"{name} {before.get(name, NOT_INSTALLED)} → {after.get(name, NOT_INSTALLED)}"
         for name in dict.fromkeys([*before, *after])
         if before.get(name) != after.get(name)
     )
     return [f"the run was begun with other software than it went on with: {differing}"] if differing else []
+
+
+@contextmanager
+def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
+    """Say which packages of plugins a run began with are missing now, where its plugins are refused.
+
+    Raises
+    ------
+    PluginError, ConfigError
+        The same, with the packages and their versions, if one is missing.
+    """
+    try:
+        yield
+    except (PluginError, ConfigError) as error:
+        here = dict(now.software)
+        removed = [
+            (name, version)
+            for name, version in stored.software
+            if version != NOT_INSTALLED and here.get(name, NOT_INSTALLED) == NOT_INSTALLED
+        ]
+        if not removed:
+            raise
+        named = ", ".join(f"{name} {version}" for name, version in removed)
+        pinned = " ".join(f"{name}=={version}" for name, version in removed)
+        raise type(error)(
+            f"{error.reason}; the run was begun with {named}, which is not installed now",
+            remedy=f"install it again, then resume the run\n{AT_COMMAND_LINE}pip install {pinned}",
+        ) from error
 
 
 def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:

@@ -22,6 +22,7 @@ from cbsr_qa.app.run.control import Control, controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
+from cbsr_qa.app.run.stopping import stoppable_outside_steps
 from cbsr_qa.calibration.force import begin_templates
 from cbsr_qa.config import (
     Configuration,
@@ -118,7 +119,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     refuse_busy(configuration.station.name)
     answers = _gate(request, configuration, plugins, preview=True)
     ask = _nobody_in_a_dry_run if attended else None
-    with Session(configuration, plugins, Stages(), ask) as session:
+    with stoppable_outside_steps(), Session(configuration, plugins, Stages(), ask) as session:
         return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
 
 
@@ -184,10 +185,12 @@ def run_sensor(
         process uses the station, or its gate refuses the run.
     InstrumentError
         If an instrument does not answer at the start.
+    StoppedError
+        If a signal stopped it before the first step; the bench is safe and closed.
     """
     plugins, configuration = _checked(request.checked())
     who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
-    with controlled(configuration, **who, answers=answers) as control:
+    with stoppable_outside_steps(), controlled(configuration, **who, answers=answers) as control:
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused

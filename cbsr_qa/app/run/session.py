@@ -31,6 +31,7 @@ from cbsr_qa.domain.run import (
 from cbsr_qa.plugin import Plugins
 from cbsr_qa.report import duration
 from cbsr_qa.station import (
+    Bench,
     DryRun,
     EventSinks,
     LoadKey,
@@ -82,7 +83,9 @@ def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
 
 
 class Session:
-    """An open bench and the plan to carry out on it.
+    """A bench, open while entered, and the plan to carry out on it.
+
+    If a signal interrupts it outside of the plan's steps, the bench is made safe before it is closed.
 
     Parameters
     ----------
@@ -97,8 +100,10 @@ class Session:
     Raises
     ------
     InstrumentError, ConfigError
-        If an instrument does not answer, or differs from the station file.
+        When it is entered, if an instrument does not answer, or differs from the station file.
     """
+
+    _bench: Bench
 
     def __init__(
         self,
@@ -127,9 +132,6 @@ class Session:
         self._clock = station_clock(configuration)
         self._control = control
         self._ask = self._prompt(control)
-        self._bench = open_station(
-            configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
-        )
 
     def _prompt(self, control: Control | None) -> OperatorPrompt[str] | None:
         """Return who asks the operator; None if nobody answers."""
@@ -140,11 +142,18 @@ class Session:
         return OperatorPrompt(self._asked, desk, operator=who, first=self._done.prompts)
 
     def __enter__(self) -> Self:
+        # Here, not before: a signal between opening and entering would leave the bench open.
+        self._bench = open_station(
+            self._configuration, self._plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
+        )
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if isinstance(error, KeyboardInterrupt):  # nobody else has made it safe
+            for silent in self._bench.safe_state():
+                on_stderr(f"NOT SAFE: {silent}; check the bench before touching it")
         self._bench.close()
 
     def walk(self) -> DryRun:
@@ -174,8 +183,9 @@ class Session:
         self._stages.announce("running the station")  # which takes the station's time, and none of the result's
         watch = WallWatch()
         ended = self._drive(identity, store)
-        _refuse_unstored(identity.run, ended, store)
-        self.warnings += filter(None, [clock_warning(watch.moved())])
+        with concluding(identity.run, store):
+            _refuse_unstored(identity.run, ended, store)
+            self.warnings += filter(None, [clock_warning(watch.moved())])
         outcome = concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
         deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
         return outcome

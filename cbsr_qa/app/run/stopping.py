@@ -1,13 +1,38 @@
-"""Signals that stop a run: the first one interrupts it, further ones wait for the clean-up."""
+"""Signals that stop what is before or after a run: the first interrupts it, further ones wait for the clean-up."""
 
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any, Final
 
-from cbsr_qa.domain import AbortedError
+from cbsr_qa.domain import AbortedError, StoppedError
 from cbsr_qa.system import Redelivery, end_later
+
+#: How long it may take to give up opening a bench, to make it safe and to close it [s].
+_CLOSES_WITHIN_S: Final = 45.0
+
+
+@contextmanager
+def stoppable_outside_steps() -> Iterator[None]:
+    """Let a signal end the block before a run's first step, or after its last, so that what is open is closed.
+
+    During the steps the run hears signals itself; see :class:`cbsr_qa.station.interrupts.Interrupts`.
+
+    Raises
+    ------
+    StoppedError
+        After the clean-up, if a signal or the keyboard interrupted it.
+    """
+    try:
+        with stoppable(within_s=_CLOSES_WITHIN_S):
+            yield
+    except AbortedError as error:
+        raise StoppedError(
+            f"stopped by {error.by} outside of the steps of a run; the bench is closed",
+            remedy="start it again; cbsr-qa db status lists a run that had begun",
+        ) from error
 
 
 @contextmanager
@@ -17,7 +42,7 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
     Parameters
     ----------
     within_s : how long that may take, where code of a plugin might catch the interruption; then a process that
-        another one watches over is killed. Only if no bench is in use. None: any time.
+        another one watches over is killed. Only if no head is down. None: any time.
 
     Raises
     ------
@@ -29,6 +54,10 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
     redelivery = Redelivery()
 
     def stop(number: int, frame: FrameType | None) -> None:
+        if signal.getsignal(number) is not stop:  # the steps of a run hear it meanwhile, and ask who sent it
+            if callable(before[number]):
+                before[number](number, frame)
+            return
         if not heard or redelivery.was_dropped():
             if not heard and within_s is not None:
                 ended.append(end_later(within_s))
@@ -40,7 +69,8 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
     # A signal inherited as ignored stays ignored, as the caller intended.
-    before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
+    heard_of = [number for number in numbers if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    before: dict[int, Any] = {number: signal.signal(number, stop) for number in heard_of}
     try:
         with redelivery:
             yield

@@ -19,7 +19,7 @@ from cbsr_qa.config import (
     validate_serial,
     writable_folder,
 )
-from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.domain import CbsrError, RefusedError, StoppedError
 from cbsr_qa.domain.plan import ReferenceRing, Station
 from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RunIdentity, StationCheck
@@ -265,6 +265,8 @@ def _golden(
     )
     try:
         outcome = run_sensor(wanted, tell=tell, ask=ask, pin=pin)
+    except StoppedError:
+        raise
     except CbsrError as error:
         line(CheckOutcome.FAILED, error.reason, error.remedy)
         return None

@@ -153,6 +153,7 @@ class RunResult:
     history : changes of the run's files since its sensor type last passed its recipe.
     overrides : decisions against the verdicts of the run, oldest first; ``verdict`` is not changed.
     sensor_history : runs of the sensor that began before this one; None if not loaded.
+    missing : whether the run has no stored result; the verdict is then "not measured".
     """
 
     record: RunRecord
@@ -170,3 +171,4 @@ class RunResult:
     history: ChangeHistory = field(default_factory=ChangeHistory)
     overrides: tuple[VerdictOverride, ...] = ()
     sensor_history: SensorHistory | None = None
+    missing: bool = False

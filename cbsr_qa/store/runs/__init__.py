@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         check_many_frames as check_many_frames,
         check_many_samples as check_many_samples,
     )
-    from .outcomes import latest_result as latest_result
+    from .outcomes import NoRunError as NoRunError, latest_result as latest_result
     from .rows import (
         current_state as current_state,
         run_row as run_row,

@@ -24,18 +24,24 @@ from cbsr_qa.store.verdicts import verdict_of
 _RECENT: Final = 500
 
 
+class NoRunError(StoreError):
+    """There is no such run, or no database."""
+
+
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     """Return what has come of a run, and the outcome of the latest analysis after its last session, or None.
 
     Raises
     ------
+    NoRunError
+        If the database or the run does not exist.
     StoreError
-        If the database or the run does not exist, it cannot be read, or the run was altered.
+        If it cannot be read, or the run was altered.
     """
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
     if file is not None and not file.exists():  # SQLite would create an empty one
-        raise StoreError(f"{shown(parsed)} does not exist")
+        raise NoRunError(f"{shown(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
         with reading(engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})) as connection:
@@ -43,7 +49,7 @@ def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     finally:
         engine.dispose()
     if found is None:
-        raise StoreError(f"there is no run {run} in {shown(parsed)}")
+        raise NoRunError(f"there is no run {run} in {shown(parsed)}")
     return found.checked().result, found.outcome
 
 

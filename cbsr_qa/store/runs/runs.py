@@ -24,7 +24,7 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
-from cbsr_qa.store.damage import FOREIGN_CELL, address, shown, stored
+from cbsr_qa.store.damage import FOREIGN_CELL, address, check_files, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
 from cbsr_qa.store.left_out import altered_among, with_left_out
 from cbsr_qa.store.mapping import of_row
@@ -131,6 +131,7 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
         If something is damaged; the message says whether the run can be saved.
     """
     look_afresh(engine)
+    check_files(engine.url)  # which is no damage
     problem = file_problem(engine)
     try:
         record = load_run(engine, run)

@@ -1,17 +1,17 @@
 """What was sent before, compared at both ends: rows with their links, and the order in which runs were begun."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from datetime import UTC, date, datetime, time
 from typing import Any, Final
 
-from sqlalchemy import Engine, select
+from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.archives import Archives, archive_row
 from cbsr_qa.store.chain import ALL_KINDS, KEYS, check_run
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.outbox import Kind, announce, note_confirmed
 from cbsr_qa.store.runs import begun
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, next_parcel
 from cbsr_qa.store.sync.rows import counts_of
@@ -65,28 +65,39 @@ def _check_station(station: Engine, run: str) -> None:
 
 
 def announce_since(station: Engine, day: date) -> None:
-    """Announce everything from a day on (UTC), so that it is compared with the centre's, and sent if need be."""
+    """Announce everything from a day on (UTC), so that it is compared with the centre's, and sent if need be.
+
+    What nothing waited of was confirmed by the centre: its entry says so in ``sent``, so that a loss is noticed.
+    """
     since = datetime.combine(day, time(), UTC)
     for kind, (name, made_at) in _ITEMS.items():
         with reading(station) as connection:
             items = connection.scalars(select(name).where(made_at >= since).order_by(name)).all()
-        _announce_unannounced(station, kind, items)
+        with writing(station) as connection:
+            confirmed = _unannounced(connection, kind, items)
+            links = _link_counts(connection) if kind is Kind.RUN and confirmed else {}
+            note_confirmed(connection, kind, {item: links.get(item, 1) for item in confirmed})
 
 
 def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
     """Return the runs that are missing in a station's database, and have them in its outbox: its operator decides."""
     with reading(station) as connection:
         missing = {gap.run: gap for gap in begun.gaps(connection) if not gap.refused}
-    _announce_unannounced(station, Kind.RUN, missing)
+    if missing:
+        with writing(station) as connection:
+            announce(connection, Kind.RUN, _unannounced(connection, Kind.RUN, missing))
     return missing
 
 
-def _announce_unannounced(station: Engine, kind: Kind, items: Collection[str]) -> None:
-    if not items:
-        return
-    with writing(station) as connection:
-        there = set(connection.scalars(select(OutboxRow.item).where(OutboxRow.kind == str(kind))))
-        announce(connection, kind, [item for item in items if item not in there])
+def _unannounced(connection: Connection, kind: Kind, items: Iterable[str]) -> list[str]:
+    there = set(connection.scalars(select(OutboxRow.item).where(OutboxRow.kind == str(kind))))
+    return [item for item in items if item not in there]
+
+
+def _link_counts(connection: Connection) -> dict[str, int]:
+    """Return the number of links of each chained run."""
+    counted = select(LinkRow.run, func.max(LinkRow.number) + 1).group_by(LinkRow.run)
+    return {row[0]: row[1] for row in connection.execute(counted)}
 
 
 def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:

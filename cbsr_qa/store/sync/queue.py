@@ -26,7 +26,9 @@ class Entry:
 
     Parameters
     ----------
-    version : announced; ``sent`` is what the centre has of it.
+    version : announced.
+    sent : what the centre confirmed, of which it may have lost something since: of a chained run the number of its
+        links; else 0, or more than 0 if it was confirmed as a whole and is compared again.
     noted_at : when the oldest part that was not sent was announced.
     why : why it was refused, or what it waits for.
     """
@@ -85,13 +87,14 @@ def confirm(engine: Engine, entry: Entry, version: int, *, more: bool) -> None:
 
     Parameters
     ----------
-    version : that was sent.
+    version : that was sent; 0 where versions do not count parts, as links of a chained run do.
     more : whether it may grow without being announced (a run under way, or cut off): it stays in the outbox.
     """
     row = OutboxRow
     with writing(engine) as connection:
         if not more:  # announced again meanwhile, it stays
-            connection.execute(delete(row).where(*_is(entry.kind, entry.item), row.version <= version))
+            covered = max(version, entry.version)
+            connection.execute(delete(row).where(*_is(entry.kind, entry.item), row.version <= covered))
         values = {"sent": version, "version": _larger(row.version, version), "noted_at": func.current_timestamp()}
         connection.execute(update(row).where(*_is(entry.kind, entry.item)).values(why="", **values))
 

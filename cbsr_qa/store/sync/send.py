@@ -23,8 +23,19 @@ from cbsr_qa.store.tables import RunRow
 
 #: Runs whose state at the centre is read at once.
 _AT_ONCE: Final = 64
+#: Ends what says that the centre lost something.
+_OR_ANOTHER: Final = ": it lost that, or is another database than the one that confirmed it; it was sent again"
 #: How often a run is tried that another sender of the same run overtook.
 _TRIES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """Something that the centre had confirmed, and had no longer, or not all of, when it was looked at again."""
+
+    kind: str
+    item: str
+    why: str
 
 
 @dataclass(slots=True)
@@ -38,6 +49,7 @@ class Sent:
     rows, size : stored at the centre [rows, bytes of arrays and files].
     quarantined, blocked : refused, and put back until what they refer to is at the centre.
     notes : what the centre has more than this database, in words.
+    lost : what the centre had lost, and has again.
     """
 
     items: int = 0
@@ -48,6 +60,7 @@ class Sent:
     quarantined: list[Entry] = field(default_factory=list)
     blocked: list[Entry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    lost: list[Lost] = field(default_factory=list)
 
 
 def send_waiting(
@@ -111,11 +124,12 @@ def _send(
 ) -> bool:
     """Send one entry; return whether the centre has it now."""
     gap = missing.get(entry.item) if entry.kind == Kind.RUN else None
+    tail, rows = stands.get(entry.item, NOTHING), sent.rows
     try:
         if gap is not None:
             raise AlteredError(gap.words)
         if entry.kind == Kind.RUN:
-            _send_run(station, centre, entry, stands.get(entry.item, NOTHING), sent)
+            _send_run(station, centre, entry, tail, sent)
         else:
             _send_item(station, centre, entry, sent)
     except WaitsError as error:
@@ -130,8 +144,29 @@ def _send(
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
         sent.quarantined.append(entry)
     else:
+        if sent.rows > rows and (why := _lost(entry, tail)):
+            sent.lost.append(Lost(entry.kind, entry.item, why))
         return True
     return False
+
+
+def _lost(entry: Entry, tail: Tail | None) -> str:
+    """Return what the centre lacked of an entry that it had confirmed, in words; empty if that was nothing.
+
+    Parameters
+    ----------
+    tail : where a run stood at the centre before more of it was sent.
+    """
+    if not entry.sent:
+        return ""
+    if entry.kind != Kind.RUN or tail == NOTHING:
+        return f"the centre had confirmed it and did not have it{_OR_ANOTHER}"
+    if tail is None:  # without a chain: nothing counts its parts
+        return f"the centre had confirmed it and lacked rows of it{_OR_ANOTHER}"
+    had = tail[0] + 1
+    return (
+        "" if had >= entry.sent else f"the centre had confirmed {entry.sent} links of it and had {had}{_OR_ANOTHER}"
+    )
 
 
 def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
@@ -194,7 +229,7 @@ def _send_unchained(station: Engine, centre: Engine, entry: Entry, *, known: boo
         parcel = unchained_parcel(connection, entry.item, stored)
     if parcel.rows:
         _store(centre, parcel, sent)
-    confirm(station, entry, entry.version, more=False)
+    confirm(station, entry, 0, more=False)
 
 
 def _store(centre: Engine, parcel: Parcel, sent: Sent) -> None:
@@ -210,7 +245,7 @@ def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> Non
     if item is None:
         raise AlteredError(f"{entry.kind} {entry.item} is announced, and not in the database")
     new = store_item(centre, kind, entry.item, item)
-    confirm(station, entry, entry.version, more=False)
+    confirm(station, entry, 0, more=False)
     sent.items += new
     sent.rows += sum(map(len, item.rows.values())) if new else 0
 

@@ -6,12 +6,17 @@ from dataclasses import replace
 from datetime import date
 
 import pytest
+import sqlalchemy as sa
 from stored_runs import SETTING, identity, journalled, short_run
 from synced import assert_all_there, content, link_again, on_both, remove_run, run_of, sent
 
+from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Outcome
 from cbsr_qa.domain.run import RunStarted
+from cbsr_qa.store import writing
+from cbsr_qa.store.chain import FIGURES, KEYS, of_run
 from cbsr_qa.store.sync import held, let_go, refusals, send_again, waiting
+from cbsr_qa.store.tables import Base, LinkRow
 
 DAY = date(2026, 1, 1)
 
@@ -95,6 +100,7 @@ def test_all_that_was_sent_is_compared_from_a_day_on(station, centre):
     assert sent(station, centre, compare_since=date(2026, 11, 22)).compared == 0  # all began before
     done = sent(station, centre, compare_since=DAY)
     assert (done.runs, done.compared) == (1, 2)  # what the centre lost is sent again
+    assert [(one.item, "did not have it" in one.why) for one in done.lost] == [(runs[2], True)]
     assert [entry.item for entry in done.quarantined] == [runs[1]]
     centre.change(f"UPDATE loads SET x_mm = 15.0 WHERE run = '{runs[1]}'")
     send_again(station.engine, runs[1])
@@ -102,6 +108,94 @@ def test_all_that_was_sent_is_compared_from_a_day_on(station, centre):
     assert (done.items, done.compared, done.quarantined) == (0, 1, [])
     assert_all_there(centre.engine, station.engine)
     assert refusals(centre.engine) == []
+
+
+def cut_links(centre, run, left):
+    """Remove the last links of a run at the centre with their rows, as a restored backup does."""
+    with writing(centre.engine) as connection:
+        last = sa.select(LinkRow.kind, LinkRow.document).where(LinkRow.run == run, LinkRow.number >= left)
+        for kind, document in connection.execute(last).all():
+            if kind != FIGURES:
+                table = Base.metadata.tables[kind]
+                keys = zip(KEYS[kind], document.split("/"), strict=True)
+                same = [sa.cast(table.c[name], sa.Text) == value for name, value in keys]
+                connection.execute(table.delete().where(of_run(table, run), *same))
+        connection.execute(sa.delete(LinkRow).where(LinkRow.run == run, LinkRow.number >= left))
+
+
+@on_both
+def test_the_end_of_a_run_that_the_centre_lost_is_named_and_sent_again(station, centre):
+    run = run_of(station.store)
+    sent(station, centre)
+    ((links,),) = station.said("SELECT count(*) FROM run_links")
+    cut_links(centre, run, links - 1)
+    (lost,) = sent(station, centre, compare_since=DAY).lost
+    assert (lost.item, f"had confirmed {links} links of it and had {links - 1}" in lost.why) == (run, True)
+    assert_all_there(centre.engine, station.engine)
+    assert sent(station, centre, compare_since=DAY).lost == []
+    assert station.said("SELECT * FROM outbox") == []
+
+
+def test_a_loss_is_named_though_the_command_that_found_it_was_cut_off(station, centre, monkeypatch):
+    run = run_of(station.store)
+    sent(station, centre)
+    remove_run(centre, run)
+
+    def cut_off(*_):
+        raise StoreError("cut off")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("cbsr_qa.store.sync.send.store_parcel", cut_off)
+        with pytest.raises(StoreError, match="cut off"):
+            sent(station, centre, compare_since=DAY)
+    assert [one.item for one in sent(station, centre).lost] == [run]
+
+
+def test_what_the_centre_lost_of_a_run_under_way_is_named_in_any_pass(station, centre):
+    run = station.store.new_id()
+    events = short_run(run)
+    journal = journalled(station.store, events[:9])
+    assert sent(station, centre).lost == []
+    remove_run(centre, run)
+    for event in events[9:]:
+        journal(event)
+    assert [one.item for one in sent(station, centre).lost] == [run]
+    assert_all_there(centre.engine, station.engine)
+
+
+def test_what_was_never_sent_or_grew_is_not_called_lost(full, centre):
+    assert sent(full, centre, compare_since=DAY).lost == []
+    run = overridden(full)
+    assert sent(full, centre, compare_since=DAY).lost == []
+    assert full.said(f"SELECT count(*) FROM verdict_overrides WHERE run = '{run}'") == [(2,)]
+
+
+@pytest.mark.parametrize("table", ["releases", "chart_references", "station_checks"])
+def test_what_is_no_run_and_was_lost_is_named(full, centre, table):
+    sent(full, centre)
+    if table == "station_checks":
+        centre.change("DELETE FROM station_check_lines")
+        centre.change("DELETE FROM station_check_frames")
+    centre.change(f"DELETE FROM {table}")
+    (lost,) = sent(full, centre, compare_since=DAY).lost
+    assert lost.kind.replace(" ", "_") + "s" == table
+    assert_all_there(centre.engine, full.engine)
+
+
+def test_rows_of_a_run_without_a_chain_that_the_centre_lost_are_named(full, centre):
+    ((run,),) = full.said("SELECT run FROM runs")
+    full.change("DELETE FROM run_links")
+    full.change("UPDATE runs SET chain = NULL")
+    full.change("DELETE FROM runs_begun")
+    assert sent(full, centre).lost == []
+    centre.change("DELETE FROM verdict_overrides")
+    assert [one.item for one in sent(full, centre, compare_since=DAY).lost] == [run]
+    assert_unchained_alike(full, centre)
+
+
+def assert_unchained_alike(station, centre):
+    assert content(centre.engine) == content(station.engine)
+    assert station.said("SELECT * FROM outbox") == []
 
 
 @pytest.mark.parametrize(
