@@ -7,6 +7,7 @@ import asyncio
 import resource
 import socket
 import ssl
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
@@ -20,9 +21,15 @@ _MOST_WAITING: Final = 512
 _OTHER_FILES: Final = 64
 #: One is left for another, if all places are taken, when it is so old [s]; until then the other waits.
 _SPARED_S: Final = 0.25
-#: Handshakes under way; above so many, the oldest is left.
-_MOST_HANDSHAKES: Final = 128
+#: Handshakes under way. If there are so many, the oldest is left for the next once it is so old [s]: one that is
+#: meant has ended by then.
+_MOST_HANDSHAKES: Final = 256
+_AGREED_S: Final = 0.4
+#: Handshakes that are begun before connections are read from again.
+_BEGUN_AT_ONCE: Final = 8
 _ACCEPTED_AT_ONCE: Final = 64
+#: Between looks whether a place is free [s].
+_LOOK_S: Final = 0.02
 #: A record of TLS (RFC 8446, 5.1): type, version and length, then so many bytes.
 _HEADER: Final = 5
 _HANDSHAKE: Final = b"\x16\x03"
@@ -48,7 +55,9 @@ class Reception:
         self._factory, self._context = protocol_factory, context
         self._loop = asyncio.get_running_loop()
         self._waiting: dict[socket.socket, float] = {}  # since when [s]; the oldest first
-        self._handshakes: dict[asyncio.Task[None], socket.socket] = {}
+        self._greeted: deque[socket.socket] = deque()  # hello is whole
+        self._handshakes: dict[asyncio.Task[None], tuple[socket.socket, float]] = {}  # since when [s]
+        self._begins: asyncio.Handle | None = None
         self._again: asyncio.TimerHandle | None = None
         soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
         self._places = _MOST_WAITING if soft < 0 else max(min(_MOST_WAITING, soft // 2 - _OTHER_FILES), 16)
@@ -60,9 +69,12 @@ class Reception:
         self._sweep_later.cancel()
         if self._again is not None:
             self._again.cancel()
+        if self._begins is not None:
+            self._begins.cancel()
         self._loop.remove_reader(self._number)
-        for connection in list(self._waiting):
+        for connection in [*self._waiting, *self._greeted]:
             self._leave(connection)
+        self._greeted.clear()
 
     async def wait_closed(self) -> None:
         """Wait for the handshakes under way."""
@@ -78,11 +90,11 @@ class Reception:
 
     def _accept(self) -> None:
         for _ in range(_ACCEPTED_AT_ONCE):
-            if len(self._waiting) >= self._places:
-                oldest, since_s = next(iter(self._waiting.items()))
+            if len(self._waiting) + len(self._greeted) >= self._places:
+                oldest, since_s = next(iter(self._waiting.items()), (None, self._loop.time()))
                 left_s = since_s + _SPARED_S - self._loop.time()
-                if left_s > 0:
-                    self._listen_later(left_s)
+                if oldest is None or left_s > 0:
+                    self._listen_later(min(left_s, _LOOK_S))
                     return
                 self._leave(oldest)
             try:
@@ -116,18 +128,32 @@ class Reception:
         elif len(said) < whole:
             self._wait_for(connection, whole)
         else:
-            self._hand_on(connection)
+            self._loop.remove_reader(connection)
+            del self._waiting[connection]
+            self._greeted.append(connection)
+            if self._begins is None:
+                self._begins = self._loop.call_soon(self._begin)
 
-    def _hand_on(self, connection: socket.socket) -> None:
-        self._loop.remove_reader(connection)
-        del self._waiting[connection]
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, 1)
-        task = self._loop.create_task(self._agree(connection))
-        self._handshakes[task] = connection
-        task.add_done_callback(self._handshakes.pop)
-        if len(self._handshakes) > _MOST_HANDSHAKES:
-            with suppress(OSError):
-                next(iter(self._handshakes.values())).shutdown(socket.SHUT_RDWR)
+    def _begin(self) -> None:
+        """Begin the handshakes that are due, the first come first."""
+        self._begins = None
+        for _ in range(min(_BEGUN_AT_ONCE, len(self._greeted))):
+            if len(self._handshakes) >= _MOST_HANDSHAKES:
+                task, (oldest, since_s) = next(iter(self._handshakes.items()))
+                left_s = since_s + _AGREED_S - self._loop.time()
+                if left_s > 0:
+                    self._begins = self._loop.call_later(min(left_s, _LOOK_S), self._begin)
+                    return
+                del self._handshakes[task]
+                with suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+            connection = self._greeted.popleft()
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, 1)
+            task = self._loop.create_task(self._agree(connection))
+            self._handshakes[task] = connection, self._loop.time()
+            task.add_done_callback(lambda ended: self._handshakes.pop(ended, None))
+        if self._greeted:
+            self._begins = self._loop.call_soon(self._begin)
 
     async def _agree(self, connection: socket.socket) -> None:
         try:
