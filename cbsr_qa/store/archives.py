@@ -19,7 +19,7 @@ from sqlalchemy import Connection, Engine, Row, select
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.store.tables import ArchiveRow
-from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
+from cbsr_qa.system import open_foreign, read_foreign, read_untrusted, writing, written_whole
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
@@ -113,23 +113,32 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
     except StoreError as error:
         raise StoreError(f"run {run}: its frames are archived; {error.reason}", remedy=error.remedy) from error
     try:
-        data = archive_bytes(file)
+        with open_foreign(file, _LARGEST_BYTES) as archive:
+            size_bytes = os.fstat(archive.fileno()).st_size
+            if size_bytes != row.file_bytes:  # before gigabytes are read
+                why = f"it has {size_bytes} bytes, {row.file_bytes} were written"
+                raise _changed(run, file, why)
+            data = archive.read(size_bytes)
     except OSError as error:
         raise StoreError(
             f"run {run}: its frames are archived in {file}, which cannot be read: {error.strerror}",
             remedy="put the file back there, from a copy if need be",
         ) from error
     if hashlib.sha256(data).hexdigest() != row.file_sha256:
-        raise StoreError(
-            f"run {run}: its frames are archived in {file}, which was changed: it does not match its digest",
-            remedy="put the file back as it was, from a copy",
-        )
+        raise _changed(run, file, "it does not match its digest")
     return data
 
 
-def archive_bytes(file: Path) -> bytes:
-    """Return the content of an archive. OSError if it is missing, not a file, or larger than any archive."""
-    return read_foreign(file, _LARGEST_BYTES)
+def _changed(run: str, file: Path, why: str) -> StoreError:
+    return StoreError(
+        f"run {run}: its frames are archived in {file}, which was changed: {why}",
+        remedy="put the file back as it was, from a copy",
+    )
+
+
+def archive_bytes(file: Path, most_bytes: int) -> bytes:
+    """Return the content of an archive. OSError if it is missing, not a file, or too large to be the one expected."""
+    return read_foreign(file, min(most_bytes, _LARGEST_BYTES))
 
 
 class Archives:

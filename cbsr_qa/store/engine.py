@@ -20,7 +20,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
 from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, shown, translated
 from cbsr_qa.system import UnfitFileError, check_regular
 
@@ -118,6 +118,12 @@ def _check_regular(file: Path, url: URL) -> None:
     """Refuse a folder, pipe or device as database, or as its log: SQLite would wait, or read for ever."""
     if file.is_dir():
         raise StoreError(f"{shown(url)} is a folder, not a database", remedy="name a file in it")
+    there = next((above for above in file.absolute().parents if os.path.lexists(above)), None)
+    if there is not None and not there.is_dir():
+        raise StoreError(
+            f"{shown(url)} cannot be opened: {there} is not a folder",
+            remedy=f"name another file\n{AT_COMMAND_LINE}--database, CBSR_QA_DATABASE or CBSR_QA_VAR names it",
+        )
     for each in (file, *(file.with_name(file.name + suffix) for suffix in SIDES)):
         try:
             check_regular(each)

@@ -1,5 +1,6 @@
 """Schema versions of the database: detection, required version, upgrade."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -64,13 +65,25 @@ def found_version(engine: Engine) -> SchemaVersion:
     Raises
     ------
     StoreError
-        If it cannot be opened or read.
+        If it cannot be opened or read, or is a link to a file that does not exist.
     """
     file = sqlite_file(engine.url)
-    if file is not None and not file.exists() and not file.is_symlink():
+    if file is not None and not file.exists():
+        _refuse_dangling(engine, file)
         return SchemaVersion(Age.EMPTY, None)
     with reading(engine) as connection:
         return _found(connection)
+
+
+def _refuse_dangling(engine: Engine, file: Path) -> None:
+    """Refuse a link to nothing: SQLite would make a database where it leads, perhaps below a disk that is missing."""
+    if file.is_symlink():
+        target = os.path.realpath(file)
+        gone = "leads back to itself" if Path(target).is_symlink() else f"leads to {target}, which does not exist"
+        raise StoreError(
+            f"{shown(engine.url)} is a link that {gone}",
+            remedy="bring that file back, or name the file of the database itself, to have it made there",
+        )
 
 
 def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None) -> SchemaVersion:

@@ -70,12 +70,14 @@ class Kept:
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
             entry = parsed_json(line)
-            key, documents = str(entry["key"]), [dict(document) for document in entry["documents"]]
-        except (ValueError, KeyError, TypeError) as error:
-            raise StoreError(
-                f"{path}: line {number} is no finished piece of a sweep ({type(error).__name__})", remedy=_BEGIN_AGAIN
-            ) from error
-        self.found[key] = documents
+        except ValueError as error:
+            raise _no_piece(path, number, str(error)) from error
+        if not isinstance(entry, dict) or not isinstance(entry.get("key"), str):
+            raise _no_piece(path, number, "an object with a text 'key' is expected")
+        documents = entry.get("documents")
+        if not isinstance(documents, list) or not all(isinstance(document, dict) for document in documents):
+            raise _no_piece(path, number, "'documents' must be a list of objects")
+        self.found[entry["key"]] = documents
 
     def keep(self, key: str, documents: Documents) -> None:
         """Store a finished piece immediately; StoreError if it cannot be written."""
@@ -87,6 +89,10 @@ class Kept:
                 file.write(line)
             self._cut_at = None
         self.found[key] = documents
+
+
+def _no_piece(path: Path, number: int, why: str) -> StoreError:
+    return StoreError(f"{path}: line {number} is no finished piece of a sweep: {why}", remedy=_BEGIN_AGAIN)
 
 
 def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:

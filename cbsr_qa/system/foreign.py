@@ -8,6 +8,7 @@ any other way of opening in the program.
 import errno
 import os
 import stat
+from functools import cache
 from io import BufferedReader
 from pathlib import Path
 from typing import Final
@@ -29,6 +30,11 @@ _KINDS: Final = {
     stat.S_IFSOCK: "a socket",
     stat.S_IFDIR: "a folder",
 }
+
+#: File systems whose files look regular, and are not (proc(5), sysfs(5), tracefs).
+_KERNEL: Final = frozenset(
+    {"proc", "sysfs", "debugfs", "tracefs", "securityfs", "cgroup", "cgroup2", "configfs", "bpf"}
+)
 
 
 class UnfitFileError(OSError):
@@ -69,13 +75,39 @@ def check_regular(path: Path) -> None:
 
 
 def check_status(path: Path, status: os.stat_result) -> None:
-    """Check the status of an open file. UnfitFileError if it is a pipe, device, socket or folder."""
+    """Check the status of an open file. UnfitFileError if it is a pipe, device, socket, folder or the kernel's."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         what = _KINDS.get(kind, "something else")
         raise UnfitFileError(errno.EINVAL, f"it is {what}, not a file", str(path))
+    if getattr(status, "st_blocks", 1) == 0 and _is_of_kernel(status.st_dev):
+        raise UnfitFileError(errno.EINVAL, "the kernel makes it up, it is not a file on a disk", str(path))
+
+
+@cache
+def _is_of_kernel(device: int) -> bool:
+    """Whether files of a device are made up by the kernel: reading one may wait for ever, or show memory."""
+    number = f"{os.major(device)}:{os.minor(device)}"
+    try:
+        mounts = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:  # another system
+        return False
+    for mount in mounts.splitlines():  # "36 35 0:5 / /proc rw - proc proc rw", see proc_pid_mountinfo(5)
+        where, _, what = mount.partition(" - ")
+        if where.split()[2:3] == [number] and what.split()[:1] and what.split()[0] in _KERNEL:
+            return True
+    return False
+
+
+def size_in_words(size_bytes: int) -> str:
+    """Return a size in the largest unit that it fills: ``4 GiB``, ``1.5 MiB``, ``512 bytes``; or whole ``1 MB``."""
+    if size_bytes and size_bytes % 10**6 == 0:
+        return f"{size_bytes // 10**6} MB"
+    for unit, name in ((2**30, "GiB"), (2**20, "MiB"), (2**10, "KiB")):
+        if size_bytes >= unit:
+            return f"{size_bytes / unit:.3g} {name}"
+    return f"{size_bytes} bytes"
 
 
 def _too_large(path: Path, most_bytes: int) -> UnfitFileError:
-    allowed = f"{most_bytes >> 20} MiB" if most_bytes >= 2**20 else f"{most_bytes} bytes"
-    return UnfitFileError(errno.EFBIG, f"it is too large: at most {allowed} are read", str(path))
+    return UnfitFileError(errno.EFBIG, f"it is too large: at most {size_in_words(most_bytes)} are read", str(path))

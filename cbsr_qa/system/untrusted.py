@@ -53,7 +53,12 @@ _MEMORY_PER_BYTE: Final = 16
 #: Files a reader has open at once: its own. Links of an HDF5 file would need a second one.
 _OPEN_FILES: Final = 1
 _COPY: Final = "the file is damaged: copy it again from where it was recorded or issued"
-_BUSY: Final = "the computer may be busy: try again when it is idle; if it fails again, the file is damaged"
+_BUSY: Final = (
+    "the computer may be busy: try again when it is idle; if it fails again, the file holds too much or is damaged"
+)
+_TOO_MUCH: Final = (
+    "it holds too much for its size: give a smaller one; if it is a sound file elsewhere, copy it again"
+)
 #: Characters without a space, and of a whole message, that are repeated from a file.
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
@@ -157,7 +162,8 @@ def read_untrusted(
             _, status = os.waitpid(child, 0)
     if received is None:
         late = time.monotonic() >= deadline
-        raise refusal(_why(path, limits, status, late=late), remedy=_BUSY if late else _COPY)
+        remedy = _BUSY if late else _TOO_MUCH if _ran_too_long(status) else _COPY
+        raise refusal(_why(path, limits, status, late=late), remedy=remedy)
     return cast(Result, _result(path, received, limits, refusal))
 
 
@@ -284,10 +290,14 @@ def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
     return data
 
 
+def _ran_too_long(status: int) -> bool:
+    return os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU
+
+
 def _why(path: Path, limits: Limits, status: int, *, late: bool) -> str:
     if late:
         return f"reading {path.name} took more than {limits.clock_s:.0f} s, the limit for a file of its size"
-    if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+    if _ran_too_long(status):
         return (
             f"reading {path.name} took more than {limits.seconds:.0f} s of processor time, the limit for a file of"
             " its size"
@@ -311,7 +321,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
         raise refusal(
             f"reading {path.name} needs more than {limits.memory_bytes / 2**30:.1f} GiB of memory, the limit for a"
             " file of its size",
-            remedy=_COPY,
+            remedy=_TOO_MUCH,
         )
     if kind == "second":
         other = "another file" if content[0] is None else f"the file {shortened(content[0])}"

@@ -67,7 +67,7 @@ class ChannelClient:
             return text("control.no_answer")
         finally:
             self._replies.pop(number, None)
-        return "" if answer.get("ok") else str(answer.get("why") or text("control.no_answer"))
+        return "" if answer.get("ok") is True else str(answer.get("why") or text("control.no_answer"))
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         while line := await reader.readline():
@@ -90,7 +90,8 @@ class ChannelClient:
                     self._down and document["step"]["kind"] != "release"
                 )
             case "reply":
-                reply = self._replies.get(document["id"])
+                number = document["id"]
+                reply = self._replies.get(number) if type(number) is int else None
                 if reply is not None and not reply.done():
                     reply.set_result(document)
 

@@ -1,21 +1,21 @@
-"""Connections to the server: every head of a request is timed, and those without the token share a few places.
+"""Connections to the server: every head of a request is timed, and who has not shown the token waits for a turn.
 
-Who has not shown the token takes no place of those who have: whoever has it is
-always let in, and an emergency stop is answered.
+Who shows the token is read at once and takes no place of a stranger (:mod:`cbsr_qa.web.strangers`), so that an
+emergency stop is answered before what strangers ask. How soon that is under load is measured by
+``benchmarks/emergency_stops.py``; see ``docs/how-to/run-a-line.md``.
 """
 
 import asyncio
-import socket
-from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from typing import Any, Final
+from functools import partial
+from typing import Any, Final, cast
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cbsr_qa.web.guard import Right
 from cbsr_qa.web.guesses import client_network
-from cbsr_qa.web.line import MOST_LOOKERS, MOST_VIEWERS
+from cbsr_qa.web.line import MOST_VIEWERS
+from cbsr_qa.web.strangers import MOST_NEW, PLACES, Stranger, Strangers
 
 #: How long the head of a request may take, from the opening of its connection or the answer before it [s].
 HEAD_S: Final = 10.0
@@ -23,45 +23,65 @@ HEAD_S: Final = 10.0
 SLOW_S: Final = 30.0
 #: Largest head of a request [B].
 MOST_HEAD: Final = 16_384
-#: Places of connections without a right, and of those that may only look.
-_PLACES: Final = {Right.NONE: 64, Right.LOOK: MOST_LOOKERS + 64}
-#: A connection that the server has not looked at so often makes no room for another: its request may be on its way.
-#: The looks are counted, and not the time, as a busy server looks less often.
-_NEW_LOOKS: Final = 4
-_LOOK_S: Final = 0.25
-#: Connections that may be open while TLS is agreed on.
-_MOST_HANDSHAKES: Final = 128
-#: Connections that wait to be accepted, and that are accepted before others are read from.
-_WAITING: Final = 2048
-_ACCEPTED_AT_ONCE: Final = 32
-#: Above so many, even new ones make room.
-_MOST_NEW: Final = 256
+#: What a stranger sends before its turn; more is not taken from the system until then [B].
+_MOST_UNREAD: Final = 4 * MOST_HEAD
+#: Connections that are accepted before others are read from.
+_ACCEPTED_AT_ONCE: Final = 64
 #: Connections that may control, beside their open pages. More are answered with 503, as are all above the sum.
 _MOST_CONTROL: Final = 128
-MOST_CONNECTIONS: Final = _MOST_NEW + _PLACES[Right.LOOK] + MOST_VIEWERS + _MOST_CONTROL
+MOST_CONNECTIONS: Final = MOST_NEW + PLACES[Right.LOOK] + MOST_VIEWERS + _MOST_CONTROL
 
 
 class Connection(H11Protocol):
     """A connection that is closed if its next head is late, if it is not read from, or if others need its place."""
 
-    def connection_made(self, transport: Any) -> None:
-        self._opened_s = self.loop.time()
-        self._first_look = getattr(self.loop, "looks", 0)
+    def __init__(self, strangers: Strangers, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._strangers = strangers
+        self._has_shown_token = False
+        self._unread = bytearray()
         self._right_before = Right.NONE
         self._late: asyncio.TimerHandle | None = None
         self._slow: asyncio.TimerHandle | None = None
+        self.looks = 0
+
+    def connection_made(self, transport: Any) -> None:
+        self.opened_s = self.loop.time()
         super().connection_made(transport)
         self.client_name = client_network(self.client[0]) if self.client else ""
-        _HANDSHAKES.pop(transport.get_extra_info("socket").fileno(), None)
         self._await_head()
-        self._make_room()
+        self._strangers.look_after(cast("set[Stranger]", self.connections))
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop_waiting()
+        self._unread.clear()
         self.resume_writing()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
+        if self._has_shown_token:
+            self._read(data)
+            return
+        waits = bool(self._unread)
+        self._unread += data
+        if self._strangers.shows_token(bytes(self._unread)):
+            self._has_shown_token = True
+            self.take_turn()
+        elif not waits:
+            self._strangers.queue(self)
+        elif len(self._unread) > _MOST_UNREAD:
+            self.flow.pause_reading()
+
+    def take_turn(self) -> None:
+        """Read what has arrived so far."""
+        if not self._unread or self.transport.is_closing():
+            return
+        data = bytes(self._unread)
+        self._unread.clear()
+        self.flow.resume_reading()
+        self._read(data)
+
+    def _read(self, data: bytes) -> None:
         answered = self.cycle
         super().data_received(data)
         if self.cycle is not answered and self.is_answering:
@@ -75,7 +95,7 @@ class Connection(H11Protocol):
             self._await_head()
 
     def pause_writing(self) -> None:
-        self._slow = self.loop.call_later(SLOW_S, self._leave)
+        self._slow = self.loop.call_later(SLOW_S, self.leave)
         super().pause_writing()
 
     def resume_writing(self) -> None:
@@ -95,85 +115,30 @@ class Connection(H11Protocol):
         """Whether a request has arrived whose answer is not complete."""
         return self.cycle is not None and not self.cycle.response_complete
 
+    def leave(self) -> None:
+        """Close without waiting for a client that does not read."""
+        self.connections.discard(self)
+        self.transport.abort()
+
     def _await_head(self) -> None:
         self._stop_waiting()
-        self._late = self.loop.call_later(HEAD_S, self._leave)
+        self._late = self.loop.call_later(HEAD_S, self.leave)
 
     def _stop_waiting(self) -> None:
         if self._late is not None:
             self._late.cancel()
             self._late = None
 
-    def _leave(self) -> None:
-        """Close without waiting for a client that does not read."""
-        self.connections.discard(self)
-        self.transport.abort()
 
-    @property
-    def _is_new(self) -> bool:
-        return getattr(self.loop, "looks", 0) - self._first_look < _NEW_LOOKS
+def connection_settings(shows_token: Callable[[bytes], bool]) -> dict[str, Any]:
+    """Return the settings of uvicorn that are about connections.
 
-    def _make_room(self) -> None:
-        """Close the oldest connections of the client that has most, until those that may not control have room."""
-        for right, places in _PLACES.items():
-            peers = [one for one in self.connections if isinstance(one, Connection) and one.right == right]
-            if len(peers) <= places:
-                continue
-            by_client = Counter(one.client_name for one in peers)
-            peers.sort(key=lambda one: (one.is_answering, -by_client[one.client_name], one._opened_s))
-            leaving = [one for one in peers if not one._is_new][: len(peers) - places]
-            staying = [one for one in peers if one not in leaving and one is not self]
-            leaving += staying[: max(len(staying) - _MOST_NEW, 0)]
-            for connection in leaving:
-                connection._leave()
-
-
-#: Accepted connections, by descriptor, that are not open yet as TLS is agreed on; the oldest first.
-_HANDSHAKES: Final[dict[int, socket.socket]] = {}
-
-
-class ListeningSocket(socket.socket):
-    """A socket that listens, and cuts the oldest handshakes of TLS where there are too many."""
-
-    def listen(self, backlog: int = _WAITING) -> None:
-        super().listen(max(backlog, _WAITING))
-
-    def accept(self) -> tuple[socket.socket, Any]:
-        connection, address = super().accept()
-        for number in [number for number, one in _HANDSHAKES.items() if one.fileno() != number]:
-            del _HANDSHAKES[number]
-        _HANDSHAKES[connection.fileno()] = connection
-        while len(_HANDSHAKES) > _MOST_HANDSHAKES:
-            with suppress(OSError):
-                _HANDSHAKES.pop(next(iter(_HANDSHAKES))).shutdown(socket.SHUT_RDWR)
-        return connection, address
-
-
-class ServerLoop(asyncio.SelectorEventLoop):
-    """An event loop whose servers time the handshake of TLS as they time heads.
-
-    Attributes
+    Parameters
     ----------
-    looks : how often all connections had a chance to be read from, counted a few times a second.
+    shows_token : whether the beginning of what a client sent shows that it has the token.
     """
-
-    looks = 0
-
-    async def create_server(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
-        if options.get("ssl"):
-            options["ssl_handshake_timeout"] = HEAD_S
-        self._count_looks()
-        return await super().create_server(protocol_factory, *args, **options)
-
-    def _count_looks(self) -> None:
-        self.looks += 1
-        self.call_later(_LOOK_S, self._count_looks)
-
-
-def connection_settings() -> dict[str, Any]:
-    """Return the settings of uvicorn that are about connections."""
     return {
-        "http": Connection,
+        "http": partial(Connection, Strangers(shows_token)),
         "ws": "none",
         "h11_max_incomplete_event_size": MOST_HEAD,
         "limit_concurrency": MOST_CONNECTIONS,

@@ -9,10 +9,12 @@ import asyncio
 import hashlib
 import hmac
 import logging
+import re
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from http.cookies import CookieError, SimpleCookie
+from itertools import islice
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -34,6 +36,10 @@ MOST_TARGET: Final = 1_024
 MOST_HEADERS: Final = 16_384
 #: How long a body may take [s].
 BODY_S: Final = 10.0
+
+#: What comes before a token or a cookie, and these; so many are looked at.
+_CREDENTIAL: Final = re.compile(rb"(?:bearer +|token=|cbsr_qa_\d{1,5}=)([\w-]+)", re.IGNORECASE)
+_MOST_CREDENTIALS: Final = 16
 
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
@@ -113,6 +119,18 @@ class Access:
 
     def is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self.token.encode())
+
+    def is_shown_in(self, data: bytes) -> bool:
+        """Whether the beginning of a request shows the token or its cookie, so that it is read first.
+
+        It gives no right: :class:`Guard` says what the request may do.
+        """
+        right = (self.token.encode(), self.cookie_value.encode())
+        return any(
+            hmac.compare_digest(found[1], each)
+            for found in islice(_CREDENTIAL.finditer(data), _MOST_CREDENTIALS)
+            for each in right
+        )
 
 
 @dataclass(frozen=True, slots=True)

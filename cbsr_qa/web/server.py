@@ -19,16 +19,20 @@ import uvicorn
 
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.system import check_regular, read_foreign
+from cbsr_qa.system import read_foreign
 from cbsr_qa.web.application import make_application
-from cbsr_qa.web.connections import ListeningSocket, ServerLoop, connection_settings
+from cbsr_qa.web.connections import connection_settings
 from cbsr_qa.web.guard import LOG, Access
+from cbsr_qa.web.handshakes import ListeningSocket, ServerLoop
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.stations import served_stations
 
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
+_ALLOWED: Final = f"allowed: a file with at least {_SHORTEST} letters, digits, - and _"
 _LARGEST_TOKEN: Final = 2**12
+_LARGEST_PEM: Final = 2**20
+_PEM: Final = "both must be PEM files, of the same pair, readable and without a passphrase"
 #: Files that may be open: twice as many as connections.
 _MOST_FILES: Final = 4096
 
@@ -83,7 +87,7 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
         timeout_graceful_shutdown=1,
         ssl_certfile=None if tls is None else tls[0],
         ssl_keyfile=None if tls is None else tls[1],
-        **connection_settings(),
+        **connection_settings(access.is_shown_in),
     )
     shown = request.names[0] if request.names else "127.0.0.1" if loopback else request.host
     shown = f"[{shown}]" if ":" in shown else shown
@@ -149,16 +153,31 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
         )
     if request.certificate is None or request.key is None:
         raise ConfigError("--certificate and --key belong together", remedy="give both")
+    for file, what in ((request.certificate, "certificate"), (request.key, "key")):
+        try:
+            read_foreign(file, _LARGEST_PEM)
+        except OSError as error:
+            raise ConfigError(f"{what} {file} cannot be read: {_why(error)}", remedy=_PEM) from error
     try:
-        for file in (request.certificate, request.key):
-            check_regular(file)
-        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(request.certificate, request.key)
-    except (OSError, ssl.SSLError) as error:
+        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        context.load_cert_chain(request.certificate, request.key, password=lambda: "")  # OpenSSL would ask for it
+    except (OSError, ValueError) as error:  # errors of TLS are OSError too
         raise ConfigError(
-            f"certificate {request.certificate} and key {request.key} cannot be used: {error}",
-            remedy="both must be PEM files, of the same pair, and readable",
+            f"certificate {request.certificate} and key {request.key} cannot be used: {_why(error)}", remedy=_PEM
         ) from error
     return request.certificate, request.key
+
+
+def _why(error: Exception) -> str:
+    """Return what is wrong with a file in words, without its name and without numbers of errors."""
+    if isinstance(error, UnicodeError):
+        return "it holds other characters than ASCII"
+    reason = getattr(error, "reason", None)  # of OpenSSL, in capitals
+    if isinstance(reason, str):
+        return reason.replace("_", " ").lower()
+    if isinstance(error, ssl.SSLError):
+        return "one of them is not in PEM, is damaged, or has a passphrase"
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _token(request: ServeRequest) -> str:
@@ -166,9 +185,7 @@ def _token(request: ServeRequest) -> str:
     file = request.token_file or _make_secret("serve.token")
     token = _read_secret(file, "the token")
     if len(token) < _SHORTEST or not all(one.isalnum() or one in "-_" for one in token):
-        raise ConfigError(
-            f"the token in {file} cannot be used", remedy=f"allowed: at least {_SHORTEST} letters, digits, - and _"
-        )
+        raise ConfigError(f"the token in {file} cannot be used", remedy=_ALLOWED)
     return token
 
 
@@ -194,7 +211,7 @@ def _read_secret(file: Path, what: str) -> str:
     try:
         return read_foreign(file, _LARGEST_TOKEN).decode("ascii").strip()
     except (OSError, UnicodeError) as error:
-        raise ConfigError(f"{what} cannot be read from {file}: {error}") from error
+        raise ConfigError(f"{what} cannot be read from {file}: {_why(error)}", remedy=_ALLOWED) from error
 
 
 def _listening(host: str, port: int) -> socket.socket:

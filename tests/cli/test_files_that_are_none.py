@@ -74,23 +74,64 @@ def patience():
     signal.alarm(0)
 
 
+#: What is said of each, and how it is made.
+_KINDS = {
+    "it is a named pipe, not a file": os.mkfifo,
+    "it is a device, not a file": lambda path: Path(path).symlink_to("/dev/zero"),
+    "the kernel makes it up, it is not a file on a disk": lambda path: Path(path).symlink_to("/proc/kmsg"),
+}
+
+
 @pytest.mark.usefixtures("patience")
-@pytest.mark.parametrize("what", ["a named pipe", "a device"])
+@pytest.mark.parametrize("what", _KINDS)
 @pytest.mark.parametrize("line", _LINES)
 def test_what_is_no_file_is_refused_at_once(line, what, given, tmp_path, monkeypatch, capfd):
+    if "kernel" in what and not Path("/proc/kmsg").exists():
+        pytest.skip("the kernel shows no files here")
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     names = dict(given, FILE=str(tmp_path / "none"), ABSENT=str(tmp_path / "absent"))
     words = [_named(word, names) for word in line.split()]
     for word in words:
         if word.startswith(names["FILE"]) and not Path(word).is_symlink() and not Path(word).exists():
-            os.mkfifo(word) if what == "a named pipe" else Path(word).symlink_to("/dev/zero")
+            _KINDS[what](word)
     assert guarded(words) == 2
-    assert f"it is {what}, not a file" in capfd.readouterr().err
+    assert what in capfd.readouterr().err
 
 
 def _named(word, names):
     stem, dot, suffix = word.partition(".")
     return names.get(stem, stem) + dot + suffix
+
+
+@pytest.mark.usefixtures("patience")
+@pytest.mark.parametrize("command", ["db status", "db upgrade", "db check", "runs"])
+def test_a_link_to_no_database_makes_none(command, tmp_path, capfd):
+    (tmp_path / "runs.db").symlink_to(tmp_path / "away" / "target.db")
+    (tmp_path / "away").mkdir()
+    assert guarded([*command.split(), "--database", str(tmp_path / "runs.db")]) == 2
+    said = " ".join(capfd.readouterr().err.split())
+    assert f"runs.db is a link that leads to {tmp_path / 'away' / 'target.db'}, which does not exist" in said
+    assert not list((tmp_path / "away").iterdir())
+
+
+@pytest.mark.parametrize("command", ["db status", "runs"])
+def test_a_database_without_a_name_is_not_the_default(command, capfd):
+    assert guarded([*command.split(), "--database", ""]) == 2
+    assert "--database is empty" in capfd.readouterr().err
+
+
+def test_a_link_in_a_circle_is_no_database(tmp_path, capfd):
+    (tmp_path / "runs.db").symlink_to("runs.db")
+    assert guarded(["runs", "--database", str(tmp_path / "runs.db")]) == 2
+    assert "runs.db is a link that leads back to itself" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.touch, lambda path: path.symlink_to("gone")])
+def test_a_database_is_below_folders(make, tmp_path, monkeypatch, capfd):
+    make(tmp_path / "var")
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    assert guarded(["db", "status"]) == 2
+    assert f"{tmp_path / 'var'} is not a folder" in capfd.readouterr().err
 
 
 @pytest.mark.usefixtures("patience")

@@ -332,7 +332,7 @@ def test_a_huge_file_is_not_read(tmp_path):
     path = tmp_path / "recording.toml"
     with path.open("wb") as file:
         file.truncate(5_000_000_000)
-    with pytest.raises(ConfigError, match="at most 1000000"):
+    with pytest.raises(ConfigError, match="at most 1 MB are read"):
         load_station(path)
 
 

@@ -50,7 +50,7 @@ def _exit():
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (_loop, "some.h5 took more than 1 s of processor time, the limit for a file of its size\nthe file is dam"),
+        (_loop, "some.h5 took more than 1 s of processor time, the limit for a file of its size\nit holds too much"),
         (_sleep, "some.h5 took more than 2 s, the limit for a file of its size\nthe computer may be busy: try"),
         (_hog, r"reading some.h5 needs more than 1.0 GiB of memory"),
         (_crash, r"the library that reads some.h5 crashed \(SIGSEGV\)"),

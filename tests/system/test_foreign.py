@@ -9,6 +9,7 @@ import pytest
 
 from cbsr_qa.domain import RecordingError
 from cbsr_qa.system import UnfitFileError, check_regular, open_foreign, read_foreign, read_untrusted
+from cbsr_qa.system.foreign import size_in_words
 
 OPEN = Path("/proc/self/fd")
 
@@ -87,7 +88,31 @@ def test_a_file_is_read_to_its_limit_and_no_further(tmp_path):
 
 
 @pytest.mark.skipif(not OPEN.exists(), reason="the kernel shows no files here")
-def test_a_file_of_the_kernel_whose_size_is_not_stated_is_read_to_the_limit(tmp_path):
-    (tmp_path / "link").symlink_to("/proc/self/maps")
-    with pytest.raises(UnfitFileError, match="too large"):
-        read_foreign(tmp_path / "link", 100)
+@pytest.mark.parametrize("name", ["/proc/self/maps", "/proc/self/mem", "/proc/kmsg", "/sys/kernel/mm/ksm/run"])
+def test_a_file_of_the_kernel_is_refused_as_what_it_is(tmp_path, name):
+    if not Path(name).exists():
+        pytest.skip(f"there is no {name} here")
+    (tmp_path / "link").symlink_to(name)
+    for opening in (open_foreign, check_regular, lambda path: read_foreign(path, 100)):
+        with pytest.raises(UnfitFileError, match="the kernel makes it up, it is not a file on a disk"):
+            opening(tmp_path / "link")
+
+
+def test_an_empty_file_is_a_file(tmp_path):
+    (tmp_path / "given").touch()
+    assert read_foreign(tmp_path / "given", 100) == b""
+
+
+@pytest.mark.parametrize(
+    ("size_bytes", "words"),
+    [
+        (9, "9 bytes"),
+        (2**16, "64 KiB"),
+        (3 * 2**19, "1.5 MiB"),
+        (2**29, "512 MiB"),
+        (2 * 10**8, "200 MB"),
+        (2**32, "4 GiB"),
+    ],
+)
+def test_a_size_is_said_in_its_largest_unit(size_bytes, words):
+    assert size_in_words(size_bytes) == words

@@ -21,7 +21,8 @@ async def _endless(scope, receive, send):
 
 async def _served(app, client):
     listening = socket.create_server(("127.0.0.1", 0))
-    config = uvicorn.Config(app, lifespan="off", log_config=None, **connections.connection_settings())
+    settings = connections.connection_settings(lambda sent: False)
+    config = uvicorn.Config(app, lifespan="off", log_config=None, **settings)
     server = uvicorn.Server(config)
     serving = asyncio.create_task(server._serve([listening]))
     try:
@@ -47,19 +48,3 @@ def test_a_client_that_does_not_read_is_left(monkeypatch, right):
         writer.close()
 
     asyncio.run(_served(_endless, deaf))
-
-
-def test_the_handshake_of_tls_is_timed(monkeypatch):
-    given = {}
-
-    async def create_server(self, factory, *args, **options):
-        given.update(options)
-
-    monkeypatch.setattr(asyncio.SelectorEventLoop, "create_server", create_server)
-
-    async def serve():
-        await asyncio.get_running_loop().create_server(None, ssl=object())
-
-    with asyncio.Runner(loop_factory=connections.ServerLoop) as runner:
-        runner.run(serve())
-    assert given["ssl_handshake_timeout"] == connections.HEAD_S

@@ -115,13 +115,20 @@ def test_a_client_that_dawdles_is_left(line):
         (("--station=simulated", "--recipe=nothing"), "nothing"),
         (("--station=simulated", "--host=0.0.0.0"), "without TLS"),
         (("--station=simulated", "--certificate=a.pem"), "belong together"),
-        (("--station=simulated", "--certificate=a.pem", "--key=b.pem"), "cannot be used"),
-        (("--station=simulated", "--token-file=missing"), "cannot be read"),
+        (("--station=simulated", "--certificate=a.pem", "--key=b.pem"), "a.pem cannot be read: No such file"),
+        (
+            ("--station=simulated", "--certificate=bench.toml", "--key=bench.toml"),
+            "certificate bench.toml and key bench.toml cannot be used: one of them is not in PEM, is damaged",
+        ),
+        (("--station=simulated", "--token-file=missing"), "token cannot be read from missing: No such file"),
+        (("--station=simulated", "--token-file=."), "token cannot be read from .: it is a folder, not a file"),
     ],
 )
 def test_what_cannot_be_served_is_refused_with_why(tmp_path, options, words):
+    (tmp_path / "bench.toml").write_text("[station]\n")
     done = cbsr_qa(tmp_path, "serve", "--port=0", *options, check=False)
     assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+    assert "Errno" not in done.stderr
 
 
 def test_a_taken_port_is_named(line, tmp_path):

@@ -68,7 +68,7 @@ def test_an_emergency_stop_is_answered_while_four_hundred_connections_drip(line)
         begun_s = time.monotonic()
         status, words, _ = _ask(line, "POST", "/stations/bench-1/emergency", _SIGNED, "")
         assert (status, "words" in words) == (200, True)
-        assert time.monotonic() - begun_s < 5.0  # one second on an idle computer
+        assert time.monotonic() - begun_s < 1.0
 
 
 def test_strangers_make_room_for_strangers_but_not_for_those_who_showed_the_token(line):
@@ -81,7 +81,7 @@ def test_strangers_make_room_for_strangers_but_not_for_those_who_showed_the_toke
         time.sleep(1.5)  # older than any that is spared as new
         for _ in range(100):
             opened.enter_context(_dripping(line, _REQUESTS["whole"]))
-        assert not _is_open(first)
+        until(lambda: not _is_open(first), "the end of the first connection", 2.0)
         signed.request("GET", "/", headers=_SIGNED)  # on the same connection
         assert signed.getresponse().status == 200
 

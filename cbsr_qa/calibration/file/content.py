@@ -36,6 +36,10 @@ INDEX: Final = "index"
 FLAG: Final = "flag"
 
 
+#: Entries, with the groups that they are in; a calibration of a run has some 200.
+MOST_ENTRIES: Final = 2000
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Entry:
     """One value with its unit."""

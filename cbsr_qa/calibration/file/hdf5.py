@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
     FORMAT,
+    MOST_ENTRIES,
     PRESS_FORMAT,
     Entry,
     content_digest,
@@ -237,7 +238,7 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
             format_, version = _version(file)
-            held = members(file, len(data))
+            held = members(file, len(data), MOST_ENTRIES)
             entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
             stated = _read_stated_digest(file)
             parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}

@@ -7,7 +7,8 @@ the content is the same, and so is the signature: an object with the names of th
 """
 
 import base64
-import binascii
+import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
     FORMAT,
+    MOST_ENTRIES,
     PRESS_FORMAT,
+    TEXT,
     Entry,
     Value,
     content_digest,
@@ -30,6 +33,7 @@ from cbsr_qa.calibration.file.content import (
 )
 from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
+from cbsr_qa.calibration.file.hdf5_content import DEEPEST
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import Signature, VerifiedFile
@@ -37,11 +41,16 @@ from cbsr_qa.system import parsed_json
 
 #: Of a document; a file with any other is not what was written.
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
+_DATASET_KEYS: Final = frozenset({"units", "kind", "shape"})
+#: numpy has no more.
+_MOST_AXES: Final = 32
+_LONGEST_QUOTE: Final = 60
 _AS_WRITTEN: Final = "use the file as it was written"
 #: Arrays of more values are written as bytes.
 _SPELT_OUT: Final = 256
-#: Lists, objects and their items; each takes some hundred bytes of memory when parsed.
-_MOST_VALUES: Final = 4_000_000
+#: Lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a calibration has
+#: five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
+_MOST_VALUES: Final = 250_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
 
@@ -111,11 +120,13 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     if unknown := document.keys() - _KEYS:
         raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
-    if not isinstance(version, int) or not 1 <= version <= latest_version(format_):
+    if type(version) is not int or not 1 <= version <= latest_version(format_):
         raise CalibrationError(
-            f"written to schema version {version!r}; this program knows versions up to {latest_version(format_)}",
-            remedy="update cbsr-qa",
+            f"schema_version is {_found(version)}; this program knows versions 1 to {latest_version(format_)}",
+            remedy="update cbsr-qa, if a later one wrote the file",
         )
+    if len(document["datasets"]) > MOST_ENTRIES:
+        raise CalibrationError(f"more than {MOST_ENTRIES} datasets: no calibration has so many")
     entries = {name: _entry(name, stated) for name, stated in document["datasets"].items()}
     digest = content_digest(entries, version)
     if digest != document.get("digest") or format_ != format_of(entries) or version != schema_version(entries):
@@ -147,40 +158,79 @@ def _document(path: Path) -> dict[str, Any]:
 
 
 def _entry(path: str, stated: object) -> Entry:
+    """Return one dataset. CalibrationError, naming path and key, for any value that is not of the exact type."""
+    if path.count("/") > DEEPEST or not path.isprintable():
+        raise CalibrationError(f"{path[:_LONGEST_QUOTE]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
+    if not isinstance(stated, dict):
+        raise CalibrationError(f"{path} is {_found(stated)}, not a dataset")
+    held = {"values", "base64"} & stated.keys()
+    if len(held) != 1 or stated.keys() - held != _DATASET_KEYS:
+        keys = ", ".join(sorted(stated)) or "none"
+        raise CalibrationError(
+            f"{path} is not a dataset: it has the keys {keys}; kind, shape, units and either values or base64 are"
+            " allowed"
+        )
+    units, kind, shape = stated["units"], stated["kind"], stated["shape"]
+    _require(isinstance(units, str), path, "units", units, "a text")
+    _require(
+        isinstance(kind, str) and (kind in _KINDS or kind == TEXT), path, "kind", kind, ", ".join([*_KINDS, TEXT])
+    )
+    whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+    _require(whole and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
     try:
-        if not isinstance(stated, dict):
-            raise CalibrationError(f"{path} is not a dataset")
-        units, kind, shape = stated["units"], stated["kind"], tuple(stated["shape"])
-        if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
-            raise CalibrationError(f"{path} states no units or no shape")
         f"{path}{units}".encode()  # JSON can encode lone surrogates, which are not text
-        return Entry(units, _texts(stated, shape) if kind == "text" else _array(stated, _KINDS[kind], kind, shape))
-    except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
+        return Entry(units, _texts(path, stated, shape) if kind == TEXT else _array(path, stated, kind, shape))
+    except (ValueError, OverflowError) as error:
         raise CalibrationError(f"{path} is not a dataset of a calibration: {error}") from error
 
 
-def _texts(stated: dict[str, Any], shape: tuple[int, ...]) -> Value:
-    texts = stated["values"]
-    if not all(isinstance(text, str) for text in texts) or shape not in ((), (len(texts),)):
-        raise ValueError("a text is expected")
+def _require(allowed: bool, path: str, key: str, found: object, what: str) -> None:
+    if not allowed:
+        raise CalibrationError(f"{path}: {key} is {_found(found)}; allowed: {what}", remedy=_AS_WRITTEN)
+
+
+def _found(value: object) -> str:
+    """Return what a value of JSON is, as JSON writes it or in words."""
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else "a list"
+    shown = json.dumps(value)
+    return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"
+
+
+def _texts(path: str, stated: dict[str, Any], shape: list[int]) -> Value:
+    texts = _values(path, stated, (str,), "a text")
+    count = len(texts)
+    _require(shape == [count] or (not shape and count == 1), path, "shape", shape, f"that of {count} texts")
     "".join(texts).encode()
-    if not shape:
-        (text,) = texts
-        return str(text)
-    return tuple(texts)
+    return tuple(texts) if shape else str(texts[0])
 
 
-def _array(stated: dict[str, Any], kind: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+def _values(path: str, stated: dict[str, Any], kinds: tuple[type, ...], what: str) -> list[Any]:
+    """Return the values of a dataset, each exactly of one of some types: to Python, True is a whole number."""
+    values = stated.get("values")
+    _require(isinstance(values, list), path, "values" if "values" in stated else "base64", values, "a list of values")
+    assert isinstance(values, list)
+    if not {type(value) for value in values} <= set(kinds):
+        number, wrong = next((n, value) for n, value in enumerate(values) if type(value) not in kinds)
+        _require(False, path, f"values[{number}]", wrong, what)
+    return values
+
+
+def _array(path: str, stated: dict[str, Any], kind: str, shape: list[int]) -> NDArray[Any]:
+    whole = kind in ("i8", "u1")
     if "base64" in stated:
-        held = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{name}")
+        _require(isinstance(stated["base64"], str), path, "base64", stated["base64"], "a text")
+        held = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{kind}")
+    elif whole:
+        held = np.array(_values(path, stated, (int,), "a whole number"), dtype=np.int64)
     else:
-        numbers = [np.nan if value is None else value for value in stated["values"]]
-        held = np.array(numbers, dtype=np.int64 if name in ("i8", "u1") else np.float64)
-        if name in ("i8", "u1") and any(type(value) is not int for value in numbers):
-            raise ValueError("whole numbers are expected")
-    if name == "u1" and held.max(initial=0) > 1:
-        raise ValueError("0 or 1 is expected")
-    return held.astype(kind).reshape(shape)
+        numbers = _values(path, stated, (int, float, type(None)), "a number or null")
+        held = np.array([np.nan if value is None else value for value in numbers], dtype=np.float64)
+    if kind == "u1" and held.size and not 0 <= held.min() <= held.max() <= 1:
+        wrong = int(held[(held < 0) | (held > 1)][0])
+        _require(False, path, "values", wrong, "0 and 1")
+    _require(math.prod(shape) == held.size, path, "shape", shape, f"one of {held.size} values")
+    return held.astype(_KINDS[kind]).reshape(shape)
 
 
 def _kind(values: NDArray[Any]) -> str:

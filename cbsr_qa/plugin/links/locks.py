@@ -67,6 +67,10 @@ def _holder(text: bytes) -> str:
     """Describe the holder of a lock, which may not have written its name yet."""
     try:
         who = parsed_json(text)
-        return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
-    except (ValueError, KeyError, TypeError):
+    except ValueError:
         return "another program"
+    kinds = {"pid": int, "command": str, "role": str, "since": str}
+    if not isinstance(who, dict) or {key: type(value) for key, value in who.items()} != kinds:
+        return "another program"
+    words = f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
+    return words if words.isprintable() else "another program"

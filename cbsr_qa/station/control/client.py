@@ -28,8 +28,8 @@ class RunChannel:
         self._connection, self._timeout_s = connection, timeout_s
         self._received, self._number = b"", 0
         self.hello: dict[str, Any] = next(self.lines(), {"type": "refused", "why": "the run has ended"})
-        if self.hello["type"] != "hello":
-            raise RefusedError(self.hello["why"])
+        if self.hello.get("type") != "hello":
+            raise RefusedError(str(self.hello.get("why") or "the run's channel does not begin with a hello"))
 
     @classmethod
     def connect(cls, station: str, *, timeout_s: float = PATIENCE_S) -> Self:
@@ -75,8 +75,10 @@ class RunChannel:
             self._connection.sendall(json.dumps(request).encode() + b"\n")
             for line in self.lines():
                 if line.get("type") == "reply" and line.get("id") == self._number:
-                    if not line["ok"]:
-                        raise RefusedError(line["why"])
+                    if line.get("ok") is not True:
+                        raise RefusedError(
+                            str(line.get("why") or "the run answers without saying whether it does it")
+                        )
                     return line
         except OSError as error:
             raise RefusedError(f"the run does not answer: {error.strerror or error}") from error

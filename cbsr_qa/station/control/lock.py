@@ -48,10 +48,13 @@ class Holder:
     def of_text(cls, text: bytes) -> Self | None:
         """Return the holder a lock file names, or None if it is not readable as such."""
         try:
-            holder = cls(**parsed_json(text))
-        except (ValueError, TypeError):
+            stated = parsed_json(text)
+        except ValueError:
             return None
-        return holder if isinstance(holder.pid, int) and holder.pid > 0 else None
+        kinds = {"station": str, "pid": int, "started": str, "who": str, "doing": str}
+        if not isinstance(stated, dict) or {key: type(value) for key, value in stated.items()} != kinds:
+            return None
+        return cls(**stated) if stated["pid"] > 0 else None
 
     @property
     def words(self) -> str:

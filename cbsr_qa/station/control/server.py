@@ -38,6 +38,9 @@ LONGEST_LINE: Final = 1 << 20
 _LONGEST_REQUEST: Final = 16 << 10
 #: Longest name and longest answer that are taken [characters].
 _LONGEST_NAME, _LONGEST_ANSWER = 64, 4000
+_REQUESTS: Final = ("pause", "continue", "stop", "emergency", "answer", "state")
+#: Of what a request holds, that is repeated.
+_LONGEST_QUOTE: Final = 60
 #: A client with more than this unread is disconnected [bytes]; it can connect again, and is told everything.
 _MOST_UNREAD: Final = 2 * LONGEST_LINE
 #: Connections at a time; more are refused.
@@ -194,7 +197,7 @@ class RunServer:
         number = None
         try:
             content = _content(line)
-            number = content.get("id") if isinstance(content.get("id"), int | str) else None
+            number = _number(content)
             request = _Request.of(content)
             if request.do == "state":
                 return Reply("reply", number, ok=True, state=self._state())
@@ -215,14 +218,18 @@ class _Request:
     def of(cls, content: dict[str, Any]) -> Self:
         do, by = content.get("do"), content.get("by", "")
         prompt, text = content.get("prompt", -1), content.get("text", "")
-        if do not in ("pause", "continue", "stop", "emergency", "answer", "state"):
-            raise RefusedError("unknown request: allowed are pause, continue, stop, emergency, answer and state")
+        if do not in _REQUESTS:
+            raise RefusedError(f"unknown request: 'do' is {_found(do)}; allowed are {', '.join(_REQUESTS)}")
         if not (isinstance(by, str) and len(by) <= _LONGEST_NAME and by.isprintable()):
-            raise RefusedError(f"'by' must be a name of at most {_LONGEST_NAME} printable characters")
-        if not isinstance(prompt, int) or isinstance(prompt, bool):
-            raise RefusedError("'prompt' must be the number of the open prompt")
+            raise RefusedError(
+                f"'by' is {_found(by)}; it must be a name of at most {_LONGEST_NAME} printable characters"
+            )
+        if type(prompt) is not int:
+            raise RefusedError(f"'prompt' is {_found(prompt)}; it must be the number of the open prompt")
         if not (isinstance(text, str) and len(text) <= _LONGEST_ANSWER and "\0" not in text):
-            raise RefusedError(f"'text' must be text of at most {_LONGEST_ANSWER} characters")
+            raise RefusedError(
+                f"'text' is {_found(text)}; it must be text of at most {_LONGEST_ANSWER} characters, without NUL"
+            )
         return cls(do, by.strip(), prompt, text)
 
     def put_to(self, desk: ControlDesk) -> None:
@@ -238,6 +245,19 @@ class _Request:
                 desk.emergency(by)
             case "answer":
                 desk.answer(self.prompt, self.text, by)
+
+
+def _number(content: dict[str, Any]) -> int | str | None:
+    number = content.get("id")
+    if number is not None and type(number) not in (int, str):
+        raise RefusedError(f"'id' is {_found(number)}; allowed: a whole number or a text")
+    return number
+
+
+def _found(value: object) -> str:
+    """Return a value as JSON writes it, cut where it is long."""
+    shown = json.dumps(value)
+    return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"
 
 
 def _content(line: bytes) -> dict[str, Any]:

@@ -1,11 +1,11 @@
 """Moves frames of runs to archives and back. At every moment all are in the database, in a file, or in both."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, update
 
@@ -33,6 +33,9 @@ from cbsr_qa.store.tables import ArchiveRow, FrameBlockRow, RunRow, RunStateRow,
 from cbsr_qa.store.verdicts import verdict_of
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
+#: More than HDF5 needs beside the arrays of an archive, and of each block.
+_ARCHIVE_BYTES: Final = 2**20
+_BLOCK_BYTES: Final = 2**16
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +128,7 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
             blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
         if not file.exists():
             write_archive(file, one.run, blocks)
-        data = _verified(file, rows)
+        data = _verified(file, rows, _largest_archive(block for _, _, block in blocks))
         values = {
             "run": one.run,
             "file": place_of(engine, file),
@@ -139,10 +142,15 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
     return ArchivedRun(one.run, one.serial, one.frames, one.database_bytes, str(file), len(data))
 
 
-def _verified(file: Path, rows: list[Any]) -> bytes:
+def _largest_archive(blocks: Iterable[FrameBlock]) -> int:
+    """Return what an archive of some blocks takes at most [B]; uncompressed, with HDF5's own, it takes less."""
+    return _ARCHIVE_BYTES + sum(3 * block.voltages.nbytes + _BLOCK_BYTES for block in blocks)
+
+
+def _verified(file: Path, rows: list[Any], most_bytes: int) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
     try:
-        data = archive_bytes(file)
+        data = archive_bytes(file, most_bytes)
     except OSError as error:
         raise StoreError(
             f"{file} cannot be read: {error.strerror}", remedy="move that file away, or use --to"

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.system import check_regular
 
 #: Fields of every template.
 _FIELDS: Final = ("station", "serial", "run")
@@ -80,6 +81,11 @@ def secret(option: str, variable: str | None) -> str | None:
 
 
 def check_ca_file(path: str | None) -> None:
-    """ConfigError if the file of ``ca_file`` does not exist."""
-    if path is not None and not Path(path).is_file():
-        raise ConfigError(f"ca_file names {path!r}, which is not a file", remedy="correct the path")
+    """ConfigError if the file of ``ca_file`` does not exist, or is a folder, pipe or device."""
+    try:
+        if path is not None:
+            check_regular(Path(path))
+    except OSError as error:
+        raise ConfigError(
+            f"ca_file names {path!r}, which cannot be read: {error.strerror}", remedy="correct the path"
+        ) from error

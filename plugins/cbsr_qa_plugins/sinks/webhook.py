@@ -3,15 +3,20 @@
 The standard library is enough: one POST at a time, from a thread that may wait.
 """
 
+import io
 import json
 import re
+import socket
 import ssl
-from collections.abc import Mapping, Sequence
-from http.client import HTTPException
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from typing import IO, Annotated, Any, Final
 from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
-from urllib.request import HTTPRedirectHandler, HTTPSHandler, Request, build_opener
+from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Request, build_opener
 
 from pydantic import AfterValidator, Field
 
@@ -51,6 +56,64 @@ class _NoRedirect(HTTPRedirectHandler):
         return None
 
 
+class _AnswerInTime(HTTPResponse):
+    """An answer that has to arrive within a time [s]; a limit for each part would never end one that drips."""
+
+    def __init__(self, time_s: float, sock: socket.socket, *args: Any, **options: Any) -> None:
+        super().__init__(sock, *args, **options)
+        self.fp = io.BufferedReader(_ReadInTime(self.fp.detach(), sock, time.monotonic() + time_s))
+
+
+class _ReadInTime(io.RawIOBase):
+    """Reads from a connection until a time; TimeoutError after it."""
+
+    def __init__(self, raw: io.RawIOBase, sock: socket.socket, ends_s: float) -> None:
+        super().__init__()
+        self._raw, self._socket, self._ends_s = raw, sock, ends_s
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int | None:
+        left_s = self._ends_s - time.monotonic()
+        if left_s <= 0:
+            raise TimeoutError("timed out")
+        self._socket.settimeout(left_s)
+        return self._raw.readinto(buffer)
+
+    def close(self) -> None:
+        self._raw.close()
+        super().close()
+
+
+def _connecting(kind: type[HTTPConnection], time_s: float) -> Callable[..., HTTPConnection]:
+    def connect(host: str, **options: Any) -> HTTPConnection:
+        connection = kind(host, **options)
+        connection.response_class = partial(_AnswerInTime, time_s)  # type: ignore[assignment]
+        return connection
+
+    return connect
+
+
+class _Http(HTTPHandler):
+    def __init__(self, time_s: float) -> None:
+        super().__init__()
+        self._time_s = time_s
+
+    def http_open(self, request: Request) -> HTTPResponse:
+        return self.do_open(_connecting(HTTPConnection, self._time_s), request)
+
+
+class _Https(HTTPSHandler):
+    def __init__(self, time_s: float, context: ssl.SSLContext) -> None:
+        super().__init__(context=context)
+        self._time_s, self._tls = time_s, context
+
+    def https_open(self, request: Request) -> HTTPResponse:
+        connecting = _connecting(HTTPSConnection, self._time_s)
+        return self.do_open(connecting, request, context=self._tls)
+
+
 class Webhook(WithOptions):
     """Posts events to a web server as JSON, `{"events": [...]}`, several in a request.
 
@@ -60,7 +123,7 @@ class Webhook(WithOptions):
     token_env : environment variable that holds a token for the server.
     token_header : header with the token. `Authorization` has `Bearer` before it.
     ca_file : certificates to check the server with, instead of those of the operating system.
-    timeout_s : longest wait for a connection and for each part of the answer.
+    timeout_s : longest wait for a connection, and then for the whole answer; the events are sent again after it.
     largest_batch : most events in a request.
     """
 
@@ -89,16 +152,19 @@ class Webhook(WithOptions):
     def deliver(self, messages: Sequence[Mapping[str, Any]]) -> None:
         body = json.dumps({"events": list(messages)}, separators=(",", ":")).encode()
         request = Request(self.options.url, body, self._headers, method="POST")
+        time_s = self.options.timeout_s
         try:
             context = ssl.create_default_context(cafile=self.options.ca_file)
-            opener = build_opener(_NoRedirect, HTTPSHandler(context=context))
-            with opener.open(request, timeout=self.options.timeout_s) as answer:
+            opener = build_opener(_NoRedirect, _Http(time_s), _Https(time_s, context))
+            with opener.open(request, timeout=time_s) as answer:
                 _skip(answer)
         except HTTPError as error:
-            with error:
+            with error, suppress(OSError, HTTPException):  # its status says enough
                 _skip(error)
             final = 400 <= error.code < 500 and error.code not in _MAY_END
             raise DeliveryError(f"{self._server} answers {error.code} {error.reason}", final=final) from error
+        except TimeoutError as error:
+            raise DeliveryError(f"{self._server} has not answered in full within {time_s:g} s") from error
         except (OSError, HTTPException) as error:
             why = error.reason if isinstance(error, URLError) else error
             raise DeliveryError(f"{self._server} cannot be reached: {why or type(error).__name__}") from error

@@ -77,7 +77,7 @@ _UNSOUND = {
     "format of numbers": (_attribute("format", np.array([1, 2])), "not a calibration"),
     "two formats": (_attribute("format", np.array(["cbsr-qa calibration"] * 2, dtype=object)), "not a calibration"),
     "format of a number": (_attribute("format", 3.0), "not a calibration"),
-    "names within names": (_many_names, "more than 10000 names"),
+    "names within names": (_many_names, "more than 2000 names"),
     "table of texts": (_added("assumed", "text", shape=(1, 2), **_TEXTS), "assumed holds texts of the shape"),
     "millions of texts": (
         _added("assumed", "text", shape=(2**26,), **_TEXTS),

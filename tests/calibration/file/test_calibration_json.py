@@ -1,6 +1,7 @@
 """Calibrations as JSON: nothing is lost, and nothing unsound is taken."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -70,23 +71,59 @@ def test_what_is_no_calibration_is_refused_by_name(tmp_path, what):
     assert "x.json" in caught.value.reason
 
 
+def _of(path, **changed):
+    """Change keys of a dataset."""
+    return lambda document: document["datasets"][path].update(changed)
+
+
+def _first(path, value):
+    """Change the first value of a dataset."""
+    return lambda document: document["datasets"][path]["values"].__setitem__(0, value)
+
+
 _EDITED = {
-    "future": (lambda d: d.update(schema_version=99), f"version 99.*up to {SCHEMA_VERSION}"),
-    "boolean version": (lambda d: d.update(schema_version="2"), "version '2'"),
-    "value": (lambda d: d["datasets"]["image/mask"].update(values=[0.9]), "changed after it was written"),
-    "unit": (lambda d: d["datasets"]["image/mask"].update(units="mm"), "changed after it was written"),
+    "future": (lambda d: d.update(schema_version=99), f"schema_version is 99; .* versions 1 to {SCHEMA_VERSION}"),
+    "text for version": (lambda d: d.update(schema_version="2"), 'schema_version is "2"'),
+    "true for version": (lambda d: d.update(schema_version=True), "schema_version is true"),
+    "value": (_of("image/mask", values=[0.9]), "changed after it was written"),
+    "unit": (_of("image/mask", units="mm"), "changed after it was written"),
     "gone": (lambda d: d["datasets"].pop("image/mask"), "changed after it was written"),
-    "shape": (lambda d: d["datasets"]["reference/voltages"].update(shape=[6, 5]), "reference/voltages is not a data"),
-    "negative": (lambda d: d["datasets"]["image/mask"].update(shape=[-1]), "image/mask states no units or no shape"),
-    "claims": (lambda d: d["datasets"]["force/node"].update(shape=[10**9, 10**9]), "force/node is not a dataset"),
-    "kind": (lambda d: d["datasets"]["image/mask"].update(kind="O"), "image/mask is not a dataset"),
-    "text for number": (lambda d: d["datasets"]["image/mask"].update(values=["x"]), "image/mask is not a dataset"),
-    "number for text": (lambda d: d["datasets"]["identity/run"].update(values=[1]), "a text is expected"),
-    "half for whole": (lambda d: d["datasets"]["force/lattice/rows"].update(values=[7.5]), "whole numbers"),
-    "two for flag": (lambda d: d["datasets"]["force/fits"]["values"].__setitem__(0, 2), "0 or 1 is expected"),
-    "no base64": (lambda d: d["datasets"]["force/templates"].update(base64="?"), "force/templates is not a dataset"),
-    "half a character": (lambda d: d["datasets"]["identity/serial"].update(values=["\ud800"]), "identity/serial"),
-    "not a dataset": (lambda d: d["datasets"].update({"image/mask": 3}), "image/mask is not a dataset"),
+    "shape": (_of("reference/voltages", shape=[6, 5]), "reference/voltages: shape is a list; allowed: one of"),
+    "negative": (_of("image/mask", shape=[-1]), "image/mask: shape is a list; allowed: a list of whole numbers"),
+    "true in a shape": (_of("image/mask", shape=[True]), "image/mask: shape is a list; allowed: a list of whole"),
+    "object for shape": (_of("image/mask", shape={}), "image/mask: shape is an object; allowed: a list of whole"),
+    "text for shape": (_of("image/mask", shape=""), 'image/mask: shape is ""; allowed: a list of whole'),
+    "axes": (_of("image/mask", shape=[1] * 99), "image/mask: shape is a list"),
+    "claims": (_of("force/node", shape=[10**9, 10**9]), "force/node: shape is a list; allowed: one of"),
+    "kind": (_of("image/mask", kind="O"), 'image/mask: kind is "O"; allowed: f8, f4, i8, u1, text'),
+    "list for kind": (_of("image/mask", kind=["f8"]), "image/mask: kind is a list"),
+    "null for units": (_of("image/mask", units=None), "image/mask: units is null; allowed: a text"),
+    "text for number": (
+        _of("image/mask", values=["x"]),
+        r'image/mask: values\[0\] is "x"; allowed: a number or null',
+    ),
+    "false for number": (_first("image/mask", False), r"image/mask: values\[0\] is false; allowed: a number or null"),
+    "object for values": (_of("image/mask", values={"0": 0.5}), "image/mask: values is an object; allowed: a list"),
+    "text for values": (_of("identity/run", values="x"), 'identity/run: values is "x"; allowed: a list of values'),
+    "number for text": (_of("identity/run", values=[1]), r"identity/run: values\[0\] is 1; allowed: a text"),
+    "two texts for one": (
+        _of("identity/run", values=["x", "y"]),
+        "identity/run: shape is a list; allowed: that of 2",
+    ),
+    "half for whole": (_of("force/lattice/rows", values=[7.5]), r"values\[0\] is 7.5; allowed: a whole number"),
+    "true for whole": (_of("force/lattice/rows", values=[True]), r"values\[0\] is true; allowed: a whole number"),
+    "null for whole": (_of("force/lattice/rows", values=[None]), r"values\[0\] is null; allowed: a whole number"),
+    "two for flag": (_first("force/fits", 2), "force/fits: values is 2; allowed: 0 and 1"),
+    "true for flag": (_first("force/fits", True), r"force/fits: values\[0\] is true; allowed: a whole number"),
+    "minus for flag": (_first("force/fits", -1), "force/fits: values is -1; allowed: 0 and 1"),
+    "no base64": (_of("force/templates", base64="?"), "force/templates is not a dataset"),
+    "list for base64": (_of("force/templates", base64=["?"]), "force/templates: base64 is a list; allowed: a text"),
+    "both": (_of("image/mask", base64=""), "image/mask is not a dataset: it has the keys base64, kind, shape, units"),
+    "another key": (_of("image/mask", unit="mm"), "image/mask is not a dataset: it has the keys kind, shape, unit"),
+    "half a character": (_of("identity/serial", values=["\ud800"]), "identity/serial"),
+    "not a dataset": (lambda d: d["datasets"].update({"image/mask": 3}), "image/mask is 3, not a dataset"),
+    "deep": (lambda d: d["datasets"].update({"a/b/c/d/e/f": 3}), "'a/b/c/d/e/f' is not a name of a dataset"),
+    "many": (lambda d: d["datasets"].update({str(n): 3 for n in range(2000)}), "more than 2000 datasets"),
 }
 
 
@@ -107,3 +144,14 @@ def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch)
     (tmp_path / "x.json").write_text(_text(json_document(sample_calibration())))
     with pytest.raises(CalibrationError, match="too large"):
         read_json_calibration(tmp_path / "x.json")
+
+
+def test_a_file_of_many_parts_is_refused_before_they_are_read(tmp_path):
+    """Nine megabytes: each part takes little to write, and a hundred times as much to read."""
+    part = {"units": "1", "kind": "f8", "shape": [1], "values": [0]}
+    document = {**json_document(sample_calibration()), "datasets": {f"a/{n}": part for n in range(150_000)}}
+    (tmp_path / "x.json").write_text(json.dumps(document))
+    begun_s = time.process_time()
+    with pytest.raises(CalibrationError, match="JSON of more than 250000 values"):
+        read_json_calibration(tmp_path / "x.json")
+    assert time.process_time() - begun_s < 1.0

@@ -1,5 +1,6 @@
 """One program at a time has an instrument."""
 
+import json
 import os
 import signal
 import subprocess
@@ -97,6 +98,19 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     assert str(tmp_path) in refused.value.remedy
 
 
-@pytest.mark.parametrize("said", [b"[" * 4000, b'{"pid": 1, "pid": 2}', b"", b'{"pid": NaN, "command": ""}'])
+_NAMED = {"pid": 1, "command": "cbsr-qa run", "role": "one", "since": "2026-11-28"}
+_OTHERS = [
+    json.dumps(_NAMED | changed).encode()
+    for changed in ({"pid": True}, {"pid": "1"}, {"command": 3}, {"role": "\x1b[2J"}, {"more": 1})
+]
+
+
+def test_whoever_holds_an_address_is_named():
+    assert locks._holder(json.dumps(_NAMED).encode()) == "process 1 (cbsr-qa run) as one since 2026-11-28"
+
+
+@pytest.mark.parametrize(
+    "said", [b"[" * 4000, b'{"pid": 1, "pid": 2}', b"", b'{"pid": NaN, "command": ""}', *_OTHERS]
+)
 def test_whoever_holds_an_address_without_a_readable_name_is_another_program(said):
     assert locks._holder(said) == "another program"

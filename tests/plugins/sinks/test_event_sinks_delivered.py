@@ -7,13 +7,15 @@ import shutil
 import socket
 import subprocess
 import threading
-from contextlib import contextmanager, suppress
+import time
+from contextlib import ExitStack, contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from uuid import uuid4
 
 import pytest
 
 from cbsr_qa.domain import ConfigError, DeliveryError
+from cbsr_qa.station import Delivery
 from cbsr_qa.testing import check_sink, example_messages
 from cbsr_qa_plugins.sinks.json_lines import JsonLines
 from cbsr_qa_plugins.sinks.mqtt import Mqtt
@@ -308,8 +310,74 @@ def test_a_refusal_is_final_where_it_would_be_the_same_again(server, status, fin
 def test_a_server_that_is_absent_or_silent_is_named(nobody, hanging):
     with pytest.raises(DeliveryError, match=f"127.0.0.1:{nobody}/ cannot be reached: .*refused"):
         Webhook(url=f"http://127.0.0.1:{nobody}/").deliver(example_messages(1))
-    with pytest.raises(DeliveryError, match=f"127.0.0.1:{hanging}/ cannot be reached: .*timed out"):
+    with pytest.raises(DeliveryError, match=f"127.0.0.1:{hanging}/ has not answered in full within 0.2 s"):
         Webhook(url=f"http://127.0.0.1:{hanging}/", timeout_s=0.2).deliver(example_messages(1))
+
+
+@pytest.fixture
+def dripping():
+    """Serves answers a letter at a time: returns a function that takes the part sent at once, and returns a port."""
+    ended = threading.Event()
+
+    def drip(connection, begun):
+        with connection, suppress(OSError):
+            connection.recv(65536)
+            connection.sendall(begun)
+            while not ended.wait(0.05):
+                connection.sendall(b"x")
+
+    def serve(server, begun):
+        with suppress(OSError):
+            while True:
+                threading.Thread(target=drip, args=(server.accept()[0], begun), daemon=True).start()
+
+    with ExitStack() as servers:
+
+        def begin(begun):
+            server = servers.enter_context(socket.create_server(("127.0.0.1", 0)))
+            threading.Thread(target=serve, args=(server, begun), daemon=True).start()
+            return server.getsockname()[1]
+
+        yield begin
+        ended.set()
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [b"HTTP/1.1 20", b"HTTP/1.1 204 fine\r\nX-Header: ", b"HTTP/1.1 200 fine\r\nContent-Length: 60000\r\n\r\n"],
+    ids=["status", "header", "body"],
+)
+def test_an_answer_that_drips_ends_in_time(dripping, begun):
+    begun_s = time.monotonic()
+    with pytest.raises(DeliveryError, match=r"has not answered in full within 0\.3 s") as late:
+        Webhook(url=f"http://127.0.0.1:{dripping(begun)}/", timeout_s=0.3).deliver(example_messages(1))
+    assert not late.value.final
+    assert time.monotonic() - begun_s < 2
+
+
+def test_a_refusal_whose_body_drips_is_a_refusal(dripping):
+    port = dripping(b"HTTP/1.1 400 no\r\nContent-Length: 60000\r\n\r\n")
+    with pytest.raises(DeliveryError, match="answers 400 no") as refused:
+        Webhook(url=f"http://127.0.0.1:{port}/", timeout_s=0.3).deliver(example_messages(1))
+    assert refused.value.final
+
+
+def test_events_that_a_dripping_server_does_not_take_are_sent_again_and_named_as_lost(dripping, server):
+    """The thread of a delivery is free again; what was not taken in the end is said."""
+    sink = Webhook(url=f"http://127.0.0.1:{dripping(b'HTTP/1.1 20')}/", timeout_s=0.2)
+    attempts, deliver = [], sink.deliver
+    sink.deliver = lambda messages: attempts.append(len(messages)) or deliver(messages)
+    delivery = Delivery("hook", sink)
+    delivery.put(example_messages(1)[0])
+    for _ in range(200):
+        if len(attempts) > 1:
+            break
+        threading.Event().wait(0.05)
+    delivery.end()
+    delivery.wait(2.0)
+    assert attempts[:2] == [1, 1]
+    assert "1 of 1 events were not delivered" in delivery.lost()
+    assert "has not answered in full within 0.2 s" in delivery.lost()
 
 
 # Options

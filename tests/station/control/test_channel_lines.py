@@ -8,7 +8,7 @@ import pytest
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.station.control.client import RunChannel
 from cbsr_qa.station.control.lock import Holder
-from cbsr_qa.station.control.server import _content
+from cbsr_qa.station.control.server import _content, _number, _Request
 
 NO_MESSAGE = [
     (b'{"do": "continue", "do": "emergency"}', "the key 'do' appears twice in one object"),
@@ -44,3 +44,46 @@ def test_a_command_refuses_what_a_run_cannot_have_sent(line, why):
 @pytest.mark.parametrize("text", [b"[" * 4000, b'{"pid": 1, "pid": 2}', b"7", b'{"pid": NaN}', b""])
 def test_a_lock_file_of_somebody_else_names_nobody(text):
     assert Holder.of_text(text) is None
+
+
+_HELD = {"station": "bench", "pid": 1, "started": "5", "who": "Ada", "doing": "testing S-1"}
+
+
+def test_a_lock_file_names_its_holder():
+    assert Holder.of_text(json.dumps(_HELD).encode()) == Holder(**_HELD)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"pid": True}, {"pid": "1"}, {"pid": 1.0}, {"pid": 0}, {"who": 3}, {"doing": None}, {"more": 1}]
+)
+def test_a_lock_file_with_a_value_of_another_type_names_nobody(changed):
+    assert Holder.of_text(json.dumps(_HELD | changed).encode()) is None
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ({"do": True}, "'do' is true; allowed are pause, continue"),
+        ({"do": ["stop"]}, r"'do' is \[\"stop\"\]; allowed are pause, continue"),
+        ({"do": "pause", "by": 3}, "'by' is 3; it must be a name"),
+        ({"do": "pause", "by": "x" * 99}, "'by' is \"x{59}…; it must be a name of at most 64 printable"),
+        ({"do": "answer", "prompt": True}, "'prompt' is true; it must be the number of the open prompt"),
+        ({"do": "answer", "prompt": 1.0}, "'prompt' is 1.0; it must be the number of the open prompt"),
+        ({"do": "answer", "prompt": 1, "text": {}}, "'text' is {}; it must be text of at most 4000 characters"),
+        ({"do": "pause", "id": True}, "'id' is true; allowed: a whole number or a text"),
+        ({"do": "pause", "id": [1]}, r"'id' is \[1\]; allowed: a whole number or a text"),
+    ],
+)
+def test_a_request_with_a_value_of_another_type_is_refused_with_what_is_allowed(content, why):
+    with pytest.raises(RefusedError, match=why):
+        (_number if "id" in content else _Request.of)(content)
+
+
+@pytest.mark.parametrize("ok", ["false", 1, None, "yes"])
+def test_a_reply_that_does_not_say_true_is_no_consent(ok):
+    here, there = socket.socketpair()
+    with here, there:
+        for message in ({"type": "hello"}, {"type": "reply", "id": 1, "ok": ok}):
+            there.sendall(json.dumps(message).encode() + b"\n")
+        with pytest.raises(RefusedError, match="the run answers without saying whether it does it"):
+            RunChannel(here, 5.0).ask("emergency")
