@@ -1,0 +1,1 @@
+"""Compares what two commits print, write and store: ``python -m tests.oracle OLD NEW``."""
