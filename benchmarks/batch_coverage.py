@@ -17,8 +17,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.stats import Contrast, crossing, welch
-from cbsr_qa.stats.mixed_model import fit
+from cbsr_qa.stats.crossings import crossing
+from cbsr_qa.stats.difference import Contrast, welch
+from cbsr_qa.stats.mixed_model.model import fit
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

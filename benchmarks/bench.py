@@ -7,9 +7,9 @@ from typing import Final, Self
 
 from benchmarks.rows import Row
 from benchmarks.timing import shown
-from cbsr_qa.plugin import discover
-from cbsr_qa.simulate.instruments import Emulation
-from cbsr_qa.station import configure, open_station, station_clock
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.simulate.instruments.rig import Emulation
+from cbsr_qa.station.setup import configure, open_station, station_clock
 
 TITLE = "Bench"
 
@@ -43,7 +43,7 @@ class EmulatedStation:
         spent = [0.0]
         for role in ("source_meter", "multiplexer"):
             instrument = self.emulation.instruments[role]
-            received = instrument.received
+            received = instrument.receive
 
             def timed(data: bytes, received=received) -> bytes:  # type: ignore[no-untyped-def]
                 before = time.perf_counter()
@@ -51,7 +51,7 @@ class EmulatedStation:
                 spent[0] += time.perf_counter() - before
                 return bytes(said)
 
-            instrument.received = timed  # type: ignore[method-assign]
+            instrument.receive = timed  # type: ignore[method-assign]
         best = float("inf")
         for _ in range(_FRAMES):
             spent[0] = 0.0

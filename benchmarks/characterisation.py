@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.strip import characterise
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, FittedLine
-from cbsr_qa.domain.sensor import Response
+from cbsr_qa.calibration.strip.characterisation import characterise
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.results.characterisation import Characterisation, FittedLine
+from cbsr_qa.domain.sensor.sensor_type import Response
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 

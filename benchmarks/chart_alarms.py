@@ -7,8 +7,8 @@ Normal values of deviation 1, a reference of 30 or 100 runs, and the signals at 
 
 import numpy as np
 
-from cbsr_qa.domain.run import ChartKind, ChartSettings
-from cbsr_qa.studies.charts import STANDS, UNCOUNTED, charts_of, standard_of
+from cbsr_qa.domain.results.charts import ChartKind, ChartSettings
+from cbsr_qa.studies.charts.charting import STANDS, UNCOUNTED, charts_of, standard_of
 
 SERIES = 150
 CHARTS = {

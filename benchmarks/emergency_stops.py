@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.rows import Row
-from cbsr_qa.app import own_command
+from cbsr_qa.app.command_hints import own_command
 
 _STATION: Final = Path(__file__).parents[1] / "stations" / "line-1.toml"
 _CERTIFY: Final = (

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import despiked
-from cbsr_qa.analysis.recording import ReadyReadings, make_ready, nominal_disc
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
-from cbsr_qa.eit.forward import disc_coverage
-from cbsr_qa.eit.inverse import nominal_model
-from cbsr_qa.eit.loads import LocalUpdate
+from cbsr_qa.analysis.defects.spikes import remove_spikes
+from cbsr_qa.analysis.recording.imaging import nominal_disc
+from cbsr_qa.analysis.recording.ready import ReadyReadings, make_ready
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.inverse.problem import nominal_model
+from cbsr_qa.eit.loads.local import LocalUpdate
 
 _FRAMES, _PRESSED, _RATE_HZ = 160, slice(50, 100), 4.0
 _LARGEST, _NOISE, _OFFSET = 2500.0, 20.0, 11000.0  # counts
@@ -75,7 +76,7 @@ def _named(clean: Array, random: np.random.Generator) -> Counter[str]:
 
     hit = (random.random(clean.shape) < 1e-3) & _USED
     jumps = random.choice([-1, 1], clean.shape) * _NOISE * random.uniform(10, 100, clean.shape)
-    _, found = despiked(clean + hit * jumps, _USED, counts=True)
+    _, found = remove_spikes(clean + hit * jumps, _USED, counts=True)
     spikes = {"spikes": hit, "spikes found": hit & found, "no spikes": found & ~hit}
     return named + Counter({what: int(each.sum()) for what, each in spikes.items()})
 

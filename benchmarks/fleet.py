@@ -13,8 +13,8 @@ from statsmodels.regression.mixed_linear_model import MixedLM
 from benchmarks.fleet_comparison import exported, fill, timed
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare
-from cbsr_qa.stats import Crossing, crossing
-from cbsr_qa.stats.mixed_model import fit
+from cbsr_qa.stats.crossings import Crossing, crossing
+from cbsr_qa.stats.mixed_model.model import fit
 
 TITLE = "Batches compared"
 

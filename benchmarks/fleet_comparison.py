@@ -20,11 +20,16 @@ import numpy as np
 from sqlalchemy import Connection, insert
 
 from benchmarks.timing import whole_command
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.store import IdSource, open_engine, open_store, parsed_url, writing
-from cbsr_qa.store.chain import FIGURES, documents, link_digest, stored_figures
-from cbsr_qa.store.runs import encoded
-from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow, RunStateRow, SensorRow
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.store.chain.links import link_digest
+from cbsr_qa.store.chain.run_documents import FIGURES, documents, figures_digest
+from cbsr_qa.store.engine import open_engine, parse_url, writing
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.runs.codec import encode_setting
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
+from cbsr_qa.store.tables.runs import RunRow, RunStateRow, SensorRow
+from cbsr_qa.store.types import IdSource
 
 STATIONS = ("A", "B", "C")
 BATCHES = ("41", "42", "43")
@@ -46,12 +51,12 @@ def fill(url: str, sensors: int, metrics: int, on_all: int, seed: int = 41) -> i
     -------
     Number of runs.
     """
-    from cbsr_qa.config import load_material, load_sensor_type
+    from cbsr_qa.config.loader import load_material, load_sensor_type
 
-    setting = encoded(load_sensor_type("disc-100mm").value, Indenter(13.0), load_material("cbsr-8wt").value)
+    setting = encode_setting(load_sensor_type("disc-100mm").value, Indenter(13.0), load_material("cbsr-8wt").value)
     with open_store(url, durable=False) as store:
         store.counts()
-    engine, random, runs = open_engine(parsed_url(url), durable=False), np.random.default_rng(seed), 0
+    engine, random, runs = open_engine(parse_url(url), durable=False), np.random.default_rng(seed), 0
     for first in range(0, sensors, 250):
         tables: dict[Any, Rows] = {t: [] for t in (SensorRow, RunRow, RunStateRow, AnalysisRow, MeasurementRow)}
         for number in range(first, min(first + 250, sensors)):
@@ -73,7 +78,7 @@ def _links(connection: Connection, tables: dict[Any, Rows]) -> Iterator[dict[str
             for run, some in groupby(rows, lambda row: row.get("run") or owner[row["analysis"]]):
                 of_run[run] += [(table.__tablename__, *one) for one in documents(table.__table__, list(some))]
     for analysis, run in owner.items():
-        of_run[run].append((FIGURES, analysis, stored_figures(connection, analysis)))
+        of_run[run].append((FIGURES, analysis, figures_digest(connection, analysis)))
     for run, entries in of_run.items():
         before = ""
         for number, (kind, document, content) in enumerate(entries):

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.analysis import read_recording
-from cbsr_qa.calibration import Calibration
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.run import LoadRecord
-from cbsr_qa.eit.imaging import find_blobs, percentage_mask
+from cbsr_qa.analysis.recording_files import read_recording
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.eit.imaging.blobs import find_blobs, percentage_mask
 
 TITLE = "Force from a calibration file"
 
@@ -109,14 +109,14 @@ def _by_images(calibration: Calibration, frames: Array) -> Array:
 
 
 def _steady(recording: Recording, load: LoadRecord) -> Array:
-    held: Array = recording.frames.between(load.release_start_s - _STEADY_S, load.release_start_s).voltages
+    held: Array = recording.frames.select_interval(load.release_start_s - _STEADY_S, load.release_start_s).voltages
     return held.mean(axis=0)
 
 
 def measured_N(recording: Recording, load: LoadRecord) -> float:
     """Force by the load cell over the last ten seconds of a hold."""
     (force,) = (block for block in recording.samples if block.channel == "force")
-    return float(force.between(load.release_start_s - _STEADY_S, load.release_start_s).values.mean())
+    return float(force.select_interval(load.release_start_s - _STEADY_S, load.release_start_s).values.mean())
 
 
 @lru_cache(maxsize=1)

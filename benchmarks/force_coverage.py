@@ -22,20 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.force_sensors import NINE, PLACES, RANDOM, SENSORS, Observed, observed
-from cbsr_qa.analysis.run import (
-    HELD_OUT,
-    TRIAL_LEFT_OUT,
-    ForceErrors,
-    ForceTest,
-    RunForce,
-    detectable_forces,
-    errors_of,
-    global_errors,
-    run_force,
-    tests_of,
-)
-from cbsr_qa.calibration.runtime import interpolate
-from cbsr_qa.calibration.sheet import sheet_places
+from cbsr_qa.analysis.run.force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
+from cbsr_qa.analysis.run.force_quality import ForceErrors, detectable_forces, errors_of, global_errors, tests_of
+from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.sheet.response_map import sheet_places
 
 Array = NDArray[np.float64]
 #: Errors and their stated standard errors of one test of one sensor [N].

@@ -11,27 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import Configuration, DocumentKind, load_material
-from cbsr_qa.domain.plan import (
-    AcquireFrames,
-    FindSurface,
-    Hold,
-    MarkUnloaded,
-    Press,
-    Release,
-    Role,
-    SheetDesign,
-    Step,
-)
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.results import EndReason, RunObservation
-from cbsr_qa.domain.run import Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, create_plugin, discover
-from cbsr_qa.station import Bench, Plan, PlannedPhase, open_station, plan_of, station_clock
-from cbsr_qa.studies import configuration_of, shipped
-from cbsr_qa.system import Clock
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.plan import Plan, PlannedPhase
+from cbsr_qa.station.setup import open_station, plan_of, station_clock
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped
+from cbsr_qa.system.clock import Clock
 
 Array = NDArray[np.float64]
 
@@ -121,7 +119,7 @@ def observed(sensors: Sensors, seed: int) -> Observed:
 
 def _configuration(sensors: Sensors, seed: int, material: dict[str, Any]) -> Configuration:
     station, scene, recipe = (
-        shipped(kind, name)
+        copy_shipped(kind, name)
         for kind, name in (
             (DocumentKind.STATION, "simulated"),
             (DocumentKind.SCENE, "base"),
@@ -142,7 +140,7 @@ def _intercept(sensors: Sensors, seed: int) -> float:
 
 def _material(sensors: Sensors, intercept: float) -> dict[str, Any]:
     """The shipped material with another intercept, stated with its standard error."""
-    material = shipped(DocumentKind.MATERIAL, f"cbsr-{sensors.percent}wt")
+    material = copy_shipped(DocumentKind.MATERIAL, f"cbsr-{sensors.percent}wt")
     if sensors.intercept_stderr:
         stated = {"value": intercept, "stderr": sensors.intercept_stderr, "source": "drawn"}
         material["material"]["against_stress"]["intercept"] = stated

@@ -9,14 +9,21 @@ from numpy.typing import NDArray
 from benchmarks.peers import Peer, peer
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, arc_transfer_impedance, cover, point_model
-from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.testing import convergence_order
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel, point_model
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
+from cbsr_qa.testing.numerics import convergence_order
 
 TITLE = "Forward model"
 

@@ -4,14 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cbsr_qa.analysis import ask
-from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import DocumentKind, load_recipe
-from cbsr_qa.domain.plan import AnalysisSettings, PluginChoice
-from cbsr_qa.domain.results import EndReason, Measurement
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Kind, create_plugin, discover
-from cbsr_qa.studies import configuration_of, shipped, simulated_run
+from cbsr_qa.analysis.evaluate import ask
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 
 Settings = Mapping[str, Any]
 
@@ -35,7 +39,9 @@ class Figures:
 
 def shipped_phases(*names: str, recipe: str = RECIPE) -> list[Settings]:
     """Phases of a shipped recipe, those of these names or all."""
-    return [phase for phase in shipped(DocumentKind.RECIPE, recipe)["phases"] if not names or phase["name"] in names]
+    return [
+        phase for phase in copy_shipped(DocumentKind.RECIPE, recipe)["phases"] if not names or phase["name"] in names
+    ]
 
 
 def simulated(
@@ -53,15 +59,15 @@ def simulated(
     scene, effects : a shipped scene, and effects beside its own.
     noise : relative noise of a reading in place of the 8 wt% material's.
     """
-    station, world = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.SCENE, scene)
-    recipe, material = shipped(DocumentKind.RECIPE, RECIPE), shipped(DocumentKind.MATERIAL, "cbsr-8wt")
+    station, world = copy_shipped(DocumentKind.STATION, "simulated"), copy_shipped(DocumentKind.SCENE, scene)
+    recipe, material = copy_shipped(DocumentKind.RECIPE, RECIPE), copy_shipped(DocumentKind.MATERIAL, "cbsr-8wt")
     world["effects"] = [*world["effects"], *effects]
     station["instruments"]["bench"]["scene"] = world
     recipe |= {"phases": list(phases), "limits": []}
     recipe["recipe"]["calibrate_phases"] = [phases[0]["name"]]
     if noise is not None:
         material["material"]["relative_noise"]["value"] = noise
-    record, _ = simulated_run(configuration_of(station, recipe, material, seed=seed), f"seed-{seed}", discover())
+    record, _ = simulate_run(configuration_of(station, recipe, material, seed=seed), f"seed-{seed}", discover())
     if record.end is not EndReason.FINISHED:
         raise SystemExit(f"the run was {record.end}: {record.end_detail}")
     return record

@@ -28,7 +28,7 @@ from urllib.parse import urlencode
 import numpy as np
 
 from benchmarks.rows import Row
-from cbsr_qa.app import own_command
+from cbsr_qa.app.command_hints import own_command
 
 _STATIONS: Final = Path(__file__).parents[1] / "stations"
 _CHROMIUM: Final = Path("/usr/bin/chromium")

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.eit.estimate import MergedReadings
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.estimate.readings import MergedReadings
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 
 @dataclass(frozen=True, slots=True, eq=False)

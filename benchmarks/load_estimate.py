@@ -27,10 +27,11 @@ from benchmarks.load_trials import (
 )
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.estimate import LEAST_DETECTABILITY, load_model
-from cbsr_qa.eit.loads import RoundLoads
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.estimate.load_estimate import LEAST_DETECTABILITY
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.loads.round_load import RoundLoads
 
 TITLE = "Load estimate"
 _PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "load-estimate.md"

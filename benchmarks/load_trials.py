@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 
 from benchmarks.load_bound import LoadBound, load_bound
 from benchmarks.reference_solutions import fitted_mesh
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.estimate import (
-    LoadEstimator,
-    LoadFits,
-    MergedReadings,
-    contrast_of,
-    load_model,
-    merge_reciprocal,
-    radius_of,
-)
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.estimate.load_estimate import LoadEstimator, LoadFits, contrast_of, radius_of
+from cbsr_qa.eit.estimate.readings import MergedReadings, load_model, merge_reciprocal
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]  # distance from the centre [mm], direction [°]

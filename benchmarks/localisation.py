@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from benchmarks.nine_sites import Loads, Score, disc, elsewhere, loads, mean_score, score
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
-from cbsr_qa.analysis.recording import fitted_tank, nominal_disc, sheet_for
-from cbsr_qa.analysis.run import size_response
-from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
+from cbsr_qa.analysis.recording.tank import fit_tank
+from cbsr_qa.analysis.run.sizes import size_response
+from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse.greit import matrix as greit_matrix
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.report import json_document
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.document import json_document
 
 Array = NDArray[np.float64]
 Method = Callable[[ImagingProblem], LinearReconstruction]
@@ -163,7 +165,7 @@ def _phantom() -> Row:
     sensor = nominal_disc(None, 16)
     sheet = sheet_for(sensor, sensor.pattern.usable())
     frame = scipy.io.loadmat(_PHANTOM)["vvRef"].reshape(16, 16)
-    tank = fitted_tank(np.asarray(frame, dtype=np.float64)[sheet.problem.used], sheet.problem)
+    tank = fit_tank(np.asarray(frame, dtype=np.float64)[sheet.problem.used], sheet.problem)
     assert tank is not None
     radius_cm, true_out = _WATER_CM / tank.depth, _BALL_CM / _PAIL_CM
     turned, plain = _balls(None)

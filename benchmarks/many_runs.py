@@ -20,32 +20,24 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.fleet_comparison import fill, timed
-from cbsr_qa.app.gate import GateRequest, ask_gate
-from cbsr_qa.config import Configuration, validate_serial
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.domain.run import (
-    ChartReference,
-    CheckOutcome,
-    CheckResult,
-    RunIdentity,
-    RunStarted,
-    StationCheck,
-)
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.station import configure
-from cbsr_qa.store import (
-    Repository,
-    check_usable,
-    open_engine,
-    open_existing,
-    open_store,
-    opening,
-    parsed_url,
-    writing,
-)
-from cbsr_qa.studies.shift import list_request, list_runs, list_sensors, sensor_runs
+from cbsr_qa.app.gate.gate import ask_gate
+from cbsr_qa.app.gate.request import GateRequest
+from cbsr_qa.app.shift.lists import list_request, list_runs, list_sensors, sensor_runs
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.config.serials import validate_serial
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.run.run import RunIdentity, RunStarted
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.station.setup import configure
+from cbsr_qa.store import opening
+from cbsr_qa.store.engine import open_engine, parse_url, writing
+from cbsr_qa.store.opening import check_usable, open_existing, open_store
+from cbsr_qa.store.repository import Repository
 
 _SERVER: Final = "postgresql+psycopg://postgres@127.0.0.1:5432/postgres"
 _NAME: Final = "cbsr_qa_benchmark_many"
@@ -131,8 +123,8 @@ class Line:
         return {
             "open the database": lambda: open_store(self.url, create=False).close(),
             "list the latest 50 runs": lambda: self._listed(list_runs, latest=50),
-            "list the runs of a day": lambda: self._read(lambda store: store.listed_runs(shift)),
-            "list the runs of a day and station": lambda: self._read(lambda store: store.listed_runs(own)),
+            "list the runs of a day": lambda: self._read(lambda store: store.list_runs(shift)),
+            "list the runs of a day and station": lambda: self._read(lambda store: store.list_runs(own)),
             "list the latest 50 sensors of a day": lambda: self._listed(
                 list_sensors, latest=50, since=day.date(), until=day.date()
             ),
@@ -158,7 +150,7 @@ def prepare(url: str) -> tuple[str, datetime]:
         latest = store.identity(runs[-1]) if runs else None
         if latest is not None and store.latest_golden_check(_STATION) is None:
             _equip(store, runs)
-            engine = open_engine(parsed_url(url), durable=False)
+            engine = open_engine(parse_url(url), durable=False)
             with writing(engine) as connection:
                 connection.execute(
                     text(

@@ -13,9 +13,11 @@ from benchmarks.localisation import TRIED
 from benchmarks.nine_sites import Loads, Score, disc, loads, score
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.plugin import Kind, Reconstruction, discover
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import Reconstruction
 
 Array = NDArray[np.float64]
 

@@ -8,22 +8,19 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.config import load_recipe, load_sensor_type
-from cbsr_qa.domain.geometry import Footprint, PolygonFootprint, RoundFootprint
-from cbsr_qa.domain.results import Image, Region
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Indenter
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.imaging import (
-    find_blobs_by_mask,
-    find_contours_by_mask,
-    nearest_blob,
-    spatial_figures,
-    subtract_noise_floor,
-    two_touch_resolution,
-)
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.eit.mesh import image_mesh
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.config.loader import load_recipe, load_sensor_type
+from cbsr_qa.domain.geometry.footprints import Footprint, PolygonFootprint, RoundFootprint
+from cbsr_qa.domain.imaging import Image, Region
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Indenter
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.imaging.blobs import find_blobs_by_mask, nearest_blob, subtract_noise_floor
+from cbsr_qa.eit.imaging.contours import find_contours_by_mask
+from cbsr_qa.eit.imaging.multi_load import two_touch_resolution
+from cbsr_qa.eit.imaging.shape import spatial_figures
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.mesh.sheet import image_mesh
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 TITLE = "Figures of merit"
 

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.estimate import LoadEstimator, load_model, merge_reciprocal
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.eit.estimate.load_estimate import LoadEstimator
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 _LOADS, _WAYS, _MOST = 150, 4, 8
 _HEAD_RADIUS_MM, _CONTRAST, _FURTHEST_MM, _NOISE = 6.5, 0.5, 35.0, 2e-4

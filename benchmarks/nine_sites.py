@@ -7,15 +7,19 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Image, ImagingProblem
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import Mesh, SensorType
-from cbsr_qa.eit.forward import ForwardModel, cover
-from cbsr_qa.eit.imaging import contour_regions, nearest_blob, spatial_figures
-from cbsr_qa.eit.loads import LocalUpdate
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Image, ImagingProblem
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.imaging.blobs import nearest_blob
+from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.shape import spatial_figures
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 Array = NDArray[np.float64]
 

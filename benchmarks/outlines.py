@@ -10,11 +10,14 @@ import numpy as np
 
 from benchmarks.rows import Row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, PlacedElectrodes, SensorType, polygon_sensor
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.mesh import image_mesh, sheet_mesh, smallest_angle_deg
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType, polygon_sensor
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
+from cbsr_qa.eit.mesh.triangulate import smallest_angle_deg
 
 TITLE = "Other outlines"
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.reference_solutions import point_transfer_impedance
-from cbsr_qa.eit.forward import ConcentricSheet
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet
 
 Array = NDArray[np.float64]
 

@@ -17,15 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cbsr_qa.calibration.place import (
-    PlaceEstimator,
-    PlaceLearned,
-    Places,
-    QuantityEstimator,
-    learn_place,
-    learn_quantity,
-)
-from cbsr_qa.domain.results import LearnedQuantity
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.learning import PlaceLearned, learn_place
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.place.quantity import QuantityEstimator, learn_quantity
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 

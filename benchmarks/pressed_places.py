@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.rows import Row
-from cbsr_qa.studies.frontier.presses import Trial, try_presses
+from cbsr_qa.studies.frontier.presses.trial import Trial, try_presses
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 

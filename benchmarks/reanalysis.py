@@ -9,8 +9,9 @@ machine changes the ratio; the load is printed beside it.
 import os
 import sys
 
-from cbsr_qa.app.reanalyse import ReanalyseRequest, reanalyse
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.app.reanalyse.reanalysis import reanalyse
+from cbsr_qa.app.reanalyse.request import ReanalyseRequest
+from cbsr_qa.domain.results.fleet import RunSelection
 
 
 def main(database: str) -> None:

@@ -15,7 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.studies.frontier import PAPER, Setting, Tried, try_ways
+from cbsr_qa.studies.frontier.setting import Setting
+from cbsr_qa.studies.frontier.station import PAPER, Tried, try_ways
 
 Array = NDArray[np.float64]
 

@@ -14,18 +14,16 @@ from benchmarks.nine_sites import disc, loads, score
 from benchmarks.peers import peer
 from benchmarks.rows import Row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.domain.results import LinearReconstruction
-from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
-from cbsr_qa.eit.forward import point_model
-from cbsr_qa.eit.inverse import (
-    Criterion,
-    dual_matrix,
-    dual_spectrum,
-    hyperparameter_for,
-    imaging_problem,
-    noser,
-    pixel_imaging,
-)
+from cbsr_qa.domain.imaging import LinearReconstruction
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.model import point_model
+from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
+from cbsr_qa.eit.inverse.noise_figures import hyperparameter_for
+from cbsr_qa.eit.inverse.pixels import pixel_imaging
+from cbsr_qa.eit.inverse.priors import noser
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.regularisation import Criterion
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 TITLE = "Linear reconstructions"

@@ -13,9 +13,11 @@ from typing import Final
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import Array, Indices, Mask, RefusedError
-from cbsr_qa.domain.sensor import CircleArcs, ElectrodeLayout, Mesh
-from cbsr_qa.eit.forward import ConcentricSheet, project_to_ground
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import CircleArcs, Mesh
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, project_to_ground
 
 _CLOSE: Final = 0.6  # nodes nearer to the circle than this share of the local edge length make way for its own
 _DENSE: Final = 4000  # points the local edge length is looked up at

@@ -17,11 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.force_sensors import NINE, RANDOM, Sensors, observed
-from cbsr_qa.analysis import Conclusion, calibrated
-from cbsr_qa.analysis.run import PlaceErrors, load_window, run_force, run_place
-from cbsr_qa.calibration import Calibration
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain.results import Outcome, RunObservation, Verdict
+from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
+from cbsr_qa.analysis.run.force import run_force
+from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.analysis.run.place import PlaceErrors, run_place
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.observation import RunObservation
 
 SENSORS = (
     Sensors("as modelled", effects=()),
@@ -64,7 +68,7 @@ def result_of(run: RunObservation) -> Result:
     assert nine is not None
     assert place.left_out is not None
     conclusion = Conclusion(asked, (), Verdict(Outcome.PASS, ""), ())
-    issued, why = calibrated(
+    issued, why = calibrate_run(
         conclusion, load_recipe("campaign").value, calibration="c", issued_at="2026-01-01T00:00:00+00:00"
     )
     assert issued is not None, why

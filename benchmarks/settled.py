@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis import read_recording
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.runtime import SettlingForces
-from cbsr_qa.domain.readings import Recording
+from cbsr_qa.analysis.recording_files import read_recording
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
+from cbsr_qa.domain.readings.frames import Recording
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def _cell_N(recording: Recording, time_s: Array) -> Array:
     """Force by the load cell (n,) over each frame."""
     (force,) = (block for block in recording.samples if block.channel == "force")
     half_s = float(np.median(np.diff(time_s))) / 2
-    return np.array([force.between(time - half_s, time + half_s).values.mean() for time in time_s.tolist()])
+    return np.array([force.select_interval(time - half_s, time + half_s).values.mean() for time in time_s.tolist()])
 
 
 def main() -> None:

@@ -18,10 +18,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.simulate import SimulatedSheet
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.simulate.sheet import SimulatedSheet
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from benchmarks.characterisation import strip
 from benchmarks.kept_runs import RECIPE, Figures, measured, shipped_phases, simulated
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.run import RunRecord
 
 NINE = "nine locations"
 #: Relative noise that counts as negligible.

@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown, whole_command
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.plan import SceneLoad
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.loads import LoadFamily
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, record_scene
-from cbsr_qa.studies.scenes import SceneSetup, made_world, set_up
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.scene_plan import SceneLoad
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.loads.family import LoadFamily
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.recording import record_scene
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, set_up
 
 TITLE = "Simulated world"
 
@@ -57,7 +60,7 @@ def _recorded(setup: SceneSetup) -> None:
 
 
 def _world(setup: SceneSetup) -> SimulatedWorld:
-    return made_world(setup, partial(discover().factory, Kind.EFFECT), seed=setup.plan.seed or 0)
+    return make_world(setup, partial(discover().factory, Kind.EFFECT), seed=setup.plan.seed or 0)
 
 
 def _command() -> Row:

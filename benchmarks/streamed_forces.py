@@ -24,8 +24,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.force import issued
-from cbsr_qa.analysis import read_recording, write_recording
-from cbsr_qa.domain.readings import FrameBlock, Recording
+from cbsr_qa.analysis.recording_files import read_recording, write_recording
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording
 
 _PROGRAM: Final = str(Path(sys.executable).with_name("cbsr-qa"))
 _PERIOD_S: Final = 0.03125
@@ -117,7 +117,7 @@ def _played(path: Path, recording: Recording, voltages: np.ndarray, count: int) 
 
 
 def _of_run(folder: Path, count: int) -> list[str]:
-    from cbsr_qa.calibration.file import write_calibration
+    from cbsr_qa.calibration.file.hdf5 import write_calibration
 
     run = issued()
     write_calibration(folder / "run.h5", run.calibration.issued)
@@ -130,8 +130,8 @@ def _of_presses(folder: Path, count: int) -> list[str]:
     sys.path[:0] = ["tests/samples"]
     from pressed_sheets import pressed_sheet  # type: ignore[import-not-found]
 
-    from cbsr_qa.config import load_sensor_type
-    from cbsr_qa.domain.readings import ScanKind, VoltageUnit
+    from cbsr_qa.config.loader import load_sensor_type
+    from cbsr_qa.domain.readings.frames import ScanKind, VoltageUnit
 
     pattern = load_sensor_type("disc-100mm").value.pattern
     usable = pattern.usable()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.force import Issued, issued, measured_N
-from cbsr_qa.calibration import ForceStream
+from cbsr_qa.calibration.runtime.tracking import ForceStream
 
 #: Frames after the head is down that the table shows, from 0.
 _FRAMES = (1, 2, 3, 5, 7, 13)

@@ -14,11 +14,17 @@ from sqlalchemy import Connection, Engine, create_engine, insert, select
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.rows import Row
-from cbsr_qa.app.run import RunRequest, run_sensor
-from cbsr_qa.store import IdSource, open_engine, open_store, parsed_url, reading, upgrade, writing
-from cbsr_qa.store.chain import FIGURES, KEYS, add_links, add_rows, of_run, stored_figures
-from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, RunRow, SensorRow
-from cbsr_qa.system import RealClock
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.store.chain.check import select_run
+from cbsr_qa.store.chain.links import add_links, add_rows
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest
+from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.schema import upgrade
+from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow
+from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
+from cbsr_qa.store.types import IdSource
+from cbsr_qa.system.clock import RealClock
 
 TITLE = "Synchronisation"
 
@@ -29,8 +35,8 @@ _CENTRE = "cbsr_qa_benchmark_sync"
 #: What `cbsr-qa db sync` does between its start and its end.
 _SEND = (
     "import gc, sys; from cbsr_qa.cli.main import COLLECTED;"
-    "from cbsr_qa.store import open_engine, parsed_url; from cbsr_qa.store.sync import send_waiting;"
-    "gc.set_threshold(*COLLECTED); station, centre = (open_engine(parsed_url(url)) for url in sys.argv[1:]);"
+    "from cbsr_qa.store.engine import open_engine, parse_url; from cbsr_qa.store.sync.send import send_waiting;"
+    "gc.set_threshold(*COLLECTED); station, centre = (open_engine(parse_url(url)) for url in sys.argv[1:]);"
     "print('ready', flush=True); input(); sent = send_waiting(station, centre, 'benchmark');"
     "print(sent.runs, sent.rows, sent.size)"
 )
@@ -79,7 +85,7 @@ def _centre() -> Iterator[str | None]:
         yield None
         return
     url = f"postgresql://postgres@127.0.0.1:5432/{_CENTRE}"
-    engine = open_engine(parsed_url(url))
+    engine = open_engine(parse_url(url))
     try:
         upgrade(engine)
         engine.dispose()
@@ -98,8 +104,8 @@ def _filled(folder: Path, number: int) -> str:
     url = f"sqlite:///{folder / f'station-{number}.db'}"
     with open_store(url):
         pass
-    engine, ids = open_engine(parsed_url(url), durable=False), IdSource(RealClock().wall)
-    with reading(open_engine(parsed_url(source))) as connection:
+    engine, ids = open_engine(parse_url(url), durable=False), IdSource(RealClock().wall)
+    with reading(open_engine(parse_url(source))) as connection:
         copied = Copied(connection)
     for copy in range(_RUNS):
         copied.store(engine, ids, f"P-{number}-{copy}")
@@ -114,7 +120,7 @@ class Copied:
         (self._run,) = connection.scalars(select(RunRow.run)).all()
         self._rows = {}
         for name, table in ((name, Base.metadata.tables[name]) for name in KEYS):
-            query = select(table).where(of_run(table, self._run)).order_by(*table.primary_key)
+            query = select(table).where(select_run(table, self._run)).order_by(*table.primary_key)
             self._rows[name] = [dict(row) for row in connection.execute(query).mappings()]
         self._sensor = dict(connection.execute(select(SensorRow.__table__)).mappings().one())
 
@@ -140,4 +146,4 @@ class Copied:
                 if name == AnalysisRow.__tablename__:
                     analyses = [row["analysis"] for row in copies]
                 if name == "measurements":
-                    add_links(connection, run, [(FIGURES, one, stored_figures(connection, one)) for one in analyses])
+                    add_links(connection, run, [(FIGURES, one, figures_digest(connection, one)) for one in analyses])

@@ -1,39 +1,39 @@
 """Calibration and quality assurance of soft pressure sensors read by electrical impedance tomography.
 
-``import cbsr_qa as qa`` offers the names below to notebooks and scripts; importing it loads nothing heavy: no
-scipy, no database, no plugin. What a plugin author needs is in :mod:`cbsr_qa.domain` (the words of the trade) and
-:mod:`cbsr_qa.plugin` (what to implement, and how to be found).
+``import cbsr_qa as qa`` offers notebooks and scripts what :mod:`cbsr_qa.calibration` and :mod:`cbsr_qa.interface`
+list, loaded when a name is first used: importing it loads no numpy, no database, no plugin. What a plugin author
+needs is in :mod:`cbsr_qa.plugin`.
 """
 
-from typing import TYPE_CHECKING
-
-from cbsr_qa.lazy import door
-
-__version__ = "0.1.0"
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .interface import (
-        Analysis as Analysis,
-        Calibration as Calibration,
-        CbsrError as CbsrError,
-        Database as Database,
-        Flag as Flag,
-        ForceStream as ForceStream,
-        Images as Images,
-        PressCalibration as PressCalibration,
-        PressureMap as PressureMap,
-        Result as Result,
-        Run as Run,
-        Scene as Scene,
-        analyse as analyse,
-        compare as compare,
-        image as image,
-        load_calibration as load_calibration,
-        load_press_calibration as load_press_calibration,
-        open_database as open_database,
-        run as run,
-        simulate_scene as simulate_scene,
-        stream as stream,
-    )
+    from cbsr_qa.calibration import *  # noqa: F403 - their lists are the only ones
+    from cbsr_qa.interface import *  # noqa: F403
 
-door(__name__, __file__)
+__version__ = "0.1.0"
+#: A robot has what the first needs; the second also needs the database, the report and the plugins.
+_DOORS = ("cbsr_qa.calibration", "cbsr_qa.interface")
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__all__":
+        return __dir__()
+    if not name.startswith("_"):
+        for door in _DOORS:
+            offer = _list_offer(door)
+            if name in offer:
+                return offer[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(name for door in _DOORS for name in _list_offer(door))
+
+
+def _list_offer(door: str) -> dict[str, Any]:
+    """Return what a package imports to be used by others: no modules, which importing them adds to it."""
+    members = vars(import_module(door)).items()
+    return {name: value for name, value in members if not name.startswith("_") and not isinstance(value, ModuleType)}

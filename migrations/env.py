@@ -3,8 +3,10 @@
 from alembic import context
 from sqlalchemy import Connection, create_engine
 
-from cbsr_qa.store import create_views, drop_views
-from cbsr_qa.store.tables import AnalysisRow, Base, OutboxRow
+from cbsr_qa.store.tables.results import AnalysisRow
+from cbsr_qa.store.tables.runs import Base
+from cbsr_qa.store.tables.sync import OutboxRow
+from cbsr_qa.store.views import create_views, drop_views
 
 # Importing the results' tables registers them beside the runs'.
 assert AnalysisRow.metadata is OutboxRow.metadata is Base.metadata

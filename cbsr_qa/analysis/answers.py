@@ -8,8 +8,10 @@ from itertools import islice
 from numbers import Integral, Real
 from typing import Any, Final
 
-from cbsr_qa.domain import PluginError, with_type
-from cbsr_qa.domain.results import Bound, Measurement, Outcome
+from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.numbers import with_type
+from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.results.measurement import Measurement
 
 #: More measurements from one call are refused: a generator may never end.
 MOST_ANSWERS: Final = 10_000
@@ -21,7 +23,7 @@ _UNWRITABLE: Final = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 _LARGEST: Final = 2**31 - 1
 
 
-def answered(answer: Iterable[Measurement]) -> list[Measurement]:
+def validate_answer(answer: Iterable[Measurement]) -> list[Measurement]:
     """Validate a metric's answer as plain measurements.
 
     Numpy's and whole numbers become floats; fields set after construction are checked too.
@@ -36,10 +38,10 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
     taken = list(islice(answer, MOST_ANSWERS + 1))
     if len(taken) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
-    return [_checked(number, measurement) for number, measurement in enumerate(taken, start=1)]
+    return [_validate_measurement(number, measurement) for number, measurement in enumerate(taken, start=1)]
 
 
-def _checked(number: int, measurement: object) -> Measurement:
+def _validate_measurement(number: int, measurement: object) -> Measurement:
     if type(measurement) is not Measurement:
         raise PluginError(f"measurement {number} is {with_type(measurement)}; it must be a Measurement")
     plain: dict[str, Any] = {}

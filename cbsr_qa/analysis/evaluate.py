@@ -4,29 +4,28 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from cbsr_qa.analysis.answers import answered
-from cbsr_qa.analysis.run import begin_force, observe_run, run_force, run_place
-from cbsr_qa.calibration import issue_calibration
-from cbsr_qa.domain import CalibrationError, CbsrError, NumericsError
-from cbsr_qa.domain.plan import Recipe
-from cbsr_qa.domain.results import (
-    SEVERITY,
-    Calibration,
-    Characterisation,
-    CharacterisationSettings,
-    Dimensions,
-    EndReason,
-    Limit,
-    LoadObservation,
-    Measurement,
-    Outcome,
-    RunObservation,
-    Verdict,
-    decide,
-)
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, create_plugin, failure
-from cbsr_qa.system import Stages, come_back_once
+from cbsr_qa.analysis.answers import validate_answer
+from cbsr_qa.analysis.run.force import begin_force, run_force
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.calibration.issue import issue_calibration
+from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.plan.limits import SEVERITY, Limit, Outcome
+from cbsr_qa.domain.plan.plan import Recipe
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.characterisation import Characterisation
+from cbsr_qa.domain.results.dimensions import Dimensions
+from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.failures import failure
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import LoadMetric, RunMetric
+from cbsr_qa.system.clock import Stages
+from cbsr_qa.system.copies import come_back_once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +66,9 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     """
     if record.end is not EndReason.FINISHED:
         why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-        return _not_measured(why)
+        return _empty_conclusion(why)
     if recipe.characterisation is not None:
-        return _characterised(record, recipe.characterisation, recipe.limits, stages)
+        return _evaluate_strip(record, recipe.characterisation, recipe.limits, stages)
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
     try:
@@ -77,7 +76,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
             observation = observe_run(record, reconstruction, recipe.analysis)
     except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
         remedy = error.remedy if isinstance(error, CbsrError) else ""
-        return _not_measured(f"the frames cannot be imaged: {failure(error)}", remedy)
+        return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
         if recipe.calibrate_phases:
             begin_force(observation)
@@ -89,11 +88,11 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
 
 
-def _not_measured(why: str, remedy: str = "") -> Conclusion:
+def _empty_conclusion(why: str, remedy: str = "") -> Conclusion:
     return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (remedy,) if remedy else ())
 
 
-def _characterised(
+def _evaluate_strip(
     record: RunRecord, settings: CharacterisationSettings, limits: tuple[Limit, ...], stages: Stages
 ) -> Conclusion:
     """Evaluate a run on a strip: from press cycles to its material, without an image."""
@@ -104,12 +103,12 @@ def _characterised(
         with stages.stage("characterising the material"):
             material = characterise_run(record, settings)
     except NumericsError as error:
-        return _not_measured(f"the material cannot be characterised: {error.reason}", error.remedy)
+        return _empty_conclusion(f"the material cannot be characterised: {error.reason}", error.remedy)
     judged = judge(measure_characterisation(material), limits)
     return Conclusion(None, judged, decide(judged), (*material.refused, *material.reduced), material)
 
 
-def calibrated(
+def calibrate_run(
     conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
 ) -> tuple[Calibration | None, str]:
     """Return the calibration of a run that passed and an empty reason, or None and the reason.
@@ -133,10 +132,10 @@ def calibrated(
             issued_at=issued_at,
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
-            noise_figure=_measured(conclusion, "noise_figure"),
+            noise_figure=_find_value(conclusion, "noise_figure"),
             learned=force.learned,
             learned_from=force.used,
-            confirmed=force.confirmed(),
+            confirmed=force.list_confirmed_loads(),
             no_force=force.why,
             place=run_place(conclusion.observation).used,
         )
@@ -162,7 +161,7 @@ def _overlap_threshold(recipe: Recipe) -> float:
     return max(given) if given else bands[min(1, len(bands) - 1)]
 
 
-def _measured(conclusion: Conclusion, name: str) -> float | None:
+def _find_value(conclusion: Conclusion, name: str) -> float | None:
     return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
 
 
@@ -210,12 +209,12 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
         fitting = [number for number, measurement in enumerate(judged) if _fits(limit, measurement)]
         same_unit = [number for number in fitting if judged[number].unit == limit.unit]
         for number in same_unit:
-            judged[number] = _stricter(judged[number], judged[number].judged(limit))
+            judged[number] = _stricter(judged[number], judged[number].judge(limit))
         if not fitting:
-            judged.append(_unmeasured(limit, _NOT_ENABLED))
+            judged.append(_missing_measurement(limit, _NOT_ENABLED))
         elif not same_unit:
             unit = judged[fitting[0]].unit
-            judged.append(_unmeasured(limit, f"{_OTHER_UNIT}{limit.unit}, the measurement in {unit}"))
+            judged.append(_missing_measurement(limit, f"{_OTHER_UNIT}{limit.unit}, the measurement in {unit}"))
     return tuple(judged)
 
 
@@ -226,15 +225,15 @@ def judge_again(judged: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Call one metric for every load and the whole run; raises what :func:`answered` and the metric raise."""
+    """Call one metric for every load and the whole run; raises what :func:`validate_answer` and the metric raise."""
     taken: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
-            taken += answered(metric.measure_load(load, observation))
+            taken += validate_answer(metric.measure_load(load, observation))
             if load.alternate is not None:
                 taken += _other_reference(metric, load.alternate, observation)
     if isinstance(metric, RunMetric):
-        taken += answered(metric.measure_run(observation))
+        taken += validate_answer(metric.measure_run(observation))
     return taken
 
 
@@ -243,7 +242,7 @@ def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservat
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
         replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=other).text))))
-        for m in answered(metric.measure_load(load, run))
+        for m in validate_answer(metric.measure_load(load, run))
     ]
 
 
@@ -259,6 +258,6 @@ def _stricter(before: Measurement, after: Measurement) -> Measurement:
     return before if SEVERITY.index(before.outcome) < SEVERITY.index(after.outcome) else after
 
 
-def _unmeasured(limit: Limit, why: str) -> Measurement:
+def _missing_measurement(limit: Limit, why: str) -> Measurement:
     nothing = Measurement(limit.measurement, None, limit.unit, phase=limit.phase, qualifier=limit.qualifier, how=why)
-    return nothing.judged(limit)
+    return nothing.judge(limit)

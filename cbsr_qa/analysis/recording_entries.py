@@ -11,11 +11,13 @@ import h5py
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from cbsr_qa.calibration.file import attribute
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
-from cbsr_qa.plugin import CheckedTable, check, printable, shown
-from cbsr_qa.system import parsed_json
+from cbsr_qa.calibration.file.hdf5_content import attribute
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.plugin.problems import CheckedTable, check
+from cbsr_qa.system.json_text import parse_json
+from cbsr_qa.system.words import printable, quote_value
 
 #: Most characters of a text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000
@@ -86,7 +88,7 @@ def json_of(item: h5py.Group, name: str) -> Any:
     """Return the JSON value of an attribute. RefusedError if invalid, or with NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
-        value = parsed_json(text)
+        value = parse_json(text)
         json.dumps(value, ensure_ascii=False).encode()  # JSON can encode lone surrogates, which are not text
     except ValueError as error:
         raise RefusedError(f"attribute {name} of {item.name} is not JSON: {error}") from error
@@ -133,20 +135,20 @@ class Description(CheckedTable):
         if self.layout is None:
             return None
         if "places_mm" in self.layout:
-            placed = checked(_Places, self.layout, "description.layout")
+            placed = validate_entry(_Places, self.layout, "description.layout")
             places_mm = tuple((x, y) for x, y in placed.places_mm[: _MOST_ELECTRODES + 1])
             return PlacedElectrodes(ElectrodeKind(placed.kind), places_mm, placed.width_mm)
-        ring = checked(_Ring, self.layout, "description.layout")
+        ring = validate_entry(_Ring, self.layout, "description.layout")
         return ElectrodeLayout(**{**ring.model_dump(), "kind": ElectrodeKind(ring.kind)})
 
 
 _Checked = TypeVar("_Checked", bound=CheckedTable)
 
 
-def checked(model: type[_Checked], value: Any, where: str) -> _Checked:
+def validate_entry(model: type[_Checked], value: Any, where: str) -> _Checked:
     """Validate an object of a file's JSON. RefusedError names the first wrong key, its value and what is allowed."""
     if not isinstance(value, dict):
-        raise RefusedError(f"{where} is {shown(value)}; an object is expected")
+        raise RefusedError(f"{where} is {quote_value(value)}; an object is expected")
     table, problems = check(model, value)
     if problems or table is None:
         raise RefusedError(f"{where}.{problems[0]}")

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_entries import (
     Description,
-    checked,
     group_of,
     json_of,
     numbers,
@@ -26,13 +25,16 @@ from cbsr_qa.analysis.recording_entries import (
     text_of,
     texts,
     unit_of,
+    validate_entry,
 )
-from cbsr_qa.calibration.file import attribute, attribute_names, members
-from cbsr_qa.domain import Array, CbsrError, RecordingError, RefusedError
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.run import Load, LoadRecord
-from cbsr_qa.plugin import echo
-from cbsr_qa.system import open_foreign, writing, written_whole
+from cbsr_qa.calibration.file.hdf5_content import attribute, attribute_names, members
+from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import open_foreign
+from cbsr_qa.system.words import echo
 
 FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
@@ -83,7 +85,7 @@ def recording_file(path: Path) -> Iterator[BinaryIO]:
     """
     with writing(path, refusal=RecordingError, remedy="choose a writable folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as file:
+        with write_atomically(path) as file:
             yield file
 
 
@@ -193,7 +195,7 @@ def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
 
 
 def _read(path: Path, file: h5py.File) -> Recording:
-    description = checked(Description, json_of(file, "description"), "description")
+    description = validate_entry(Description, json_of(file, "description"), "description")
     notes, simulated = _notes(description)
     return Recording(
         path=path,
@@ -284,7 +286,7 @@ def _check_finite(group: h5py.Group, name: str, column: Array, unit: str, labels
 def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
     """SHA-256 over names, shapes, types, values and attributes in sorted order, however HDF5 packs them.
 
-    The whole file is checked (see :func:`~cbsr_qa.calibration.file.members`) before any value is read.
+    The whole file is checked (see :func:`~cbsr_qa.calibration.file.hdf5_content.members`) before any value is read.
     """
     sha = hashlib.sha256()
     held = dict(members(file, size_bytes))

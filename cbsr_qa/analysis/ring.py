@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.plan import ReferenceRing
+from cbsr_qa.domain.readings.frames import UNUSABLE, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.eit.forward.closed_forms import lead_readings, ring_impedance, ring_readings
 
 #: Readings expected below this share of the largest are compared with that share instead of themselves.
 _SMALLEST: Final = 1e-3
@@ -92,7 +93,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     )
 
 
-def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tuple[int, int] | None:
+def find_exchanged_electrodes(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tuple[int, int] | None:
     """Return two electrodes whose exchange explains all readings, or None.
 
     Parameters
@@ -175,7 +176,7 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
     except NumericsError as error:
         return (CheckResult("readings", CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=RING),)
     return (
-        _flagged(fit, pattern),
+        _check_flags(fit, pattern),
         _gain(fit, allowed),
         _offset(fit, allowed, str(ring.frames.unit)),
         _leads(fit, allowed),
@@ -190,11 +191,11 @@ def _line(name: str, ok: bool, value: float, unit: str, allowed: str, finding: s
     return CheckResult(name, outcome, value, unit, allowed, "" if ok else remedy, finding, RING)
 
 
-def _not_done(name: str, why: str) -> CheckResult:
+def _skip_check(name: str, why: str) -> CheckResult:
     return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=RING)
 
 
-def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
+def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     count = int((~fit.used).sum())
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
@@ -207,7 +208,7 @@ def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
 
 def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     if fit.gain_error is None:
-        return _not_done("gain error", _UNKNOWN)
+        return _skip_check("gain error", _UNKNOWN)
     limit = allowed.gain + allowed.tolerance
     finding = "readings over closed form × current, all together"
     remedy = "check the ring's resistance, then the source's current and the meter's calibration"
@@ -217,7 +218,7 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
     if fit.offset is None:
-        return _not_done("offset", "the pattern cannot separate offset and gain")
+        return _skip_check("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
         return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
     ok, words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
@@ -228,7 +229,7 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     name = "lead resistance"
     if fit.lead_ohm is None:
-        return _not_done(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
+        return _skip_check(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
     worst = int(np.argmax(np.abs(fit.lead_ohm)))
     value = float(fit.lead_ohm[worst])
     finding = f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
@@ -249,7 +250,7 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
 
 def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
     """Likely cause of deviating readings: two exchanged electrodes, or one bad resistor."""
-    swapped = exchanged(ring, pattern, within=limit)
+    swapped = find_exchanged_electrodes(ring, pattern, within=limit)
     if swapped is not None:
         first, second = swapped
         return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"

@@ -6,16 +6,19 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import limit_N
-from cbsr_qa.analysis.run import unloaded_frames
-from cbsr_qa.calibration.strip import Specimen, characterise
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, CycleReadings
-from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import Parameter, SensorType
-from cbsr_qa.eit.loads import StripModel
+from cbsr_qa.analysis.defects.load_cell import limit_N
+from cbsr_qa.analysis.run.reference import find_unloaded_frames
+from cbsr_qa.calibration.strip.characterisation import Specimen, characterise
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
+from cbsr_qa.domain.results.characterisation import Characterisation, CycleReadings
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor.sensor_type import Parameter, SensorType
+from cbsr_qa.eit.loads.bodies import StripModel
 
 #: Samples are averaged into this many points per hold: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60
@@ -60,7 +63,7 @@ class StripForce:
         nothing = np.zeros(0)
         if self.samples is None:
             return HeldStress(nothing, nothing)
-        taken = self.samples.between(load.hold_start_s, load.release_start_s)
+        taken = self.samples.select_interval(load.hold_start_s, load.release_start_s)
         if len(taken) < _FEWEST:
             return HeldStress(nothing, nothing, "holds without force samples give no stress")
         good = np.ones(len(taken), dtype=np.bool_) if self.limit_N is None else taken.values < self.limit_N
@@ -93,7 +96,7 @@ class _Pins:
     time_s: Array
     ohm: Array
 
-    def between(self, start_s: float, end_s: float) -> "_Pins":
+    def slice_time(self, start_s: float, end_s: float) -> "_Pins":
         inside = (self.time_s >= start_s) & (self.time_s < end_s)
         return _Pins(self.time_s[inside], self.ohm[inside])
 
@@ -130,7 +133,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
         strip_model(record.sensor_type, record.indenter, length_mm, _place_mm(phases))
         for length_mm in (contact_mm, contact_mm + error_mm)
     )
-    rested = _pins(unloaded_frames(record))
+    rested = _pins(find_unloaded_frames(record))
     _check_contact(phases)
     if not len(rested.ohm):
         raise NumericsError(
@@ -226,9 +229,9 @@ def _phase_cycles(
 
 
 def _cycle(load: LoadRecord, number: int, pins: _Pins, resistance_ohm: float, force: StripForce) -> CycleReadings:
-    held = pins.between(load.hold_start_s, load.release_start_s)
-    rested = pins.between(load.unloaded_s, load.rest_end_s)
-    before = pins.between(-np.inf, load.press_start_s).ohm[-_BEFORE:]
+    held = pins.slice_time(load.hold_start_s, load.release_start_s)
+    rested = pins.slice_time(load.unloaded_s, load.rest_end_s)
+    before = pins.slice_time(-np.inf, load.press_start_s).ohm[-_BEFORE:]
     ramp_s = 0.0 if load.clear_s is None else load.clear_s - load.release_start_s
     stress = force.stress(load)
     return CycleReadings(

@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.domain.results import (
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.results.characterisation import (
     STRIP_MEASURES,
-    Bound,
     Characterisation,
-    Dimensions,
     FittedLine,
-    Measurement,
     StrainLevel,
     StrainSettling,
 )
-from cbsr_qa.domain.sensor import Parameter, Response
+from cbsr_qa.domain.results.dimensions import Dimensions
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.sensor.sensor_type import Parameter, Response
 
 _BETWEEN_PINS: Final = "between the pins"
 _UNDER_HEAD: Final = "under the head, by the forward model of the strip"

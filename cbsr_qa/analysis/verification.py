@@ -5,14 +5,19 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import off_the_line
-from cbsr_qa.analysis.run import load_window
-from cbsr_qa.calibration.fits import predict_steady, relaxation_curve
-from cbsr_qa.calibration.runtime import Calibration, Matches
-from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
-from cbsr_qa.domain import Array, CalibrationError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RunObservation
+from cbsr_qa.analysis.defects.quality import off_the_line
+from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.calibration.fits.relaxation import relaxation_curve
+from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.calibration.force.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
+from cbsr_qa.calibration.force.template_matching import Matches
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.results.calibration import LoadRelaxation
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 #: Earlier force samples are of a head still coming to rest [s].
 _SETTLED_S: Final = 1.0
@@ -134,26 +139,30 @@ class _Reader:
         place = self.sheet_pose.places_mm(np.array([load.place_mm]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
-        held = phase.frames.between(record.hold_start_s, record.release_start_s)
+        held = phase.frames.select_interval(record.hold_start_s, record.release_start_s)
         before = load_window(phase, record, self._run.settings).before
         matches = self._calibration.filter.match_at(self._rows(held.voltages), place)
         if not np.isfinite(matches.strength).all():
             return None
         left = self._calibration.filter.match_at(self._rows(before.voltages), place).strength
         base = model.residue_share * float(left.mean()) if len(left) else 0.0
-        strength, stderr = self._held(held.time_s - record.hold_start_s, matches, base, load)
+        strength, stderr = self._hold_strength(held.time_s - record.hold_start_s, matches, base, load)
         match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))
         match.covariance[0, 0, 0] = stderr**2 + (model.residue_stderr * base / model.residue_share) ** 2
         estimated, error = self._calibration.inverse.force(match)
         if not np.isfinite(estimated[0]):
             return None
-        measured = self._relaxed_N(cell.between(record.hold_start_s + _SETTLED_S, record.release_start_s), load)
+        measured = self._hold_force_N(
+            cell.select_interval(record.hold_start_s + _SETTLED_S, record.release_start_s), load
+        )
         return VerifiedLoad(load, measured, float(estimated[0]), float(error[0]))
 
     def _rows(self, voltages: Array) -> Array:
         return (voltages - self._run.reference)[:, self._used] @ self._calibration.model.merging.T * self._per_A
 
-    def _held(self, held_s: Array, matches: Matches, base: float, load: LoadObservation) -> tuple[float, float]:
+    def _hold_strength(
+        self, held_s: Array, matches: Matches, base: float, load: LoadObservation
+    ) -> tuple[float, float]:
         """Strength at the hold of the calibration and its standard error."""
         model, noise = self._calibration.model, np.sqrt(matches.covariance[:, 0, 0])
         if model.loading is None:
@@ -165,10 +174,12 @@ class _Reader:
         )
         return float(prediction.values[0]), float(prediction.stderr[0])
 
-    def _relaxed_N(self, samples: SampleBlock, load: LoadObservation) -> float:
+    def _hold_force_N(self, samples: SampleBlock, load: LoadObservation) -> float:
         """Force at the hold of the calibration, from the relaxation of stress there."""
         held_s = samples.time_s - load.record.hold_start_s
-        shapes = [relaxation.fit for relaxation in self._calibration.issued.relaxations if _of_stress(relaxation)]
+        shapes = [
+            relaxation.fit for relaxation in self._calibration.issued.relaxations if _is_stress_relaxation(relaxation)
+        ]
         if not shapes or not len(samples):
             return float(load.force_N or 0.0)
         steady_s = self._calibration.model.steady_s
@@ -176,7 +187,7 @@ class _Reader:
         return float(np.mean(samples.values * np.median(ratios, axis=0)))
 
 
-def _of_stress(relaxation: LoadRelaxation) -> bool:
+def _is_stress_relaxation(relaxation: LoadRelaxation) -> bool:
     fit = relaxation.fit
     return (
         relaxation.signal == "stress" and relaxation.loading and fit.status not in _NO_RELAXATION and fit.offset > 0

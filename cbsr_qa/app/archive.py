@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.command_hints import database_option
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import ConfigError, StoreError
-from cbsr_qa.domain.results import CommandOutcome
-from cbsr_qa.domain.run import run_named
-from cbsr_qa.report import answer, plural
-from cbsr_qa.station import on_stderr
-from cbsr_qa.store import Repository, made_at, open_store
-from cbsr_qa.store.runs import ArchivedRun
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import ConfigError, StoreError
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.runs.archiving import ArchivedRun
+from cbsr_qa.store.types import time_of_id
 
 _DAYS: Final = {"d": 1, "w": 7, "y": 365}
 _LISTED: Final = 20
@@ -61,7 +64,7 @@ def archive_runs(
         folder, runs, size = store.archive_folder(to), store.archivable(before), store.size_bytes()
         if dry_run:
             return _laid_out(Archived(runs, (), size, size, 0, dry_run=True), folder, database)
-        moved, problems = _moved(store, runs, folder, now)
+        moved, problems = _archive_each(store, runs, folder, now)
         if moved:
             problems += _shrunk(store)
         written = sum(run.file_bytes for run in moved)
@@ -77,7 +80,7 @@ def _age(text: str) -> timedelta:
     return timedelta(days=int(found[1]) * _DAYS[found[2]])
 
 
-def _moved(
+def _archive_each(
     store: Repository, runs: tuple[ArchivedRun, ...], folder: Path, at: datetime
 ) -> tuple[tuple[ArchivedRun, ...], tuple[str, ...]]:
     moved, problems = [], []
@@ -104,7 +107,11 @@ def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[A
         size = store.size_bytes()
         run = store.unarchive_run(store.resolve(run_or_serial))
         done = Archived((run,), (), size, store.size_bytes(), 0)
-    facts = (("Run", _named(run)), ("File", f"{run.file} stays: copies of the database may need it"), _size(done))
+    facts = (
+        ("Run", _describe_run(run)),
+        ("File", f"{run.file} stays: copies of the database may need it"),
+        _size(done),
+    )
     return answer(done, f"{plural(run.frames, 'frame')} brought back into the database", facts=facts)
 
 
@@ -114,7 +121,7 @@ def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutc
     facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held)} in the database")]
     if not done.dry_run:
         facts += [("Files", _megabytes(done.archive_bytes)), _size(done)]
-    facts += [("Run", _named(run)) for run in done.runs[:_LISTED]]
+    facts += [("Run", _describe_run(run)) for run in done.runs[:_LISTED]]
     if len(done.runs) > _LISTED:
         facts.append(("Run", f"and {len(done.runs) - _LISTED} more; --json lists all"))
     back = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),)
@@ -126,8 +133,8 @@ def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutc
     return answer(done, headline, facts=facts, printed=printed, warnings=done.problems)
 
 
-def _named(run: ArchivedRun) -> str:
-    return f"{run_named(run.serial, made_at(run.run), run.run)}: {plural(run.frames, 'frame')}"
+def _describe_run(run: ArchivedRun) -> str:
+    return f"{run_named(run.serial, time_of_id(run.run), run.run)}: {plural(run.frames, 'frame')}"
 
 
 def _size(done: Archived) -> tuple[str, str]:

@@ -6,14 +6,20 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
-from cbsr_qa.app.run import check_decided, judging_recipe
-from cbsr_qa.config import database_url, validate_operator, validate_reason
-from cbsr_qa.domain import ConfigError, filled
-from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
-from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride, run_named
-from cbsr_qa.report import answer, number, plural, unit_shown
-from cbsr_qa.store import made_at, open_store
-from cbsr_qa.store.results import AdoptedRuns
+from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.domain.results.report import CommandOutcome, Paragraph, Section
+from cbsr_qa.domain.run.changes import NO_REASON, ConfigurationChange, VerdictOverride
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import number, plural, unit_shown
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import AdoptedRuns
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
 _PLURALS: Final = {"analysis": "analyses"}
@@ -45,7 +51,7 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         charts = tuple(_chart_changes(store.all_chart_references()))
-        altered = store.altered_records()
+        altered = store.find_altered_records()
         changes = Changes(
             store.changes(tuple(altered)),
             charts,
@@ -72,7 +78,7 @@ def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange
     latest: dict[tuple[object, ...], ChartReference] = {}
     for reference in references:
         chart = (reference.station, reference.recipe, reference.golden, reference.key, reference.chart)
-        yield filled(ChartChange, reference, why=reference.why or NO_REASON, earlier=latest.get(chart))
+        yield fill_from_object(ChartChange, reference, why=reference.why or NO_REASON, earlier=latest.get(chart))
         latest[chart] = reference
 
 
@@ -118,21 +124,6 @@ def _differences(now: ChartChange) -> Iterator[str]:
 def _settings(reference: ChartReference) -> str:
     grouped = f"groups of {reference.subgroup}, " if reference.subgroup > 1 else ""
     return f"{grouped}rules {', '.join(map(str, reference.rules))}"
-
-
-def unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
-    """Return a warning for each change without a reason."""
-    return tuple(
-        f"{change.kind} {change.name!r} is not what {_dated(change.earlier_run)} used: {change.words()};"
-        f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
-        for change in changes
-        if change.why == NO_REASON
-    )
-
-
-def _dated(run: str) -> str:
-    began = made_at(run)
-    return f"run {run}" if began is None else f"the run of {began:{_AT}} UTC ({run})"
 
 
 _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}
@@ -185,6 +176,6 @@ def override_verdict(
     elif calibration is not None:
         note = f"calibration {calibration} is unchanged"
     facts = (("Run", identity.words), ("Calibration", note))
-    done = filled(Overridden, override, calibration=calibration, note=note)
+    done = fill_from_object(Overridden, override, calibration=calibration, note=note)
     printed = (("Report", f"{report} writes it with this"),)
     return answer(done, f"verdict {override.words}", "", facts, printed=printed)

@@ -3,8 +3,8 @@
 import shlex
 import sys
 
-from cbsr_qa.config import database_url
-from cbsr_qa.store import Repository
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.store.repository import Repository
 
 
 def database_option(database: str | None) -> str:

@@ -6,31 +6,22 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.command_hints import database_option
-from cbsr_qa.app.keeping import Count, stamped
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import Banner, CommandOutcome, EndReason
-from cbsr_qa.domain.run import run_named
-from cbsr_qa.report import answer
-from cbsr_qa.station import on_stderr
-from cbsr_qa.store import (
-    HEAD,
-    READER,
-    STATION,
-    Age,
-    address,
-    copy_database,
-    found_version,
-    made_at,
-    open_engine,
-    open_store,
-    parsed_url,
-    refusal,
-    roles_script,
-    sqlite_file,
-    upgrade,
-)
-from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
+from cbsr_qa.app.keeping import Count, timestamp_path
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.report import Banner, CommandOutcome
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.page import answer
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.store.copies import copy_database
+from cbsr_qa.store.damage import address
+from cbsr_qa.store.engine import open_engine, parse_url, sqlite_file
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.roles import READER, STATION, roles_script
+from cbsr_qa.store.runs.sessions import IncompleteRun, counts, incomplete_runs, runs_without_result
+from cbsr_qa.store.schema import HEAD, Age, read_version, refusal, upgrade
+from cbsr_qa.store.types import time_of_id
 
 #: Ends of runs that were stopped, unlike those that were interrupted.
 _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
@@ -49,7 +40,7 @@ class Upgrade:
 
 @dataclass(frozen=True, slots=True)
 class UnfinishedRun:
-    """A run that was interrupted or is in progress; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
+    """A run that was interrupted or is in progress; see :class:`~cbsr_qa.store.runs.sessions.IncompleteRun`."""
 
     run: str
     serial: str
@@ -60,7 +51,7 @@ class UnfinishedRun:
 
 @dataclass(frozen=True, slots=True)
 class StoppedRun:
-    """A run that was aborted or broken, which can be resumed too; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
+    """A run that was aborted or broken, which can be resumed too; see ``IncompleteRun``."""
 
     run: str
     serial: str
@@ -108,12 +99,12 @@ def _state(run: IncompleteRun) -> str:
 
 def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
     """Return runs with the step at which they would be resumed, or were interrupted if a plugin is missing."""
-    from cbsr_qa.app.run import known_next  # imports all that a run needs
-    from cbsr_qa.plugin import discover
+    from cbsr_qa.app.run.resume import find_next_step  # imports all that a run needs
+    from cbsr_qa.plugin.discovery import discover
 
     plugins = discover()
     with open_store(url, create=False) as store:
-        known = [known_next(store, run.run, plugins) for run in runs]
+        known = [find_next_step(store, run.run, plugins) for run in runs]
     return tuple(
         run if found is None else replace(run, phase=found[0] or run.phase, next=found[1])
         for run, found in zip(runs, known, strict=True)
@@ -135,12 +126,12 @@ def upgrade_database(
     RefusedError, StoreError
         If it cannot be opened or copied, belongs to another program, or is newer; it is not changed.
     """
-    engine = open_engine(parsed_url(database_url(option)))
+    engine = open_engine(parse_url(database_url(option)))
     try:
-        file, version = sqlite_file(engine.url), found_version(engine)
+        file, version = sqlite_file(engine.url), read_version(engine)
         kept = None
         if backup and file is not None and version.age is Age.OLDER:
-            kept = stamped(file, f"schema-{version.revision}")
+            kept = timestamp_path(file, f"schema-{version.revision}")
             copy_database(engine, kept, count)
         before = upgrade(engine, tell=on_stderr)
     finally:
@@ -169,9 +160,9 @@ def database_roles() -> Roles:
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
     """Return the state of a database without changing it. StoreError if it cannot be opened or read."""
-    engine = open_engine(parsed_url(database_url(option)))
+    engine = open_engine(parse_url(database_url(option)))
     try:
-        version = found_version(engine)
+        version = read_version(engine)
         current = version.age is Age.CURRENT
         runs = incomplete_runs(engine) if current else ()
         if runs:
@@ -184,9 +175,9 @@ def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
             remedy="" if current else refusal(engine, version).remedy,
             counts=counts(engine) if current else {},
             incomplete=tuple(
-                filled(UnfinishedRun, run, state=_state(run)) for run in runs if run.end not in _STOPPED
+                fill_from_object(UnfinishedRun, run, state=_state(run)) for run in runs if run.end not in _STOPPED
             ),
-            stopped=tuple(filled(StoppedRun, run) for run in runs if run.end in _STOPPED),
+            stopped=tuple(fill_from_object(StoppedRun, run) for run in runs if run.end in _STOPPED),
             without_result=tuple(UnconcludedRun(*run) for run in runs_without_result(engine)) if current else (),
         )
     finally:
@@ -203,10 +194,10 @@ def _laid_out(
     for run in runs:
         phase = f" in {run.phase!r}" if run.phase else ""
         kind = "stopped" if run.end in _STOPPED else "incomplete"
-        name = run_named(run.serial, made_at(run.run), run.run)
+        name = run_named(run.serial, time_of_id(run.run), run.run)
         facts.append((kind, f"{name}: {_state(run)}{phase}; next: {run.next}"))
     for finished in status.without_result:
-        name = run_named(finished.serial, made_at(finished.run), finished.run)
+        name = run_named(finished.serial, time_of_id(finished.run), finished.run)
         facts.append(("no result", f"{name}: finished; next: its result"))
     resume = f"cbsr-qa run --resume RUN{database_option(option)} continues one of them"
     resumable = status.without_result or any(not run.writer for run in runs)

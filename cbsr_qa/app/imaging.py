@@ -7,18 +7,24 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION
-from cbsr_qa.app.analyse import ChosenParameter
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
-from cbsr_qa.domain.results import Banner, CommandOutcome, Figure, Image, Page, PreparedReconstruction, Section
-from cbsr_qa.domain.sensor import Mesh, SensorType
-from cbsr_qa.eit.inverse import changes, imaging_problem, scale_doubts, scale_of
-from cbsr_qa.plugin import Kind, Reconstruction, create_plugin, discover
-from cbsr_qa.report import plural
-from cbsr_qa.report.draw import ImagePanel, image_figure
-from cbsr_qa.system import come_back_once
+from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION
+from cbsr_qa.app.analyse.outcome import ChosenParameter
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import Image, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Figure, Page, Section
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.scaling import changes, scale_doubts, scale_of
+from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.report.draw.images import ImagePanel, image_figure
+from cbsr_qa.report.tables import plural
+from cbsr_qa.system.copies import come_back_once
 
 #: Most images that are drawn.
 _MOST_DRAWN: Final = 6
@@ -90,7 +96,7 @@ def image_frames(
         raise NumericsError(f"{chosen.name} made images of shape {values.shape}, or of values that are not finite")
     return ImagedFrames(
         prepared.method,
-        ChosenParameter.of(prepared.choice),
+        ChosenParameter.from_choice(prepared.choice),
         len(frames),
         len(problem.reference),
         len(problem.mesh.elements),
@@ -120,7 +126,7 @@ def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorT
         )
 
 
-def imaged_outcome(imaged: ImagedFrames) -> CommandOutcome[ImagedFrames]:
+def image_outcome(imaged: ImagedFrames) -> CommandOutcome[ImagedFrames]:
     """Lay out images: the parameter, and drawings of some images, evenly spread."""
     chosen = sorted({round(n) for n in np.linspace(0, imaged.frames - 1, min(imaged.frames, _MOST_DRAWN))})
     panels = [ImagePanel(f"frame {n}", Image(imaged.mesh, imaged.values[n])) for n in chosen]

@@ -7,23 +7,18 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.command_hints import database_option
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page, RunSelection, Section
-from cbsr_qa.report import answer, plural, text_table
-from cbsr_qa.store import (
-    HEAD,
-    Age,
-    address,
-    copy_database,
-    found_version,
-    open_engine,
-    open_store,
-    parsed_url,
-    put_back,
-    sqlite_file,
-)
-from cbsr_qa.system import RealClock
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural, text_table
+from cbsr_qa.store.copies import copy_database, put_back
+from cbsr_qa.store.damage import address
+from cbsr_qa.store.engine import open_engine, parse_url, sqlite_file
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.schema import HEAD, Age, read_version
+from cbsr_qa.system.clock import RealClock
 
 #: Called with what is done, and parts done and in total.
 Count = Callable[[str, int, int], None]
@@ -92,7 +87,7 @@ class DatabaseCheck:
     notes: tuple[str, ...] = ()
 
 
-def stamped(path: Path, words: str) -> Path:
+def timestamp_path(path: Path, words: str) -> Path:
     """Return a name beside a file that says what it is and when it was made."""
     return path.with_name(f"{path.stem}-{words}-{RealClock().wall():%Y%m%dT%H%M%S}{path.suffix}")
 
@@ -103,12 +98,12 @@ def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup
     Raises
     ------
     RefusedError, StoreError
-        If it cannot be made; there is no file then. See :func:`cbsr_qa.store.copy_database`.
+        If it cannot be made; there is no file then. See :func:`cbsr_qa.store.copies.copy_database`.
     """
-    engine = open_engine(parsed_url(database_url(option)))
+    engine = open_engine(parse_url(database_url(option)))
     try:
         copy_database(engine, to, count)
-        version = found_version(engine)
+        version = read_version(engine)
     finally:
         engine.dispose()
     url = address(engine.url)
@@ -123,12 +118,12 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
     Raises
     ------
     RefusedError, StoreError
-        If the backup or the place cannot be used; nothing is changed then. See :func:`cbsr_qa.store.put_back`.
+        If the backup or the place cannot be used; nothing is changed then. See :func:`cbsr_qa.store.copies.put_back`.
     """
-    engine = open_engine(parsed_url(database_url(option)))
+    engine = open_engine(parse_url(database_url(option)))
     file = sqlite_file(engine.url)
     there = file is not None and file.exists()
-    aside = stamped(file or backup, "replaced")
+    aside = timestamp_path(file or backup, "replaced")
     try:
         version = put_back(engine, backup, aside, count)
     finally:
@@ -164,7 +159,7 @@ def check_database(
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
         problems += [FoundProblem(None, what) for what in store.file_problems()]
-        problems += [FoundProblem(None, what) for what in store.misplaced_rows()]
+        problems += [FoundProblem(None, what) for what in store.find_misplaced_rows()]
         missing, notes = store.order_problems()
         problems += [FoundProblem(gap.after or None, gap.words) for gap in missing]
         runs = store.run_names(RunSelection(since=since))
@@ -181,7 +176,7 @@ def check_database(
             problems += [FoundProblem(None, what) for what in store.ring_problems()]
         without_key = unsigned if store.key_id else None
         done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
-    of_file = sqlite_file(parsed_url(database_url(option))) is not None
+    of_file = sqlite_file(parse_url(database_url(option))) is not None
     return _laid_out(done, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
 
 

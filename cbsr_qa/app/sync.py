@@ -11,25 +11,20 @@ from typing import Final
 
 from sqlalchemy import Engine
 
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import ConfigError, StoreError, filled
-from cbsr_qa.domain.results import Banner, CommandOutcome, Paragraph, Section
-from cbsr_qa.report import answer, plural
-from cbsr_qa.store import Age, address, found_version, open_engine, parsed_url, refusal, this_process
-from cbsr_qa.store.chain import KEY_OPTION, SigningKey
-from cbsr_qa.store.sync import (
-    QUARANTINED,
-    Backlog,
-    Sent,
-    backlog,
-    check_centre,
-    held,
-    let_go,
-    refusals,
-    send_again,
-    send_waiting,
-    waiting,
-)
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import ConfigError, StoreError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Paragraph, Section
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural
+from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
+from cbsr_qa.store.damage import address
+from cbsr_qa.store.engine import open_engine, parse_url
+from cbsr_qa.store.locks import this_process
+from cbsr_qa.store.schema import Age, read_version, refusal
+from cbsr_qa.store.sync.centre import check_centre, refusals
+from cbsr_qa.store.sync.queue import QUARANTINED, Backlog, backlog, let_go, list_held, send_again, waiting
+from cbsr_qa.store.sync.send import Sent, send_waiting
 
 VARIABLE: Final = "CBSR_QA_CENTRE"
 _NOT_ALL: Final = 1
@@ -151,7 +146,7 @@ def synchronise(
     """
     with _station(option) as station, _centre(to) as centre:
         begun_s = time.monotonic()
-        sent = _sent(station, centre, progress, compare_since)
+        sent = _send(station, centre, progress, compare_since)
         return _outcome(station, address(centre.url), sent, time.monotonic() - begun_s, limit_h)
 
 
@@ -185,7 +180,7 @@ def keep_synchronised(
             while True:
                 try:
                     with _station(option) as station:
-                        sent = _sent(station, centre, None, None)
+                        sent = _send(station, centre, None, None)
                 except StoreError as error:
                     centre.dispose()  # a connection that was cut is not used again
                     if error.reason != trouble:
@@ -196,7 +191,7 @@ def keep_synchronised(
                     sums = {name: getattr(total, name) + getattr(sent, name) for name in _TOTALS}
                     total = replace(total, **sums, notes=sent.notes)
                     if sent.items or sent.quarantined:
-                        tell(_said(sent, len(sent.quarantined)))
+                        tell(_describe_sent(sent, len(sent.quarantined)))
                     for lost in sent.lost[:_LISTED]:
                         tell(f"{lost.kind} {lost.item}: {lost.why}")
                 sleep(every_s)
@@ -237,9 +232,9 @@ _TOTALS: Final = ("items", "runs", "compared", "rows", "size", "lost")
 
 @contextmanager
 def _station(option: str | None) -> Iterator[Engine]:
-    engine = _signing(open_engine(parsed_url(database_url(option))))
+    engine = _signing(open_engine(parse_url(database_url(option))))
     try:
-        version = found_version(engine)
+        version = read_version(engine)
         if version.age is not Age.CURRENT:
             raise refusal(engine, version)
         yield engine
@@ -252,7 +247,7 @@ def _centre(to: str | None) -> Iterator[Engine]:
     url = centre_url(to)
     if not url:
         raise ConfigError("no central database is named", remedy=f"give --to URL, or set {VARIABLE}")
-    engine = _signing(open_engine(parsed_url(url)))
+    engine = _signing(open_engine(parse_url(url)))
     try:
         yield engine
     finally:
@@ -264,7 +259,7 @@ def _signing(engine: Engine) -> Engine:
     return engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})
 
 
-def _sent(station: Engine, centre: Engine, progress: Progress | None, compare_since: date | None) -> Sent:
+def _send(station: Engine, centre: Engine, progress: Progress | None, compare_since: date | None) -> Sent:
     """Send; an error says what waits."""
     try:
         return send_waiting(station, centre, this_process(""), progress, compare_since=compare_since)
@@ -277,7 +272,7 @@ def _safe(backlog: Backlog) -> str:
     return backlog.words if backlog.age_h is None else f"{backlog.words}; nothing is lost"
 
 
-def _said(sent: Sent, quarantined: int) -> str:
+def _describe_sent(sent: Sent, quarantined: int) -> str:
     words = (
         f"sent: {plural(sent.runs, 'run')}, {plural(sent.items - sent.runs, 'other item')} ({sent.size / 1e6:.1f} MB)"
     )
@@ -285,10 +280,10 @@ def _said(sent: Sent, quarantined: int) -> str:
         words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
     compared = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
     lost = f"; the centre had lost {plural(len(sent.lost), 'item')}" if sent.lost else ""
-    return words + compared + lost + _held_back(quarantined)
+    return words + compared + lost + _describe_quarantine(quarantined)
 
 
-def _held_back(quarantined: int) -> str:
+def _describe_quarantine(quarantined: int) -> str:
     return f"; {plural(quarantined, 'item')} quarantined" if quarantined else ""
 
 
@@ -301,7 +296,7 @@ def _why(kind: str, item: str, why: str) -> str:
 def _outcome(
     station: Engine, centre: str, sent: Sent, seconds: float, limit_h: float | None
 ) -> CommandOutcome[Synchronised]:
-    entries, kept, waits = waiting(station), held(station), backlog(station)
+    entries, kept, waits = waiting(station), list_held(station), backlog(station)
     result = Synchronised(
         database=address(station.url),
         centre=centre,
@@ -312,13 +307,13 @@ def _outcome(
         seconds=round(seconds, 3),
         compared=sent.compared,
         notes=tuple(sent.notes),
-        lost=tuple(filled(LostItem, lost) for lost in sent.lost),
+        lost=tuple(fill_from_object(LostItem, lost) for lost in sent.lost),
         waiting=dict(Counter(entry.kind for entry in entries)),
         backlog_h=waits.age_h,
         limit_h=limit_h,
         late=waits.late(limit_h),
-        blocked=tuple(filled(WaitingItem, entry) for entry in entries if entry.why),
-        held=tuple(filled(WaitingItem, entry) for entry in kept),
+        blocked=tuple(fill_from_object(WaitingItem, entry) for entry in entries if entry.why),
+        held=tuple(fill_from_object(WaitingItem, entry) for entry in kept),
     )
     quarantined = [entry for entry in kept if entry.state == QUARANTINED]
     facts = [("Database", address(station.url))]
@@ -332,7 +327,7 @@ def _outcome(
     facts += [("Note", words) for words in sent.notes[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
     count = len(quarantined)
-    headline = _said(sent, count) if centre else _safe(waits) + _held_back(count)
+    headline = _describe_sent(sent, count) if centre else _safe(waits) + _describe_quarantine(count)
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
     if not quarantined and not result.late and not result.lost:
@@ -344,7 +339,7 @@ def _outcome(
 
 def _with_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandOutcome[Synchronised]:
     """Add what the centre refused of all stations."""
-    refused = tuple(filled(RefusedItem, row) for row in refusals(centre))
+    refused = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
     result = replace(done.result, centre=address(centre.url), refused=refused)
     if not refused:
         return replace(done, result=result)

@@ -1,11 +1,15 @@
-"""Learning from a sensor's own loads: fits, the sheet's response, force, and the issued file."""
+"""Learning from a sensor's own loads, and calibrations in use.
 
-from typing import TYPE_CHECKING
+The names below are what a robot needs; they load numpy, scipy and h5py, and nothing else.
+"""
 
-from cbsr_qa.lazy import door
-
-if TYPE_CHECKING:
-    from .issue import issue_calibration as issue_calibration
-    from .runtime import Calibration as Calibration, Flag as Flag, ForceStream as ForceStream
-
-door(__name__, __file__)
+from cbsr_qa.calibration.force.inverse import Flag as Flag
+from cbsr_qa.calibration.loading import (
+    PressCalibration as PressCalibration,
+    load_calibration as load_calibration,
+    load_press_calibration as load_press_calibration,
+)
+from cbsr_qa.calibration.runtime.pressure import PressureMap as PressureMap
+from cbsr_qa.calibration.runtime.runtime import Calibration as Calibration
+from cbsr_qa.calibration.runtime.tracking import ForceStream as ForceStream
+from cbsr_qa.domain.errors import CbsrError as CbsrError

@@ -5,31 +5,31 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.calibration.fits import estimate_restricted_mean
-from cbsr_qa.calibration.force import (
-    LearnedForce,
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.force.validity import (
     force_reductions,
     list_missing_forces,
     list_untrained_ranges,
     reading_reductions,
 )
-from cbsr_qa.calibration.sheet import baseline_conductance, load_baseline
-from cbsr_qa.domain import CalibrationError, as_filed, taken
-from cbsr_qa.domain.results import (
+from cbsr_qa.calibration.sheet.baseline import baseline_conductance, load_baseline
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import as_filed, take_sources
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
-    EndReason,
-    LoadObservation,
     LoadRelaxation,
-    Outcome,
-    PlaceOfRun,
-    RunObservation,
     SettlingSummary,
     Validity,
-    Verdict,
 )
-from cbsr_qa.domain.sensor import QuasiStatic
+from cbsr_qa.domain.results.learned_place import PlaceOfRun
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 
 def issue_calibration(
@@ -86,7 +86,7 @@ def issue_calibration(
     relaxations = tuple(_relaxations(observation.tested))
     return stamp(
         Calibration(
-            **taken(Calibration, observation),
+            **take_sources(Calibration, observation),
             calibration=calibration,
             issued_at=utc,
             current_A=_current_A(observation),

@@ -10,7 +10,7 @@ from cbsr_qa.cli.options import AsJson, plugin_options
 from cbsr_qa.cli.output import announce, emit_json, note, show
 
 
-@command("analyse", prints="cbsr_qa.app.analyse:Analysed")
+@command("analyse", prints="cbsr_qa.app.analyse.outcome:Analysed")
 def analyse(
     files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE")],
     format_: Annotated[
@@ -51,8 +51,9 @@ def analyse(
     as_json: AsJson = False,
 ) -> int:
     """Find faulty channels, noise and presses in recordings, without being told where or when."""
-    from cbsr_qa.app.analyse import AnalysedFiles, AnalyseRequest, analyse_file, analyse_outcome
-    from cbsr_qa.report import json_document
+    from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+    from cbsr_qa.app.analyse.outcome import AnalysedFiles, analyse_outcome
+    from cbsr_qa.report.document import json_document
 
     request = AnalyseRequest(
         format=format_,

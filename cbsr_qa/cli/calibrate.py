@@ -10,7 +10,7 @@ from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import announce, check_page, show
 
 
-@command("calibrate", prints="cbsr_qa.app.calibration:PressesCalibrated")
+@command("calibrate", prints="cbsr_qa.app.calibration.calibrate:PressesCalibrated")
 def calibrate(
     readings: Annotated[
         Path,
@@ -53,8 +53,8 @@ def calibrate(
     Finds how the sheet lies in the frame of the places, learns force and depth where they are known, and states
     the error at presses left out of the fit.
     """
-    from cbsr_qa.analysis.recording import PressFiles
-    from cbsr_qa.app.calibration import calibrate_from_presses
+    from cbsr_qa.analysis.recording.press_files import PressFiles
+    from cbsr_qa.app.calibration.calibrate import calibrate_from_presses
 
     check_page(output)
     files = PressFiles(readings, presses, sensor_type, pattern, differences, rest)

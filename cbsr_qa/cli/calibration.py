@@ -16,23 +16,26 @@ _File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
 _EitherFile = Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")]
 
 
-@command("calibration show", prints="cbsr_qa.app.calibration:ShownCalibration|ShownPressCalibration")
+@command(
+    "calibration show",
+    prints="cbsr_qa.app.calibration.shown:ShownCalibration|cbsr_qa.app.calibration.presses_shown:ShownPressCalibration",
+)
 def show(file: _File, as_json: AsJson = False) -> None:
     """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
-    from cbsr_qa.app.calibration import show_calibration
+    from cbsr_qa.app.calibration.page import show_calibration
 
     show_outcome(show_calibration(file), as_json=as_json)
 
 
-@command("calibration verify", prints="cbsr_qa.app.calibration:SoundFile")
+@command("calibration verify", prints="cbsr_qa.app.calibration.signing:SoundFile")
 def verify(file: _EitherFile, public_key: PublicKey = None, as_json: AsJson = False) -> None:
     """Check that a calibration file is complete, unaltered and of a known version, and who signed it."""
-    from cbsr_qa.app.calibration import verify_file
+    from cbsr_qa.app.calibration.signing import verify_file
 
     show_outcome(verify_file(file, public_key), as_json=as_json)
 
 
-@command("calibration keygen", prints="cbsr_qa.app.calibration:NewKey")
+@command("calibration keygen", prints="cbsr_qa.app.calibration.signing:NewKey")
 def new_key(
     file: Annotated[Path, typer.Argument(help="File for the private key; must not exist yet, nor FILE.pub.")],
     as_json: AsJson = False,
@@ -41,12 +44,12 @@ def new_key(
 
     If CBSR_QA_KEY_PASSPHRASE is set, to a passphrase or to @FILE, the private key is encrypted with it.
     """
-    from cbsr_qa.app.calibration import make_key
+    from cbsr_qa.app.calibration.signing import make_key
 
     show_outcome(make_key(file), as_json=as_json)
 
 
-@command("calibration sign", prints="cbsr_qa.app.calibration:SignedFile")
+@command("calibration sign", prints="cbsr_qa.app.calibration.signing:SignedFile")
 def sign(
     file: _EitherFile,
     key: Annotated[Path, typer.Option(help="Private key, made by cbsr-qa calibration keygen.")],
@@ -57,12 +60,12 @@ def sign(
 
     CBSR_QA_KEY_PASSPHRASE is the passphrase of the key, or @FILE.
     """
-    from cbsr_qa.app.calibration import sign_file
+    from cbsr_qa.app.calibration.signing import sign_file
 
     show_outcome(sign_file(file, key, again=again), as_json=as_json)
 
 
-@command("calibration export", prints="cbsr_qa.app.calibration:Converted")
+@command("calibration export", prints="cbsr_qa.app.calibration.file:Converted")
 def export(
     file: Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")],
     output: Annotated[Path, typer.Option(help="File to write, .json or .h5; must not exist yet.")],
@@ -76,14 +79,17 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Convert a calibration: HDF5 to JSON and back without loss, or to small JSON for firmware."""
-    from cbsr_qa.app.calibration import export_calibration
+    from cbsr_qa.app.calibration.file import export_calibration
 
     if stride is not None and not firmware:
         raise typer.BadParameter("only --firmware has a separate lattice", param_hint="--stride")
     show_outcome(export_calibration(file, output, firmware=firmware, stride=stride), as_json=as_json)
 
 
-@command("calibration apply", prints="cbsr_qa.app.calibration:AppliedCalibration|AppliedPlaces")
+@command(
+    "calibration apply",
+    prints="cbsr_qa.app.calibration.apply:AppliedCalibration|cbsr_qa.app.calibration.apply_places:AppliedPlaces",
+)
 def apply(
     file: _File,
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, in any supported format.")],
@@ -140,16 +146,10 @@ def apply(
     A calibration from labelled presses turns a recording, or a table of readings (--pattern), into places.
     Shows a short table for each recording; --output writes one row per frame.
     """
-    from cbsr_qa.app.calibration import (
-        ApplyRequest,
-        apply_calibration,
-        apply_outcome,
-        as_csv,
-        of_presses,
-        write_table,
-    )
+    from cbsr_qa.app.calibration.apply import ApplyRequest, apply_calibration, apply_outcome, as_csv, write_table
+    from cbsr_qa.app.calibration.apply_places import is_press_calibration
 
-    if pattern is not None or of_presses(file):
+    if pattern is not None or is_press_calibration(file):
         return _apply_places(
             file,
             recordings,
@@ -188,7 +188,8 @@ def _apply_places(
     *,
     as_json: bool,
 ) -> int:
-    from cbsr_qa.app.calibration import apply_to_presses, places_csv, places_outcome, write_table
+    from cbsr_qa.app.calibration.apply import write_table
+    from cbsr_qa.app.calibration.apply_places import apply_to_presses, places_csv, places_outcome
 
     differences, rest, reference = unloaded
     if len(readings) != 1:

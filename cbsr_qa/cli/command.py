@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
 from functools import reduce, wraps
 from importlib import import_module
+from importlib.util import find_spec
 from inspect import Parameter, Signature, getdoc, signature
 from operator import or_
 from pathlib import Path
@@ -62,8 +63,8 @@ def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_R
     Parameters
     ----------
     words : of the command line, e.g. ``"db status"``.
-    prints : dataclass of its document, ``"cbsr_qa.app:DatabaseStatus"``, imported only to print its schema; several
-        are separated by ``|``.
+    prints : dataclass of its document, or a union of some, e.g. ``"cbsr_qa.app.database:DatabaseStatus"``, imported
+        only to print its schema; several are separated by ``|``.
     live : whether it writes to standard output while it runs, by :func:`cbsr_qa.cli.output.live_output`; the output
         of other commands is printed when they have ended.
     """
@@ -89,9 +90,18 @@ def document(words: str, *, prints: str) -> None:
     _PRINTED[words] = prints
 
 
-def commands() -> list[Command]:
-    """Return all commands: those from run to calibration first, then alphabetically."""
-    _import_all()
+def commands(first_word: str = "") -> list[Command]:
+    """Return all commands: those from run to calibration first, then alphabetically.
+
+    Parameters
+    ----------
+    first_word : of a command line: if a module has its name, and declares such commands, no other one is imported.
+    """
+    module = f"{__package__}.{first_word}"
+    if first_word.isidentifier() and find_spec(module) is not None:
+        import_module(module)
+    if all(words.partition(" ")[0] != first_word for words in _COMMANDS):
+        _import_all()
     return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (_rank(words), words))]
 
 
@@ -110,9 +120,8 @@ def documents() -> dict[str, Any]:
     _import_all()
     found = {}
     for words in sorted(_PRINTED):
-        module, _, names = _PRINTED[words].partition(":")
-        kinds = [getattr(import_module(module), name) for name in names.split("|")]
-        found[words] = reduce(or_, kinds)
+        places = (place.split(":") for place in _PRINTED[words].split("|"))
+        found[words] = reduce(or_, (getattr(import_module(module), name) for module, name in places))
     return found
 
 
@@ -159,10 +168,10 @@ def _name_values(run: Callable[..., Any]) -> None:
 def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any]]:
     for name, hint in get_type_hints(run, include_extras=True).items():
         for info in getattr(hint, "__metadata__", ()):
-            yield name, info, _of_one(get_args(hint)[0])
+            yield name, info, _value_type(get_args(hint)[0])
 
 
-def _of_one(hint: Any) -> Any:
+def _value_type(hint: Any) -> Any:
     """Return the type of one value of an optional option, or of one that may be repeated."""
     while get_origin(hint) is not None:
         hint = get_args(hint)[0]

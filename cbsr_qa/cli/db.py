@@ -11,12 +11,12 @@ import typer
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database, Since, to_day
 from cbsr_qa.cli.output import Counting, emit_json, note, say, show
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 
 group("db", "Maintain the database.")
 
 
-@command("db upgrade", prints="cbsr_qa.app:Upgrade")
+@command("db upgrade", prints="cbsr_qa.app.database:Upgrade")
 def upgrade(
     no_backup: Annotated[
         bool, typer.Option("--no-backup", help="Make no backup of a SQLite file before it is changed.")
@@ -28,14 +28,14 @@ def upgrade(
 
     A SQLite file is copied first; db restore puts the copy back.
     """
-    from cbsr_qa.app import upgrade_database
+    from cbsr_qa.app.database import upgrade_database
 
-    with _counted() as count:
+    with _show_stages() as count:
         done = upgrade_database(database, count, backup=not no_backup)
     show(done, as_json=as_json)
 
 
-@command("db backup", prints="cbsr_qa.app:Backup")
+@command("db backup", prints="cbsr_qa.app.keeping:Backup")
 def backup(
     file: Annotated[Path, typer.Argument(help="File to write; must not exist yet.")],
     database: Database = None,
@@ -45,28 +45,28 @@ def backup(
 
     The file is there whole, or not at all. A PostgreSQL server makes backups itself (pg_dump).
     """
-    from cbsr_qa.app import back_up
+    from cbsr_qa.app.keeping import back_up
 
-    with _counted() as count:
+    with _show_stages() as count:
         done = back_up(database, file, count)
     show(done, as_json=as_json)
 
 
-@command("db restore", prints="cbsr_qa.app:Restored")
+@command("db restore", prints="cbsr_qa.app.keeping:Restored")
 def restore(
     backup: Annotated[Path, typer.Argument(help="Backup to restore.")],
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
     """Restore the database from a backup; nobody may use it meanwhile, and the old one is kept beside it."""
-    from cbsr_qa.app import restore_backup
+    from cbsr_qa.app.keeping import restore_backup
 
-    with _counted() as count:
+    with _show_stages() as count:
         done = restore_backup(database, backup, count)
     show(done, as_json=as_json)
 
 
-@command("db check", prints="cbsr_qa.app:DatabaseCheck")
+@command("db check", prints="cbsr_qa.app.keeping:DatabaseCheck")
 def check(
     since: Since = None,
     quick: Annotated[bool, typer.Option("--quick", help="Every row, without frames, samples and files.")] = False,
@@ -77,15 +77,15 @@ def check(
 
     Exit code 1 if anything is not as it was stored; table and row are named, and nothing is changed.
     """
-    from cbsr_qa.app import check_database
+    from cbsr_qa.app.keeping import check_database
 
-    with _counted() as count:
+    with _show_stages() as count:
         done = check_database(database, to_day(since), count, quick=quick)
     raise typer.Exit(show(done, as_json=as_json))
 
 
 @contextmanager
-def _counted() -> Iterator[Callable[[str, int, int], None]]:
+def _show_stages() -> Iterator[Callable[[str, int, int], None]]:
     """Show stages and their progress."""
     stages: list[str] = []
     with Counting("") as counting:
@@ -99,7 +99,7 @@ def _counted() -> Iterator[Callable[[str, int, int], None]]:
         yield count
 
 
-@command("db archive", prints="cbsr_qa.app:Archived")
+@command("db archive", prints="cbsr_qa.app.archive:Archived")
 def archive(
     older_than: Annotated[
         str, typer.Option("--older-than", metavar="AGE", help="Runs that began longer ago: 90d, 12w or 2y.")
@@ -121,40 +121,40 @@ def archive(
     They are found and read there as before. Frames of runs that failed, were overridden, broke off or are not
     finished stay.
     """
-    from cbsr_qa.app import archive_runs
+    from cbsr_qa.app.archive import archive_runs
 
     show(archive_runs(database, older_than, to, dry_run=dry_run), as_json=as_json)
 
 
-@command("db unarchive", prints="cbsr_qa.app:Archived")
+@command("db unarchive", prints="cbsr_qa.app.archive:Archived")
 def unarchive(
     run: Annotated[str, typer.Argument(metavar="RUN", help="Run, or the serial number of a sensor: its latest run.")],
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
     """Bring the archived frames of a run back into the database; the file stays."""
-    from cbsr_qa.app import unarchive_runs
+    from cbsr_qa.app.archive import unarchive_runs
 
     show(unarchive_runs(database, run), as_json=as_json)
 
 
-@command("db status", prints="cbsr_qa.app:DatabaseStatus")
+@command("db status", prints="cbsr_qa.app.database:DatabaseStatus")
 def status(database: Database = None, as_json: AsJson = False) -> None:
     """Show which database is used, its version, its contents and unfinished runs."""
-    from cbsr_qa.app import database_status
+    from cbsr_qa.app.database import database_status
 
     show(database_status(database), as_json=as_json)
 
 
-@command("db changes", prints="cbsr_qa.app:Changes")
+@command("db changes", prints="cbsr_qa.app.changes:Changes")
 def changes(database: Database = None, as_json: AsJson = False) -> None:
     """List changes of limits, recipes, other files, control charts and verdicts: who, when and why."""
-    from cbsr_qa.app import list_changes
+    from cbsr_qa.app.changes import list_changes
 
     raise typer.Exit(show(list_changes(database), as_json=as_json))
 
 
-@command("db sync", prints="cbsr_qa.app:Synchronised")
+@command("db sync", prints="cbsr_qa.app.sync:Synchronised")
 def sync(
     to: Annotated[
         str | None, typer.Option(metavar="URL|FILE", help="Central database; by default CBSR_QA_CENTRE.")
@@ -190,8 +190,8 @@ def sync(
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
     used. --status needs no central database.
     """
-    from cbsr_qa.app import decide_item, keep_synchronised, sync_status, synchronise
-    from cbsr_qa.config import load_station
+    from cbsr_qa.app.sync import decide_item, keep_synchronised, sync_status, synchronise
+    from cbsr_qa.config.loader import load_station
 
     if station is not None:
         stated = load_station(station).value.sync
@@ -220,15 +220,15 @@ def sync(
     return show(done, as_json=as_json)
 
 
-@command("db roles", prints="cbsr_qa.app:Roles")
+@command("db roles", prints="cbsr_qa.app.database:Roles")
 def roles(as_json: AsJson = False) -> None:
     """Print an SQL script that makes roles for stations and for readers of a PostgreSQL database; runs nothing.
 
     Stations may add rows and delete none; readers may read tables and views. For example:
     cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
     """
-    from cbsr_qa.app import database_roles
-    from cbsr_qa.report import json_document
+    from cbsr_qa.app.database import database_roles
+    from cbsr_qa.report.document import json_document
 
     made = database_roles()
     if as_json:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, given_options
+from cbsr_qa.cli.options import AsJson, Database, list_given_options
 from cbsr_qa.cli.output import announce, show
 from cbsr_qa.cli.selecting import EVERY_RUN, Checks, Selecting
 
@@ -15,7 +15,7 @@ from cbsr_qa.cli.selecting import EVERY_RUN, Checks, Selecting
 _SELECTING = {"latest", "checks", *(field.name for field in fields(Selecting))}
 
 
-@command("export", prints="cbsr_qa.app:Exported")
+@command("export", prints="cbsr_qa.app.export.export:Exported")
 def export(
     context: typer.Context,
     to: Annotated[Path, typer.Option("--to", help="File to write; its ending determines the format.")],
@@ -52,9 +52,9 @@ def export(
     A run that was altered since it was stored is marked in a table (exit code 1), and in no other file: they are
     refused, and nothing is written (exit code 2).
     """
-    from cbsr_qa.app import ExportRequest, export_data
+    from cbsr_qa.app.export.export import ExportRequest, export_data
 
-    selects = bool(_SELECTING & given_options(context))
+    selects = bool(_SELECTING & list_given_options(context))
     selected = selecting.request(latest=latest, checks=checks) if selects else None
     request = ExportRequest(to, run, selected, format_, table, phase, force)
     raise typer.Exit(show(export_data(request, database=database, tell=announce), as_json=as_json))

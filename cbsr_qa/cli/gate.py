@@ -8,10 +8,10 @@ import typer
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import read_pin, show
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 
 
-@command("gate", prints="cbsr_qa.app.gate:GateShown")
+@command("gate", prints="cbsr_qa.app.gate.shown:GateShown")
 def gate(
     station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")],
     recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")],
@@ -27,7 +27,7 @@ def gate(
 
     Exit code 0 if the run could begin, 2 if a check refuses it.
     """
-    from cbsr_qa.app.run import RunRequest, preview_gate
+    from cbsr_qa.app.run.run import RunRequest, preview_gate
 
     request = RunRequest(
         station=station,
@@ -42,7 +42,7 @@ def gate(
     return show(preview_gate(request), as_json=as_json)
 
 
-@command("release", prints="cbsr_qa.app.gate:Released")
+@command("release", prints="cbsr_qa.app.gate.releases:Released")
 def release(
     file: Annotated[
         str,
@@ -58,15 +58,15 @@ def release(
 
     Comments and the order of keys do not matter; any other change needs a release of its own.
     """
-    from cbsr_qa.app.gate import ReleaseRequest, release_file
+    from cbsr_qa.app.gate.releases import ReleaseRequest, release_file
 
     show(release_file(ReleaseRequest(file, by, why, withdraw, database)), as_json=as_json)
 
 
-@command("releases", prints="cbsr_qa.app.gate:ReleaseList")
+@command("releases", prints="cbsr_qa.app.gate.release_list:ReleaseList")
 def releases(database: Database = None, as_json: AsJson = False) -> None:
     """List which files were released or withdrawn, by whom, when and why; the latest entry for a content counts."""
-    from cbsr_qa.app.gate import list_releases
+    from cbsr_qa.app.gate.release_list import list_releases
 
     show(list_releases(database), as_json=as_json)
 
@@ -86,8 +86,8 @@ def pin(as_json: AsJson = False) -> None:
     """
     import sys
 
-    from cbsr_qa.report import answer
-    from cbsr_qa.system import hashed_pin, pin_allowed
+    from cbsr_qa.report.page import answer
+    from cbsr_qa.system.pins import hash_pin, pin_allowed
 
     given = read_pin("New PIN")
     if not pin_allowed(given):
@@ -95,7 +95,7 @@ def pin(as_json: AsJson = False) -> None:
         raise ConfigError("the PIN cannot be used", remedy=remedy)
     if sys.stdin is not None and sys.stdin.isatty() and read_pin("The same PIN again") != given:
         raise ConfigError("the two PINs differ", remedy="try again")
-    line = PinLine(hashed_pin(given))
+    line = PinLine(hash_pin(given))
     show(
         answer(line, "add this to the operator's [[gate.operators]] table", "", (), (("pin", f'= "{line.pin}"'),)),
         as_json=as_json,

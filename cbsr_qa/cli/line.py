@@ -20,11 +20,11 @@ import typer
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import Database
 from cbsr_qa.cli.output import note, read_pin, say
-from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain.errors import ConfigError, RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.plan import Station
-    from cbsr_qa.station.control import RunChannel
+    from cbsr_qa.domain.plan.plan import Station
+    from cbsr_qa.station.control.client import RunChannel
 
 #: What to do with a sensor, by the outcome of its run.
 _DO: Final = {
@@ -54,7 +54,8 @@ def line(
 
     Exit code 0 whatever the verdicts, 2 if a name is not allowed, or the station file or the PIN is wrong.
     """
-    from cbsr_qa.config import load_station, validate_batch, validate_operator
+    from cbsr_qa.config.loader import load_station
+    from cbsr_qa.config.serials import validate_batch, validate_operator
 
     validate_batch(batch)
     validate_operator(operator)
@@ -71,7 +72,7 @@ def line(
 
 def _pin_of(station: "Station", operator: str) -> str:
     """Ask for the operator's PIN; empty if the gate asks for none. RefusedError if it is wrong."""
-    from cbsr_qa.app.gate import asks_pin, is_pin_of
+    from cbsr_qa.app.gate.people import asks_pin, is_pin_of
 
     if not asks_pin(station.gate, operator):
         return ""
@@ -108,7 +109,7 @@ class _Line:
             kind, text = self._heard.get()
             if kind in ("end", "signal") or text.lower() in _ENDS:
                 return
-            if kind == "scan" and text and self._allowed(text):
+            if kind == "scan" and text and self._is_valid(text):
                 more = self._test(text)
 
     @contextmanager
@@ -128,10 +129,11 @@ class _Line:
 
     def count(self, database: str | None) -> None:
         """Print how many of these sensors passed."""
-        from cbsr_qa.config import database_url
-        from cbsr_qa.domain.results import RunSelection
-        from cbsr_qa.store import open_store
-        from cbsr_qa.studies.shift import counts_words, shift_summary, yield_words
+        from cbsr_qa.app.shift.report import counts_words, yield_words
+        from cbsr_qa.app.shift.summary import shift_summary
+        from cbsr_qa.config.paths import database_url
+        from cbsr_qa.domain.results.fleet import RunSelection
+        from cbsr_qa.store.opening import open_store
 
         if not self._serials:
             say("no sensor was tested")
@@ -146,8 +148,8 @@ class _Line:
             self._heard.put(("scan", text.strip()))
         self._heard.put(("end", ""))
 
-    def _allowed(self, serial: str) -> bool:
-        from cbsr_qa.config import validate_serial
+    def _is_valid(self, serial: str) -> bool:
+        from cbsr_qa.config.serials import validate_serial
 
         try:
             validate_serial(serial)
@@ -158,7 +160,7 @@ class _Line:
 
     def _test(self, serial: str) -> bool:
         """Run one sensor and show its verdict; False if the input has ended meanwhile."""
-        from cbsr_qa.app import own_command
+        from cbsr_qa.app.command_hints import own_command
 
         process = subprocess.Popen(
             own_command("run", *self.options, "--serial", serial, "--json"),
@@ -223,7 +225,7 @@ class _Line:
 
     def _follow(self, process: "subprocess.Popen[str]") -> None:
         """Show the questions of a run as they come, and report the number of the open question, if any."""
-        from cbsr_qa.station.control import RunChannel
+        from cbsr_qa.station.control.client import RunChannel
 
         shown = ""
         while process.poll() is None:
@@ -241,8 +243,8 @@ class _Line:
             time.sleep(_AGAIN_S)  # it has no channel yet, or has closed it
 
     def _answer(self, prompt: str, text: str) -> None:
-        from cbsr_qa.config import validate_reason
-        from cbsr_qa.station.control import RunChannel
+        from cbsr_qa.config.serials import validate_reason
+        from cbsr_qa.station.control.client import RunChannel
 
         try:
             with RunChannel.connect(self.station) as channel:

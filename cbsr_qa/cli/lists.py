@@ -10,12 +10,12 @@ from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import note, say, show
 from cbsr_qa.cli.selecting import Checks, Selecting
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.results import CommandOutcome
-    from cbsr_qa.store import Repository
-    from cbsr_qa.studies.shift import ListRequest
+    from cbsr_qa.app.shift.lists import ListRequest
+    from cbsr_qa.domain.results.report import CommandOutcome
+    from cbsr_qa.store.repository import Repository
 
 _List = TypeVar("_List")
 _STDOUT = Path("-")
@@ -23,7 +23,7 @@ _STDOUT = Path("-")
 _Csv = Annotated[Path | None, typer.Option("--csv", help="CSV file to write; - prints it.")]
 
 
-@command("runs", prints="cbsr_qa.studies.shift:RunList")
+@command("runs", prints="cbsr_qa.app.shift.lists:RunList")
 def runs(
     selecting: Selecting,
     latest: Annotated[int | None, typer.Option(help="Only the latest N.")] = None,
@@ -37,15 +37,16 @@ def runs(
     An overridden verdict counts as it was overridden; aborted and broken runs have none. In a terminal the latest 50
     are listed, unless an option says which. Exit code 1 if a listed run was altered since it was stored.
     """
-    from cbsr_qa.studies.shift import LATEST_RUNS, list_runs, runs_csv, runs_outcome
+    from cbsr_qa.app.shift.lists import LATEST_RUNS, list_runs
+    from cbsr_qa.app.shift.report import runs_csv, runs_outcome
 
-    if latest is None and not (selecting.given() or csv or as_json):
+    if latest is None and not (selecting.is_given() or csv or as_json):
         latest = LATEST_RUNS
     request = selecting.request(latest=latest, checks=checks)
     _list(request, list_runs, runs_outcome, runs_csv, csv, database, as_json=as_json)
 
 
-@command("sensors", prints="cbsr_qa.studies.shift:SensorList")
+@command("sensors", prints="cbsr_qa.app.shift.lists:SensorList")
 def sensors(
     selecting: Selecting,
     latest: Annotated[int | None, typer.Option(help="Only the last N tested.")] = None,
@@ -58,7 +59,8 @@ def sensors(
     A sensor tested by two recipes is listed twice. With --failed or --limit, that last verdict must be the failure.
     Exit code 1 if a listed run was altered since it was stored.
     """
-    from cbsr_qa.studies.shift import list_sensors, sensors_csv, sensors_outcome
+    from cbsr_qa.app.shift.lists import list_sensors
+    from cbsr_qa.app.shift.report import sensors_csv, sensors_outcome
 
     request = selecting.request(latest=latest)
     _list(request, list_sensors, sensors_outcome, sensors_csv, csv, database, as_json=as_json)
@@ -74,9 +76,9 @@ def _list(
     *,
     as_json: bool,
 ) -> None:
-    from cbsr_qa.app.calibration import write_table
-    from cbsr_qa.config import database_url
-    from cbsr_qa.store import open_store
+    from cbsr_qa.app.calibration.apply import write_table
+    from cbsr_qa.config.paths import database_url
+    from cbsr_qa.store.opening import open_store
 
     if csv == _STDOUT and as_json:
         raise RefusedError("--csv - with --json", remedy="one of them is printed: name a file for the other")

@@ -14,11 +14,11 @@ import typer
 
 import cbsr_qa
 from cbsr_qa.cli.command import Command, PlainCommand, PlainGroup, commands, purpose
-from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
+from cbsr_qa.cli.output import claim_stdout, emit_json, note, reader_has_gone, take_lost_output
 from cbsr_qa.cli.supervised import end_child, supervise
-from cbsr_qa.domain import BrokenError, CbsrError, RefusedError, StoppedError
-from cbsr_qa.plugin import said
-from cbsr_qa.system import Redelivery
+from cbsr_qa.domain.errors import BrokenError, CbsrError, RefusedError, StoppedError
+from cbsr_qa.system.redelivery import Redelivery
+from cbsr_qa.system.words import describe_error
 
 app = typer.Typer(
     name="cbsr-qa",
@@ -35,11 +35,11 @@ _asked_for_json: list[bool] = []
 _supervising = False
 
 
-def _supervised(command: Command) -> Callable[..., Any]:
+def _supervise_command(command: Command) -> Callable[..., Any]:
     """Run a command in a child process, with stdout kept for its document; help needs neither."""
 
     @wraps(command.run)
-    def begun(*arguments: Any, **options: Any) -> Any:
+    def run_command(*arguments: Any, **options: Any) -> Any:
         _asked_for_json.append(bool(options.get("as_json")))
         judging = command.words == "run" and not options["dry_run"]
         # Click parses the command line here, before any plugin code runs.
@@ -48,12 +48,12 @@ def _supervised(command: Command) -> Callable[..., Any]:
         claim_stdout()
         return command.run(*arguments, **options)
 
-    return begun
+    return run_command
 
 
-def _add_commands(root: typer.Typer) -> None:
+def _add_commands(root: typer.Typer, typed: list[str]) -> None:
     groups: dict[str, typer.Typer] = {"": root}
-    for command in commands():
+    for command in commands(typed[0] if typed else ""):
         if command.group not in groups:
             groups[command.group] = typer.Typer(cls=PlainGroup, help=purpose(command.group), no_args_is_help=True)
             root.add_typer(groups[command.group], name=command.group, rich_help_panel=command.panel)
@@ -61,11 +61,11 @@ def _add_commands(root: typer.Typer) -> None:
         add = groups[command.group].command(
             command.words.split()[-1], cls=PlainCommand, help=command.purpose, rich_help_panel=panel
         )
-        add(_supervised(command))
+        add(_supervise_command(command))
 
 
 if sys.argv[1:] != ["--version"]:  # that needs no command, and they are a third of its time
-    _add_commands(app)
+    _add_commands(app, sys.argv[1:])
 
 
 def _version(wanted: bool) -> None:
@@ -111,27 +111,27 @@ def entry() -> None:
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     gc.set_threshold(*COLLECTED)
-    sys.exit(ended(sys.argv[1:]))
+    sys.exit(run_and_supervise(sys.argv[1:]))
 
 
-def ended(arguments: list[str]) -> int:
+def run_and_supervise(arguments: list[str]) -> int:
     """Run one command in a child process, as the installed program does; return its exit code."""
     global _supervising
     _supervising, code = hasattr(os, "fork"), 3
     try:
-        code = guarded(arguments)
+        code = run_guarded(arguments)
     finally:
         end_child(code)
     return code
 
 
-def guarded(arguments: list[str]) -> int:
+def run_guarded(arguments: list[str]) -> int:
     """Run one command and return its exit code; every error becomes one message.
 
     Output that could not be written (a full disk) gives exit code 3, unless the command was refused. A reader that
     has gone does not change the exit code.
     """
-    code, why = _ended(arguments), lost_output()
+    code, why = _run_typer(arguments), take_lost_output()
     if not why:
         return code
     note(f"cbsr-qa: the output could not be written: {why}\n{_LOST}")
@@ -142,7 +142,7 @@ def _wants_json(arguments: list[str]) -> bool:
     return any(_asked_for_json or ["--json" in arguments])
 
 
-def _ended(arguments: list[str]) -> int:
+def _run_typer(arguments: list[str]) -> int:
     _asked_for_json.clear()
     try:
         with Redelivery():
@@ -150,19 +150,19 @@ def _ended(arguments: list[str]) -> int:
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:
-        return _told(error, arguments)
+        return _report_error(error, arguments)
     except _UsageError as error:
-        return _misused(error, arguments)
+        return _report_misuse(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
         # Commands other than a run, which handles this itself.
-        return _told(StoppedError("stopped from the keyboard", remedy="start it again"), arguments, "aborted")
+        return _report_error(StoppedError("stopped from the keyboard", remedy="start it again"), arguments, "aborted")
     except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
-        code = _ended_by_typer(error)
-        return _unexpected(error, arguments) if code is None else code
+        code = _read_exit_code(error)
+        return _report_defect(error, arguments) if code is None else code
     return result if isinstance(result, int) else 0
 
 
-def _ended_by_typer(error: BaseException) -> int | None:
+def _read_exit_code(error: BaseException) -> int | None:
     """Exit code if no command has begun: completion, or help piped into a program that has ended (not an instrument).
 
     For such help, Rich raises SystemExit, with stdout redirected to nowhere.
@@ -172,7 +172,7 @@ def _ended_by_typer(error: BaseException) -> int | None:
     return 0 if isinstance(error, BrokenPipeError) and reader_has_gone() else None
 
 
-def _told(error: CbsrError, arguments: list[str], words: str = "") -> int:
+def _report_error(error: CbsrError, arguments: list[str], words: str = "") -> int:
     """Print an error, also as a document if requested, and return its exit code."""
     if _wants_json(arguments):
         emit_json(error.document())
@@ -180,11 +180,11 @@ def _told(error: CbsrError, arguments: list[str], words: str = "") -> int:
     return error.exit_code
 
 
-def _unexpected(error: BaseException, arguments: list[str]) -> int:
+def _report_defect(error: BaseException, arguments: list[str]) -> int:
     """Report an internal error and its place; exit code 3: nothing was decided."""
     where = traceback.extract_tb(error.__traceback__)[-1]
-    reason = f"internal error: {said(error)} ({Path(where.filename).name}, line {where.lineno})"
-    code = _told(BrokenError(reason, remedy=_REPORT_IT), arguments)
+    reason = f"internal error: {describe_error(error)} ({Path(where.filename).name}, line {where.lineno})"
+    code = _report_error(BrokenError(reason, remedy=_REPORT_IT), arguments)
     if os.environ.get("CBSR_QA_TRACEBACK"):
         traceback.print_exception(error)
     return code
@@ -201,18 +201,18 @@ _WORDS = {
 }
 
 
-def _in_words(message: str) -> str:
+def _reword(message: str) -> str:
     for jargon, words in _WORDS.items():
         if re.fullmatch(jargon, message):
             return re.sub(jargon, words, message)
     return message
 
 
-def _misused(error: Any, arguments: list[str]) -> int:
+def _report_misuse(error: Any, arguments: list[str]) -> int:
     """Report what is wrong with the command line."""
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
-    error.message = _in_words(error.message)
+    error.message = _reword(error.message)
     if _wants_json(arguments):
         emit_json(RefusedError(error.format_message(), remedy="see cbsr-qa COMMAND --help").document())
     error.show()

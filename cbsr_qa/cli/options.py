@@ -11,9 +11,9 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from cbsr_qa.config import not_finite
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.plugin import echo
+from cbsr_qa.config.documents import find_not_finite
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.system.words import echo
 
 _Word = TypeVar("_Word", bound=StrEnum)
 
@@ -40,7 +40,7 @@ def one_of(words: type[_Word], given: str, option: str) -> _Word:
     raise RefusedError(f"{option} {given[:64]!r} is not known", remedy=f"{hint}allowed: {', '.join(allowed)}")
 
 
-def given_options(context: typer.Context) -> set[str]:
+def list_given_options(context: typer.Context) -> set[str]:
     """Return the names of the parameters that were given on the command line or in the environment."""
     # Compared by name, as typer may use its own copy of click's enumeration.
     sources = {name: context.get_parameter_source(name) for name in context.params}
@@ -83,7 +83,7 @@ def plugin_options(given: Sequence[str]) -> dict[str, Any]:
         if key in options:
             raise ConfigError(f"--option {key} is given twice", remedy="give it once")
         options[key] = _value(value.strip())
-    for path in not_finite(options):
+    for path in find_not_finite(options):
         raise ConfigError(f"--option {path[0]} is not a finite number", remedy=_REMEDY)
     return options
 

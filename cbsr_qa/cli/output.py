@@ -8,31 +8,33 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
-from cbsr_qa.domain import AbortedError
+from cbsr_qa.domain.errors import AbortedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.results import CommandOutcome
+    from cbsr_qa.domain.results.report import CommandOutcome
 
 
 def emit_json(document: Mapping[str, Any]) -> None:
     """Print one document on stdout. ValueError if a number in it is NaN or infinite."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    if _shown(text) != text:
+    if _escape_unprintable(text) != text:
         text = json.dumps(document, indent=2, allow_nan=False)
     _print(text)
 
 
 def check_page(output: Path | None) -> None:
-    """Refuse a page that would replace something else; see :func:`cbsr_qa.report.check_replaceable`."""
+    """Refuse a page that would replace something else; see :func:`cbsr_qa.report.render.check_replaceable`."""
     if output is not None:
-        from cbsr_qa.report import check_replaceable
+        from cbsr_qa.report.render import check_replaceable
 
         check_replaceable(output)
 
 
 def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json: bool = False) -> int:
     """Print a command's outcome, write its page if ``output`` is given, and return its exit code."""
-    from cbsr_qa.report import json_document, render_sections, terminal_lines, write_report
+    from cbsr_qa.report.document import json_document
+    from cbsr_qa.report.render import render_sections, write_report
+    from cbsr_qa.report.terminal import terminal_lines
 
     if output is not None:
         write_report(output, render_sections(outcome.page, outcome.sections))
@@ -40,7 +42,7 @@ def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json:
     if as_json:
         emit_json(json_document(outcome.result))
         return outcome.exit_code
-    paint = _COLOURS.get(outcome.page.banner.tone, "") if _coloured() else ""
+    paint = _COLOURS.get(outcome.page.banner.tone, "") if _shows_colours() else ""
     for line in terminal_lines(outcome.page, outcome.sections):
         say(f"{paint}{line}{_PLAIN}" if paint else line)
         paint = ""
@@ -52,7 +54,7 @@ _COLOURS: Final = {"pass": "\x1b[1;32m", "marginal": "\x1b[1;33m", "fail": "\x1b
 _PLAIN: Final = "\x1b[0m"
 
 
-def _coloured() -> bool:
+def _shows_colours() -> bool:
     """Whether stdout is a terminal that shows colours, and nobody has asked for none (https://no-color.org)."""
     return any(_on_terminal) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
@@ -75,7 +77,7 @@ def announce(stage: str) -> None:
     note(f"{stage} …")
 
 
-def lost_output() -> str:
+def take_lost_output() -> str:
     """Return why output on stdout was lost, and reset it; empty if it was not, or its reader (``head``) has ended."""
     why = "; ".join(_lost)
     _lost.clear()
@@ -152,7 +154,7 @@ def _print(text: str) -> None:
     if stream is None:  # closed by the caller, who wants no output
         return
     try:
-        stream.write(_shown(text) + "\n")
+        stream.write(_escape_unprintable(text) + "\n")
         stream.flush()
     except BrokenPipeError:
         _discard_the_rest(stream)
@@ -161,7 +163,7 @@ def _print(text: str) -> None:
         _discard_the_rest(stream)
 
 
-def _shown(text: str) -> str:
+def _escape_unprintable(text: str) -> str:
     """Escape what stdout cannot encode, as stderr does."""
     encoding = getattr(_stream(), "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)

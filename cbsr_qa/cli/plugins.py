@@ -11,13 +11,13 @@ from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.results import Section
-    from cbsr_qa.plugin import PluginReference
+    from cbsr_qa.domain.results.report import Section
+    from cbsr_qa.plugin.reference import PluginReference
 
 group("plugins", "List, describe, check and start plugins.")
 
 
-@command("plugins list", prints="cbsr_qa.plugin:ListedPlugins")
+@command("plugins list", prints="cbsr_qa.plugin.reference:ListedPlugins")
 def list_plugins(
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     options: Annotated[bool, typer.Option("--options", help="List the options of each plugin.")] = False,
@@ -26,13 +26,17 @@ def list_plugins(
     """List plugins by kind and name, and those that could not be loaded, with the reason."""
     from dataclasses import replace
 
-    from cbsr_qa.domain import filled
-    from cbsr_qa.domain.results import Section
-    from cbsr_qa.plugin import FailedPlugin, Kind, ListedPlugin, ListedPlugins, discover, kind_named, plugin_reference
-    from cbsr_qa.report import answer, plural, text_table
+    from cbsr_qa.domain.filling import fill_from_object
+    from cbsr_qa.domain.results.report import Section
+    from cbsr_qa.plugin.discovery import discover
+    from cbsr_qa.plugin.hooks import Kind
+    from cbsr_qa.plugin.reference import FailedPlugin, ListedPlugin, ListedPlugins, plugin_reference
+    from cbsr_qa.plugin.software import kind_named
+    from cbsr_qa.report.page import answer
+    from cbsr_qa.report.tables import plural, text_table
 
     plugins = discover()
-    found = [filled(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))]
+    found = [fill_from_object(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))]
     columns: tuple[str, ...] = ("kind", "name", "from")
     rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in found]
     if options:
@@ -40,14 +44,14 @@ def list_plugins(
         found = [replace(plugin, options=each) for plugin, each in zip(found, taken, strict=True)]
         columns += ("options",)
         rows = [[*row, ", ".join(option.name for option in each)] for row, each in zip(rows, taken, strict=True)]
-    failed = tuple(filled(FailedPlugin, failure) for failure in plugins.failures)
+    failed = tuple(fill_from_object(FailedPlugin, failure) for failure in plugins.failures)
     warnings = [f"not loaded: {failure.distribution}: {failure.reason}" for failure in failed]
     table = text_table("By kind and name.", columns, rows)
     outcome = answer(ListedPlugins(tuple(found), failed), plural(len(found), "plugin"), warnings=warnings)
     show(replace(outcome, sections=(Section("Installed", (table,)),)), as_json=as_json)
 
 
-@command("plugins show", prints="cbsr_qa.plugin:ShownPlugins")
+@command("plugins show", prints="cbsr_qa.plugin.reference:ShownPlugins")
 def show_plugin(
     name: Annotated[str, typer.Argument(help="Name of the plugin.")],
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
@@ -56,8 +60,11 @@ def show_plugin(
     """Show the options of a plugin, with unit, default and range, and what it measures."""
     from dataclasses import replace
 
-    from cbsr_qa.plugin import Kind, ShownPlugins, discover, kind_named, plugin_reference
-    from cbsr_qa.report import answer
+    from cbsr_qa.plugin.discovery import discover
+    from cbsr_qa.plugin.hooks import Kind
+    from cbsr_qa.plugin.reference import ShownPlugins, plugin_reference
+    from cbsr_qa.plugin.software import kind_named
+    from cbsr_qa.report.page import answer
 
     plugins = discover()
     asked = kind_named(kind)
@@ -72,7 +79,7 @@ def show_plugin(
     show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
 
 
-@command("plugins new", prints="cbsr_qa.testing.kit:NewPackage")
+@command("plugins new", prints="cbsr_qa.testing.kit.new:NewPackage")
 def new_plugin(
     kind: Annotated[str, typer.Argument(help="What it adds, e.g. metric.")],
     name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case words joined by hyphens.")],
@@ -82,9 +89,10 @@ def new_plugin(
     as_json: AsJson = False,
 ) -> None:
     """Write a package with one working plugin to start from: code, test, README and pyproject.toml."""
-    from cbsr_qa.plugin import discover, kind_named
-    from cbsr_qa.report import answer
-    from cbsr_qa.testing.kit import make_package
+    from cbsr_qa.plugin.discovery import discover
+    from cbsr_qa.plugin.software import kind_named
+    from cbsr_qa.report.page import answer
+    from cbsr_qa.testing.kit.new import make_package
 
     wanted = kind_named(kind)
     assert wanted is not None  # None stands for all kinds only where no kind is given
@@ -98,7 +106,7 @@ def new_plugin(
     show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
 
 
-@command("plugins check", prints="cbsr_qa.testing.kit:CheckedPlugins")
+@command("plugins check", prints="cbsr_qa.testing.kit.conformance:CheckedPlugins")
 def check_plugin(
     name: Annotated[
         str | None,
@@ -114,8 +122,10 @@ def check_plugin(
     Exit code 0: all checks that apply passed. 1: a check failed. 2: the plugin cannot be found or loaded.
     """
     from cbsr_qa.cli.output import Counting
-    from cbsr_qa.plugin import kind_named
-    from cbsr_qa.testing.kit import check_plugins, checks_outcome, targets_of
+    from cbsr_qa.plugin.software import kind_named
+    from cbsr_qa.testing.kit.conformance import check_plugins
+    from cbsr_qa.testing.kit.package import targets_of
+    from cbsr_qa.testing.kit.report import checks_outcome
 
     targets = targets_of(name, kind_named(kind))
     with Counting("checks") as counting:
@@ -128,8 +138,8 @@ def _path(folder: Path) -> str:
 
 
 def _section(plugin: "PluginReference") -> "Section":
-    from cbsr_qa.domain.results import Block, Paragraph, Section
-    from cbsr_qa.report import text_table
+    from cbsr_qa.domain.results.report import Block, Paragraph, Section
+    from cbsr_qa.report.tables import text_table
 
     blocks: list[Block] = [Paragraph(_plain(plugin.summary))]
     if plugin.measures:

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, document
-from cbsr_qa.cli.options import AsJson, Database, given_options, one_of, option_names
+from cbsr_qa.cli.options import AsJson, Database, list_given_options, one_of, option_names
 from cbsr_qa.cli.output import announce, note, operator_at_terminal, read_pin, show
-from cbsr_qa.cli.supervised import begun
+from cbsr_qa.cli.supervised import report_run
 
 #: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
@@ -25,10 +25,10 @@ class Prompts(StrEnum):
     CHANNEL = "channel"
 
 
-document("dry run", prints="cbsr_qa.app.run:PlannedRun")
+document("dry run", prints="cbsr_qa.app.run.planned:PlannedRun")
 
 
-@command("run", prints="cbsr_qa.app.run:RunOutcome")
+@command("run", prints="cbsr_qa.app.run.outcome:RunOutcome")
 def run(
     context: typer.Context,
     station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")] = "",
@@ -71,12 +71,15 @@ def run(
     """
     _check_given(context, resuming=resume is not None)
     answers = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL
-    from cbsr_qa.app.gate import Override
-    from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor
+    from cbsr_qa.app.gate.request import Override
+    from cbsr_qa.app.run.outcome import run_outcome
+    from cbsr_qa.app.run.planned import plan_outcome
+    from cbsr_qa.app.run.resume import resume_run
+    from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
 
     overridden = Override(tuple(override or ()), override_by, override_why)
     if resume is not None:
-        begun(resume, database)
+        report_run(resume, database)
         outcome = resume_run(
             resume,
             database=database,
@@ -113,7 +116,7 @@ def run(
         request,
         tell=announce,
         ask=operator_at_terminal(),
-        begun=lambda run: begun(run, database),
+        begun=lambda run: report_run(run, database),
         answers=answers,
         pin=read_pin,
     )
@@ -122,7 +125,7 @@ def run(
 
 def _check_given(context: typer.Context, *, resuming: bool) -> None:
     """Refuse options that cannot change when a run is resumed, and a new run without required ones."""
-    given = given_options(context)
+    given = list_given_options(context)
     if resuming:
         extra = [name for name in context.params if name in given and name not in _WITH_RESUME]
         if extra:

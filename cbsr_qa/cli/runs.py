@@ -12,7 +12,7 @@ from cbsr_qa.cli.output import show
 _Run = Annotated[str, typer.Argument(help="Run, or a serial number for the latest run of that sensor.")]
 
 
-@command("report", prints="cbsr_qa.app.run:Rendered")
+@command("report", prints="cbsr_qa.app.run.render:Rendered")
 def report(
     run: _Run,
     to: Annotated[
@@ -26,15 +26,15 @@ def report(
     Refuses a verdict that does not follow from the stored measurements. A run without a stored result has no verdict:
     the report says how to get one, and the exit code is 3.
     """
-    from cbsr_qa.app.run import render_stored, rendered_outcome
+    from cbsr_qa.app.run.render import render_outcome, render_stored
 
-    raise typer.Exit(show(rendered_outcome(render_stored(run, database=database, folder=to)), as_json=as_json))
+    raise typer.Exit(show(render_outcome(render_stored(run, database=database, folder=to)), as_json=as_json))
 
 
 group("verdict", "Override verdicts.")
 
 
-@command("verdict override", prints="cbsr_qa.app:Overridden")
+@command("verdict override", prints="cbsr_qa.app.changes:Overridden")
 def override(
     run: Annotated[
         str,
@@ -51,6 +51,6 @@ def override(
     A sensor may have several runs, so RUN is the identifier of one of them, not a serial number. For example:
     cbsr-qa verdict override 01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d --outcome fail --by Ada --why "scratched sheet"
     """
-    from cbsr_qa.app import override_verdict
+    from cbsr_qa.app.changes import override_verdict
 
     show(override_verdict(run, outcome, by=by, why=why, database=database), as_json=as_json)

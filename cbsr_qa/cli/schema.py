@@ -6,10 +6,10 @@ import typer
 
 from cbsr_qa.cli.command import command, document, documents
 from cbsr_qa.cli.output import emit_json, say
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
-document("events", prints="cbsr_qa.domain.run:EventMessage")
-document("channel", prints="cbsr_qa.station.control:ChannelLine")
+document("events", prints="cbsr_qa.domain.run.event_documents:EventMessage")
+document("channel", prints="cbsr_qa.station.control.messages:ChannelLine")
 
 
 @command("schema")
@@ -31,7 +31,7 @@ def schema(
 
 def document_schema(words: str) -> dict[str, Any]:
     """Return the JSON Schema of a command's document. RefusedError if the command has none."""
-    from cbsr_qa.report import json_schema
+    from cbsr_qa.report.document import json_schema
 
     known = documents()
     chosen = [name for name in known if name == words] or [name for name in known if name.startswith(f"{words} ")]

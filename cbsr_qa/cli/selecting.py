@@ -8,7 +8,7 @@ import typer
 from cbsr_qa.cli.options import Since, Until, to_day
 
 if TYPE_CHECKING:
-    from cbsr_qa.studies.shift import ListRequest
+    from cbsr_qa.app.shift.lists import ListRequest
 
 Checks = Annotated[
     bool, typer.Option("--checks", help="Also runs of golden sensors that checked a station; never counted.")
@@ -37,13 +37,13 @@ class Selecting:
         str, typer.Option(metavar="NAME", help="Only failures of this limit, e.g. centre_of_mass_error.")
     ] = ""
 
-    def given(self) -> bool:
+    def is_given(self) -> bool:
         """Whether one of them was given."""
         return any(asdict(self).values())
 
     def request(self, *, latest: int | None, checks: bool = False) -> "ListRequest":
         """Return which runs the options select. RefusedError if two of them exclude each other."""
-        from cbsr_qa.studies.shift import list_request
+        from cbsr_qa.app.shift.lists import list_request
 
         return list_request(
             today=self.today,

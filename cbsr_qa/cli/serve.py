@@ -10,7 +10,7 @@ import typer
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import Database
 from cbsr_qa.cli.output import note
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 #: Libraries of the extra.
 _NEEDED = ("starlette", "uvicorn", "PIL")
@@ -47,7 +47,7 @@ def serve(
     missing = [library for library in _NEEDED if find_spec(library) is None]
     if missing:
         raise RefusedError(f"serve needs {', '.join(missing)}", remedy="pip install 'cbsr-qa[web]'")
-    from cbsr_qa.web import ServeRequest, serve
+    from cbsr_qa.web.server import ServeRequest, serve
 
     request = ServeRequest(
         stations=station,

@@ -9,12 +9,12 @@ import typer
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, read_pin, show
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 group("station", "Check stations, and pause or stop the runs at them.")
 
 
-@command("station check", prints="cbsr_qa.app.station_check:CheckedStation")
+@command("station check", prints="cbsr_qa.app.station_check.outcome:CheckedStation")
 def check(
     context: typer.Context,
     station: Annotated[
@@ -52,7 +52,7 @@ def check(
     """
     if bool(station) == bool(named):
         context.fail("The station is named twice: leave --station out." if station else "Missing option '--station'.")
-    from cbsr_qa.app.station_check import CheckRequest, check_station
+    from cbsr_qa.app.station_check.check import CheckRequest, check_station
 
     request = CheckRequest(
         station=station or named,
@@ -102,21 +102,21 @@ def stop(
 
 
 def _request(station: str, do: str, by: str) -> None:
-    from cbsr_qa.station.control import RunChannel
+    from cbsr_qa.station.control.client import RunChannel
 
     try:
         channel = RunChannel.connect(station)
     except RefusedError:
-        if not _signalled(station, do):
+        if not _send_signals(station, do):
             raise
         return
     with channel:
         channel.ask(do, by=by or getpass.getuser())
 
 
-def _signalled(station: str, do: str) -> bool:
+def _send_signals(station: str, do: str) -> bool:
     """Stop a process that has no channel by signals: in order, or at once by a second one of another kind."""
-    from cbsr_qa.station.control import station_holder
+    from cbsr_qa.station.control.lock import station_holder
 
     signals = {"stop": (signal.SIGTERM,), "emergency": (signal.SIGTERM, signal.SIGINT)}.get(do, ())
     holder = station_holder(station)

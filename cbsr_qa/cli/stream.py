@@ -9,11 +9,11 @@ import typer
 from cbsr_qa.cli.command import command, document
 from cbsr_qa.cli.options import PublicKey, plugin_options
 from cbsr_qa.cli.output import live_output, note
-from cbsr_qa.domain import StoppedError
+from cbsr_qa.domain.errors import StoppedError
 
 document(
     "stream messages",
-    prints="cbsr_qa.app.stream:HeaderMessage|FrameMessage|AliveMessage|DroppedMessage|InterruptedMessage|EndMessage",
+    prints="cbsr_qa.app.stream.messages:StreamMessage",
 )
 
 
@@ -74,9 +74,12 @@ def stream(
 
     Ends on Ctrl-C, or when the instrument fails (exit code 3), with a message that says why.
     """
-    from cbsr_qa.app.stream import EndMessage, FramesFrom, Outlets, StreamRequest, stream_messages
-    from cbsr_qa.plugin import discover
-    from cbsr_qa.station import Interrupts
+    from cbsr_qa.app.stream.messages import EndMessage
+    from cbsr_qa.app.stream.outlets import Outlets
+    from cbsr_qa.app.stream.source import FramesFrom
+    from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
+    from cbsr_qa.plugin.discovery import discover
+    from cbsr_qa.station.interrupts import Interrupts
 
     if option and driver is None:
         raise typer.BadParameter("it is for the driver of --from", param_hint="--option")
@@ -86,7 +89,7 @@ def stream(
     request = StreamRequest(calibration, source, reference, sensor_type, give_up, public_key)
     with (
         Interrupts(lambda line: None) as interrupts,
-        interrupts.heard(),
+        interrupts.listen(),
         Outlets(places, plugins, write=write, tell=note) as outlets,
     ):
         made = stream_messages(request, plugins=plugins, tell=note, waiting=interrupts.idle)

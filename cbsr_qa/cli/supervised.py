@@ -13,8 +13,10 @@ from contextlib import suppress
 from typing import Any, ClassVar, Final, NamedTuple
 
 from cbsr_qa.cli.output import claim_stdout, note, say
-from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
-from cbsr_qa.system import be_watched, end_copies_of_threads, end_copy, parsed_json
+from cbsr_qa.domain.errors import BrokenError, BrokenRunError, CbsrError
+from cbsr_qa.system.copies import end_copies_of_threads, end_copy
+from cbsr_qa.system.json_text import parse_json
+from cbsr_qa.system.stubborn import be_watched
 
 #: Signals passed on to the child; a run then stops cleanly.
 _HANDED_ON: Final = tuple(
@@ -32,7 +34,7 @@ class BrokenProcessError(BrokenError):
     """The process of a command ended unexpectedly; no run had begun (exit code 3)."""
 
 
-def begun(run: str, database: str | None) -> None:
+def report_run(run: str, database: str | None) -> None:
     """Report run and database (None: the default) to the parent, if any."""
     _Child.tell(run=run, database=database)
 
@@ -71,7 +73,7 @@ def supervise(*, judges: bool, live: bool = False) -> int | None:
     finally:
         for end in (report[0], alive[1], echo[0]):
             os.close(end)
-    return _concluded(parent.reported(), status, judges=judges)
+    return _conclude(parent.read_report(), status, judges=judges)
 
 
 def end_child(code: int) -> None:
@@ -143,9 +145,9 @@ def _mark(child: int) -> str:
 def _name_what_runs() -> None:
     if "cbsr_qa.plugin.discovery" not in sys.modules:  # no plugin was loaded
         return
-    from cbsr_qa.plugin import left_running
+    from cbsr_qa.plugin.discovery import name_left_threads
 
-    for line in left_running([threading.main_thread()]):
+    for line in name_left_threads([threading.main_thread()]):
         note(f"warning: {line}")
 
 
@@ -175,12 +177,12 @@ class _Parent:
         self._reads = True
         self._loads: threading.Thread | None = None
 
-    def reported(self) -> dict[str, Any]:
+    def read_report(self) -> dict[str, Any]:
         """Return what the child reported, later messages over earlier ones; ignores what plugins wrote."""
         mark, reported = _mark(self._child).encode(), dict[str, Any]()
         for line in self._received.splitlines():
             with suppress(ValueError):
-                reported |= parsed_json(bytes(line)) if line.startswith(mark) else {}
+                reported |= parse_json(bytes(line)) if line.startswith(mark) else {}
         return reported
 
     def wait(self) -> int:
@@ -193,7 +195,7 @@ class _Parent:
         before = {number: signal.signal(number, lambda *_: None) for number in (*heard, signal.SIGCHLD)}
         try:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
-            while (status := self._ended()) is None:
+            while (status := self._poll_child()) is None:
                 select.select([woken, *[self._report] * self._reads], [], [])
                 self._read_report()
                 self._hand_on({*(_read(woken) or b"")} & {*heard})
@@ -208,7 +210,7 @@ class _Parent:
             os.close(woken)
             os.close(wakes)
 
-    def _ended(self) -> int | None:
+    def _poll_child(self) -> int | None:
         """Return the child's status once it has ended; stop and continue with it (Ctrl-Z)."""
         found, status = os.waitpid(self._child, os.WNOHANG | os.WUNTRACED)
         if found and os.WIFSTOPPED(status):
@@ -254,15 +256,15 @@ def _load_the_store() -> None:
     from cbsr_qa.store.runs import outcomes  # noqa: F401 - half a second
 
 
-def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
+def _conclude(reported: dict[str, Any], status: int, *, judges: bool) -> int:
     code, run, database = reported.get("code"), reported.get("run"), reported.get("database")
     why = _cut_off(status, code)
     if why:
         why = f"the process of the {'run' if judges else 'command'} {why}"
         if judges and run is not None:
-            why += f"; {_in_database(run, database).words}"
+            why += f"; {_look_up_run(run, database).words}"
     elif judges and not code:
-        why = _unstored(run, database)
+        why = _explain_unconfirmed(run, database)
     if why:
         raise _broken(run, database, why, judges=judges)
     if reported["printed"]:
@@ -272,14 +274,14 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
 
 
 def _broken(run: str | None, database: str | None, why: str, *, judges: bool) -> CbsrError:
-    from cbsr_qa.app import database_option
+    from cbsr_qa.app.command_hints import database_option
 
     look = "check the bench before you touch it: the head may be down and the source on"
     if not judges:
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    held = _in_database(run, database)
+    held = _look_up_run(run, database)
     if not held.stored:  # it was named before anything of it was stored
         return BrokenProcessError(why, remedy=f"{look}. Then start it again: nothing can be continued")
     # Only the files of a result may be missing.
@@ -301,11 +303,11 @@ def _cut_off(status: int, code: int | None) -> str:
     return "" if code == ended else f"reported exit code {code} and ended with exit code {ended}"
 
 
-def _unstored(run: str | None, database: str | None) -> str:
+def _explain_unconfirmed(run: str | None, database: str | None) -> str:
     """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
-    held = _in_database(run, database)
+    held = _look_up_run(run, database)
     return "" if held.passed else f"the process of the run reported success, and {held.words}"
 
 
@@ -318,10 +320,10 @@ class _Held(NamedTuple):
     passed: bool = False
 
 
-def _in_database(run: str, database: str | None) -> _Held:
-    from cbsr_qa.config import database_url
-    from cbsr_qa.domain.results import ResultState
-    from cbsr_qa.store.runs import NoRunError, latest_result
+def _look_up_run(run: str, database: str | None) -> _Held:
+    from cbsr_qa.config.paths import database_url
+    from cbsr_qa.domain.run.states import ResultState
+    from cbsr_qa.store.runs.outcomes import NoRunError, latest_result
 
     try:
         result, outcome = latest_result(database_url(database), run)

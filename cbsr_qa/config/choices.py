@@ -5,8 +5,13 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import Any
 
-from cbsr_qa.domain import CbsrError, PluginError
-from cbsr_qa.plugin import KeyPath, Kind, Plugins, Problem, check, contained, options_of, shown
+from cbsr_qa.domain.errors import CbsrError, PluginError
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.options import options_of
+from cbsr_qa.plugin.problems import Problem, check
+from cbsr_qa.system.words import KeyPath, quote_value
 
 #: Plugins that are made of their options alone; the others need a bench or a scene.
 _MADE_OF_OPTIONS = (Kind.SEQUENCE, Kind.RECONSTRUCTION, Kind.METRIC, Kind.SINK)
@@ -37,7 +42,7 @@ def tables(data: Any, key: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
             yield index, table
 
 
-def chosen(kind: Kind, table: Any, path: KeyPath, key: str, known: Sequence[str] = ()) -> Iterator[Choice]:
+def read_choice(kind: Kind, table: Any, path: KeyPath, key: str, known: Sequence[str] = ()) -> Iterator[Choice]:
     """Yield the plugin that a table names under a key; its options are the keys that are not the table's own."""
     name = table.get(key) if isinstance(table, Mapping) else None
     if isinstance(name, str):
@@ -56,7 +61,7 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
         factory = plugins.factory(choice.kind, choice.name)
     except PluginError as error:
         path = choice.named or choice.path
-        name = "" if choice.name == path[-1] else f"{shown(choice.name)}, "
+        name = "" if choice.name == path[-1] else f"{quote_value(choice.name)}, "
         unknown = choice.name not in plugins.names(choice.kind)
         why = f"is {name}no installed {choice.kind} plugin" if unknown else f"cannot be used: {error.reason}"
         return None, [Problem(path, why, error.remedy)]
@@ -66,7 +71,7 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
     if problems or choice.kind not in _MADE_OF_OPTIONS:
         return factory, [replace(problem, path=(*choice.path, *problem.path)) for problem in problems]
     try:
-        with contained(f"{choice.kind} {choice.name!r}"):
+        with blame_plugin(f"{choice.kind} {choice.name!r}"):
             return factory(**choice.options), []
     except CbsrError as error:
         return factory, [Problem(choice.path, f"cannot be used: {error.reason}", error.remedy)]
@@ -89,8 +94,8 @@ def check_measured(
         if name not in measured and all_known:
             near = get_close_matches(name, measured, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            what = f"is {shown(name)}, which no metric of this recipe measures"
+            what = f"is {quote_value(name)}, which no metric of this recipe measures"
             yield Problem(("limits", index, "measurement"), what, f"{hint}measured: {', '.join(sorted(measured))}")
         elif name in measured and unit != measured[name]:
             rule = f"it must be {measured[name]!r}, the unit that {name} is measured in"
-            yield Problem(("limits", index, "unit"), f"is {shown(unit)}", rule)
+            yield Problem(("limits", index, "unit"), f"is {quote_value(unit)}", rule)

@@ -11,9 +11,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.plugin import echo, printable
-from cbsr_qa.system import UnfitFileError, read_foreign
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.system.foreign import UnfitFileError, read_foreign
+from cbsr_qa.system.words import echo, printable
 
 #: Larger than any configuration; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000
@@ -82,7 +82,7 @@ class Document:
         return None if self.path is None else self.path.parent
 
 
-def shipped_names(kind: DocumentKind) -> tuple[str, ...]:
+def list_shipped(kind: DocumentKind) -> tuple[str, ...]:
     """Names of the shipped files of one kind, sorted."""
     folder = files("cbsr_qa._stations").joinpath(kind.folder)
     if not folder.is_dir():
@@ -105,12 +105,12 @@ def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | 
     """
     path = _path_of(name_or_path, near)
     if path is not None:
-        return _parsed(kind, printable(str(path)), path, _read(kind, path))
+        return _parse(kind, printable(str(path)), path, _read(kind, path))
     name = str(name_or_path)
-    if name not in shipped_names(kind):
+    if name not in list_shipped(kind):
         raise _unknown(kind, name)
     source = files("cbsr_qa._stations").joinpath(kind.folder, f"{name}.toml")
-    return _parsed(kind, f"shipped {kind.noun} {name!r}", None, source.read_text(encoding="utf-8"))
+    return _parse(kind, f"shipped {kind.noun} {name!r}", None, source.read_text(encoding="utf-8"))
 
 
 def reference_path(name: str, near: Path | None) -> Path | None:
@@ -149,20 +149,20 @@ def _exists(path: Path) -> bool:
 
 
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
-    known = shipped_names(kind)
+    known = list_shipped(kind)
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     remedy = []
     if name and _is_file(Path(f"{name}.toml")):
         remedy.append(f"for the file in this folder give {name}.toml")
-    remedy += [f"{echo(name)} is a shipped {other.noun}" for other in DocumentKind if name in shipped_names(other)]
+    remedy += [f"{echo(name)} is a shipped {other.noun}" for other in DocumentKind if name in list_shipped(other)]
     remedy.append(f"shipped: {', '.join(known) or 'none'}; or give the path of a .toml file")
     return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy=hint + "; ".join(remedy))
 
 
 def _read(kind: DocumentKind, path: Path) -> str:
     if not _exists(path):
-        shipped = f"; or give a shipped name: {names}" if (names := ", ".join(shipped_names(kind))) else ""
+        shipped = f"; or give a shipped name: {names}" if (names := ", ".join(list_shipped(kind))) else ""
         raise ConfigError(
             f"{kind.noun} file {echo(str(path), 200)} does not exist", remedy=f"check its name and folder{shipped}"
         )
@@ -182,7 +182,7 @@ def _read(kind: DocumentKind, path: Path) -> str:
         raise ConfigError(f"{kind.noun} file {label} cannot be read: {error.strerror}") from error
 
 
-def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Document:
+def _parse(kind: DocumentKind, label: str, path: Path | None, text: str) -> Document:
     if deep := _TOO_DEEP.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise ConfigError(
@@ -206,13 +206,13 @@ def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Doc
     return Document(kind, label, path, text, data)
 
 
-def not_finite(data: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+def find_not_finite(data: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
     """Yield the key paths of numbers that are not finite: TOML allows ``nan`` and ``inf``, no quantity here does."""
     if isinstance(data, Mapping):
         for key, value in data.items():
-            yield from not_finite(value, (*path, key))
+            yield from find_not_finite(value, (*path, key))
     elif isinstance(data, list):
         for index, value in enumerate(data):
-            yield from not_finite(value, (*path, index))
+            yield from find_not_finite(value, (*path, index))
     elif isinstance(data, float) and not math.isfinite(data):
         yield path

@@ -7,10 +7,10 @@ from pydantic import Field
 
 from cbsr_qa.config.serials import validate_operator
 from cbsr_qa.config.tables import as_domain
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
-from cbsr_qa.plugin import Problem, Table
-from cbsr_qa.system import pin_hash_readable
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.plugin.problems import Problem, Table
+from cbsr_qa.system.pins import pin_hash_readable
 
 Policy = Literal["refuse", "warn", "off"]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -79,7 +79,7 @@ class GateTable(Table):
         )
 
 
-def without_operators(data: Mapping[str, Any]) -> Mapping[str, Any]:
+def empty_operators(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the content of a station file with an empty list of operators, if it has a list."""
     gate = data.get("gate")
     if not isinstance(gate, Mapping) or OPERATORS not in gate:

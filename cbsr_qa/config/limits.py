@@ -13,11 +13,12 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
-from cbsr_qa.config.tables import FileModel, Word, as_domain, refusal, validated
+from cbsr_qa.config.tables import FileModel, Word, as_domain, refusal, validate
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError, filled
-from cbsr_qa.domain.results import Limit, LimitsVersion
-from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Limit, LimitsVersion
+from cbsr_qa.plugin.problems import Problem, Table
 
 VersionName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Words = Annotated[str, Field(max_length=1000)]
@@ -103,7 +104,7 @@ class LimitsVersionTable(Table):
 
     def to_domain(self) -> LimitsVersion:
         """Return the version; a seal that does not fit was refused before."""
-        return filled(LimitsVersion, self, sealed=bool(self.limits_sha256))
+        return fill_from_object(LimitsVersion, self, sealed=bool(self.limits_sha256))
 
 
 class LimitsFile(FileModel[None]):
@@ -168,7 +169,7 @@ def with_limits(document: Document) -> Document:
     assert isinstance(recipe, Mapping)
     try:
         taken = open_document(DocumentKind.LIMITS, name, near=document.folder)
-        validated(LimitsFile, taken)
+        validate(LimitsFile, taken)
     except ConfigError as error:
         line = line_of(document.text, ("recipe", "limits_from"))
         where = f"line {line}: " if line else ""

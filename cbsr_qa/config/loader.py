@@ -9,19 +9,22 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
-from cbsr_qa.config.gate import without_operators
+from cbsr_qa.config.gate import empty_operators
 from cbsr_qa.config.limits import with_limits
 from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
-from cbsr_qa.config.station import StationFile, resolved_options
-from cbsr_qa.config.tables import FileModel, validated
+from cbsr_qa.config.station import StationFile, resolve_options
+from cbsr_qa.config.tables import FileModel, validate
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.plan import Recipe, Scene, ScenePlan, Station
-from cbsr_qa.domain.sensor import Material, SensorType, mesh_arrays, widest_ring_mm
-from cbsr_qa.plugin import Plugins
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
+from cbsr_qa.domain.plan.scene_plan import ScenePlan
+from cbsr_qa.domain.sensor.electrodes import widest_ring_mm
+from cbsr_qa.domain.sensor.mesh import mesh_arrays
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.plugin.discovery import Plugins
 
 
 def with_mesh(document: Document) -> Document:
@@ -36,7 +39,7 @@ def with_mesh(document: Document) -> Document:
     name = sheet.get("mesh") if isinstance(sheet, Mapping) else None
     if not isinstance(name, str):
         return document
-    from cbsr_qa.eit.mesh import read_mesh  # with all of scipy behind it
+    from cbsr_qa.eit.mesh.files import read_mesh  # with all of scipy behind it
 
     try:
         mesh = read_mesh((document.folder or Path()) / name)
@@ -65,7 +68,7 @@ class Loaded(Generic[T]):
 
     Parameters
     ----------
-    value : e.g. a :class:`~cbsr_qa.domain.plan.Station`.
+    value : e.g. a :class:`~cbsr_qa.domain.plan.plan.Station`.
     document : its source: text, path (None where shipped or restored), parsed data, and a label for messages.
     """
 
@@ -93,8 +96,8 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
         As for every loader here: the file does not exist or is not TOML, or a list of its problems.
     """
     loaded = _load(DocumentKind.STATION, StationFile, source, None, plugins)
-    instruments = tuple(resolved_options(i, loaded.folder) for i in loaded.value.instruments)
-    document = replace(loaded.document, data=without_operators(loaded.document.data))
+    instruments = tuple(resolve_options(i, loaded.folder) for i in loaded.value.instruments)
+    document = replace(loaded.document, data=empty_operators(loaded.document.data))
     return Loaded(replace(loaded.value, instruments=instruments), document)
 
 
@@ -130,12 +133,12 @@ def load_pressed_type(source: Source) -> tuple[Loaded[SensorType], bool]:
     data = {**document.data, "sensor_type": {"thickness_mm": 1.0, **sheet, "radius_mm": UNIT_MM}}
     electrodes = data.get("electrodes")
     if isinstance(electrodes, Mapping):
-        data["electrodes"] = _at_the_rim(electrodes)
+        data["electrodes"] = _place_at_rim(electrodes)
     unsized = replace(document, data=data)
-    return Loaded(validated(SensorTypeFile, unsized, None), unsized), False
+    return Loaded(validate(SensorTypeFile, unsized, None), unsized), False
 
 
-def _at_the_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
+def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
     """Electrodes of a sheet of unknown size: small ones at its rim."""
     count = electrodes.get("count")
     width_mm = UNIT_MM * min(0.03, 1 / count) if isinstance(count, int) and count > 0 else 0.03 * UNIT_MM
@@ -180,4 +183,4 @@ def _load(
             document = with_mesh(document)
         elif kind is DocumentKind.RECIPE:
             document = with_limits(document)
-    return Loaded(validated(model, document, plugins), document)
+    return Loaded(validate(model, document, plugins), document)

@@ -12,9 +12,10 @@ from pydantic import Field
 
 from cbsr_qa.config.tables import FileModel
 from cbsr_qa.config.text import toml_document
-from cbsr_qa.domain import fitted
-from cbsr_qa.domain.sensor import Material
-from cbsr_qa.plugin import KeyPath, Problem, Table
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.sensor.sensor_type import Material
+from cbsr_qa.plugin.problems import Problem, Table
+from cbsr_qa.system.words import KeyPath
 
 Positive = Annotated[float, Field(gt=0)]
 Strain = Annotated[float, Field(gt=0, lt=1)]
@@ -44,12 +45,12 @@ class MeasuredKernelTable(Table):
             what = f"must have {2 * count} rows of {2 * count} numbers: of weights, then of log time constants"
             yield Problem((*where, "covariance"), what)
         else:
-            yield from self._no_covariance(where)
+            yield from self._covariance_problems(where)
         if self.start_s >= self.window_s:
             what = f"is {self.start_s:g} s; must be below window_s, {self.window_s:g} s"
             yield Problem((*where, "start_s"), what)
 
-    def _no_covariance(self, where: KeyPath) -> Iterator[Problem]:
+    def _covariance_problems(self, where: KeyPath) -> Iterator[Problem]:
         """Yield why these numbers are not a covariance: some combination would have a negative variance."""
         given = np.array(self.covariance)
         diagonal = np.diag(given)
@@ -162,7 +163,7 @@ class MaterialTable(Table):
     def to_domain(self) -> Material:
         data = self.model_dump()
         data["against_stress"]["slope"] = data["against_stress"].pop("slope_per_kPa")
-        return fitted(Material, data)
+        return fill_from_mapping(Material, data)
 
 
 class MaterialFile(FileModel[Material]):
@@ -194,14 +195,14 @@ def material_text(material: Material, comments: Sequence[str] = ()) -> str:
     -------
     The file's content; numbers come back as they were.
     """
-    data = _stated(asdict(material))
+    data = _drop_unstated(asdict(material))
     stress = data["against_stress"]
     data["against_stress"] = {"slope_per_kPa": stress.pop("slope"), **stress}
     ordered = {key: data[key] for key in MaterialTable.model_fields if key in data}
     return toml_document({"material": ordered}, comments)
 
 
-def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
+def _drop_unstated(table: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out unstated values, also in nested tables."""
     stated = {key: value for key, value in table.items() if value is not None}
-    return {key: _stated(value) if isinstance(value, Mapping) else value for key, value in stated.items()}
+    return {key: _drop_unstated(value) if isinstance(value, Mapping) else value for key, value in stated.items()}

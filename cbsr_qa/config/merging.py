@@ -9,10 +9,10 @@ from typing import Any, Self
 
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import Recipe, Scene, Station
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Plugins
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.plugin.discovery import Plugins
 
 _OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE, DocumentKind.MATERIAL)
 
@@ -139,7 +139,7 @@ class FileContent:
     sha256: str
 
     @classmethod
-    def of(cls, kind: DocumentKind, data: Mapping[str, Any]) -> Self:
+    def from_table(cls, kind: DocumentKind, data: Mapping[str, Any]) -> Self:
         return cls(kind.noun, str(data[kind.table]["name"]), content_digest(data))
 
 
@@ -148,13 +148,13 @@ def content_digest(data: Mapping[str, Any]) -> str:
     return hashlib.sha256(canonical_json(data).encode()).hexdigest()
 
 
-def configured_files(configuration: Configuration) -> tuple[FileContent, ...]:
+def list_files(configuration: Configuration) -> tuple[FileContent, ...]:
     """Return the files that a run is configured by: station, recipe, sensor type, material, and scenes once each."""
     content = json.loads(configuration.canonical)
     named = {kind: content[kind.table] for kind in _OF_A_RUN}
     scenes = [*content["scenes"].values(), *([content["emulated_scene"]] if "emulated_scene" in content else [])]
-    found = [FileContent.of(kind, data) for kind, data in named.items()]
-    return tuple(dict.fromkeys([*found, *(FileContent.of(DocumentKind.SCENE, data) for data in scenes)]))
+    found = [FileContent.from_table(kind, data) for kind, data in named.items()]
+    return tuple(dict.fromkeys([*found, *(FileContent.from_table(DocumentKind.SCENE, data) for data in scenes)]))
 
 
 def canonical_json(content: Any) -> str:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from cbsr_qa.domain import AT_COMMAND_LINE, ConfigError
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, ConfigError
 
 
 def var_folder(environment: Mapping[str, str] = os.environ) -> Path:

@@ -8,13 +8,18 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.config.choices import Choice, check_choice, check_measured, chosen, tables
+from cbsr_qa.config.choices import Choice, check_choice, check_measured, read_choice, tables
 from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, size_problems, version_problems
 from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe, Role
-from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings, OverlapBand
-from cbsr_qa.plugin import Kind, Plugins, Problem, Table
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.imaging import OverlapBand
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings, CharacterisationSettings
+from cbsr_qa.domain.plan.plan import NO_RECONSTRUCTION, PhaseSpec, PluginChoice, Recipe
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.problems import Problem, Table
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Percent = Annotated[float, Field(gt=0, le=100)]
@@ -160,7 +165,7 @@ PICTURES: Final = {
 }
 
 
-def _labelled_places(sequence: object) -> dict[str, tuple[float, float]]:
+def _read_places(sequence: object) -> dict[str, tuple[float, float]]:
     """Places of a sequence's presses by label, where its options give both a prefix and places."""
     options = getattr(sequence, "options", None)
     prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
@@ -208,8 +213,8 @@ class RecipeFile(FileModel[Recipe]):
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
         for index, phase in tables(data, "phases"):
-            yield from chosen(Kind.SEQUENCE, phase, ("phases", index), "sequence", ("name",))
-        yield from chosen(Kind.RECONSTRUCTION, data.get("reconstruction"), ("reconstruction",), "method")
+            yield from read_choice(Kind.SEQUENCE, phase, ("phases", index), "sequence", ("name",))
+        yield from read_choice(Kind.RECONSTRUCTION, data.get("reconstruction"), ("reconstruction",), "method")
         metrics, report = data.get("metrics"), data.get("report")
         for name, options in metrics.items() if isinstance(metrics, Mapping) else ():
             if isinstance(options, Mapping):
@@ -230,7 +235,7 @@ class RecipeFile(FileModel[Recipe]):
             yield from problems
             if getattr(plugin, "role", None) is Role.LOOP:
                 looped.add(int(choice.path[1]))
-            yield from _label_problems(choice, _labelled_places(plugin), labelled)
+            yield from _label_problems(choice, _read_places(plugin), labelled)
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:

@@ -5,12 +5,15 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.config.choices import Choice, chosen, tables
+from cbsr_qa.config.choices import Choice, read_choice, tables
 from cbsr_qa.config.station import IndenterTable
 from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
 from cbsr_qa.config.text import plainly
-from cbsr_qa.domain.plan import CLEARANCE_MM, MOST_FRAMES, Motion, PluginChoice, Scene, SceneLoad, ScenePlan
-from cbsr_qa.plugin import Kind, Problem, Table
+from cbsr_qa.domain.plan.plan import Motion, PluginChoice, Scene
+from cbsr_qa.domain.plan.scene_plan import MOST_FRAMES, SceneLoad, ScenePlan
+from cbsr_qa.domain.plan.steps import CLEARANCE_MM
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.problems import Problem, Table
 
 
 def _printable(text: str) -> str:
@@ -115,7 +118,7 @@ class SceneFile(FileModel[ScenePlan]):
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
         for index, effect in tables(data, "effects"):
-            yield from chosen(Kind.EFFECT, effect, ("effects", index), "name")
+            yield from read_choice(Kind.EFFECT, effect, ("effects", index), "name")
 
     def problems(self) -> Iterator[Problem]:
         """An effect is on at most once; a recording has frames, and not too many."""

@@ -8,11 +8,12 @@ import numpy as np
 from cbsr_qa.config.loader import Loaded
 from cbsr_qa.config.tables import refusal
 from cbsr_qa.config.text import plainly
-from cbsr_qa.domain.plan import PressTimes, SceneLoad, ScenePlan, approach_s, distance_mm, press_times, travel_s
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import Problem
-from cbsr_qa.simulate import finest_mesh_mm
+from cbsr_qa.domain.plan.scene_plan import PressTimes, SceneLoad, ScenePlan, approach_s, press_times
+from cbsr_qa.domain.plan.steps import distance_mm, travel_s
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.problems import Problem
+from cbsr_qa.simulate.sheet import finest_mesh_mm
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
 _PER_SIDE = 16  # points of a head's side that are compared with the sheet's edge
@@ -48,8 +49,8 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
 def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
     """Remark on loads (numbered from 0) whose head is partly over the sheet's edge."""
     return {
-        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at {_at(load)} is partly over the sheet's"
-        " edge; only what lies on the sheet is pressed"
+        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at {_format_place(load)} is partly over"
+        " the sheet's edge; only what lies on the sheet is pressed"
         for index, load in enumerate(plan.loads)
         if _over_the_edge(plan.indenter, load, sensor_type)
     }
@@ -58,7 +59,7 @@ def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
 def _over_the_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> bool:
     if not head.outline_mm:
         return _clearance_mm(sensor_type, load) < head.radius_mm
-    corners = head.at(*load.place_mm).drawn_mm()
+    corners = head.footprint_at(*load.place_mm).outline_mm()
     along = np.linspace(0, 1, _PER_SIDE)[:, None, None]
     outline = (corners + along * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
     return bool((sensor_type.outline.clearance_mm(outline) < 0).any())
@@ -131,12 +132,12 @@ def _why_meeting(head: Indenter, one: _Timed, other: _Timed) -> str:
 def _overlap(head: Indenter, load: SceneLoad, other: SceneLoad) -> bool:
     if not head.outline_mm:
         return distance_mm(load.place_mm, other.place_mm) < head.diameter_mm
-    corners = head.at(*other.place_mm).drawn_mm()
-    shared = head.at(*load.place_mm).area_under_edges_mm2(corners, np.roll(corners, -1, axis=0)).sum()
+    corners = head.footprint_at(*other.place_mm).outline_mm()
+    shared = head.footprint_at(*load.place_mm).area_under_edges_mm2(corners, np.roll(corners, -1, axis=0)).sum()
     return bool(shared > 1e-9 * head.area_mm2)
 
 
-def _at(load: SceneLoad) -> str:
+def _format_place(load: SceneLoad) -> str:
     return f"({load.x_mm:g}, {load.y_mm:g}) mm"
 
 

@@ -12,30 +12,23 @@ from pydantic import AfterValidator, Field, PlainValidator
 
 from cbsr_qa.config.serials import check_serial_pattern
 from cbsr_qa.config.tables import FileModel
-from cbsr_qa.domain import CbsrError, RefusedError
-from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
-from cbsr_qa.domain.sensor import (
+from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
+from cbsr_qa.domain.sensor.electrodes import (
     LEAST_ROOM,
-    DrivePattern,
     ElectrodeKind,
     ElectrodeLayout,
     Electrodes,
-    Mesh,
-    Pairs,
     PlacedElectrodes,
-    Response,
-    SensorType,
-    imaging_problems,
-    is_rule,
-    mesh_of_arrays,
-    named_pairs,
-    pair_problems,
     placement_problems,
     widest_ring_mm,
     width_problem,
 )
-from cbsr_qa.eit.mesh import mesh_sensor
-from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.domain.sensor.mesh import Mesh, mesh_of_arrays
+from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs, imaging_problems, is_rule, list_pairs, pair_problems
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.mesh.files import mesh_sensor
+from cbsr_qa.plugin.problems import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -122,7 +115,7 @@ class PatternTable(Table):
         """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
         given: str | list[list[int]] = getattr(self, kind)
         if isinstance(given, str):
-            return named_pairs(given, electrode_count)
+            return list_pairs(given, electrode_count)
         return tuple((first, second) for first, second in given)
 
 
@@ -261,7 +254,7 @@ class SensorTypeFile(FileModel[SensorType]):
             given: str | list[list[int]] = getattr(self.pattern, kind)
             if isinstance(given, str):
                 try:
-                    named_pairs(given, count)
+                    list_pairs(given, count)
                 except RefusedError as error:
                     yield ("pattern", kind), f"is {given!r}; {error.reason}: {error.remedy}"
                 continue

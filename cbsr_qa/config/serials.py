@@ -4,8 +4,8 @@ import re
 import unicodedata
 from typing import Any
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.plugin import echo
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.system.words import echo
 
 LONGEST = 64
 
@@ -45,13 +45,13 @@ def validate_operator(text: str) -> str:
     """
     for character in text:
         if not (unicodedata.category(character)[0] in "LMN" or character in " ._-'’"):
-            raise _refused("operator", text, f"{character!r} is not allowed")
+            raise _identifier_error("operator", text, f"{character!r} is not allowed")
     if text != text.strip():
-        raise _refused("operator", text, "it starts or ends with a space")
+        raise _identifier_error("operator", text, "it starts or ends with a space")
     if "  " in text:
-        raise _refused("operator", text, "it has two spaces in a row")
+        raise _identifier_error("operator", text, "it has two spaces in a row")
     if len(text) > LONGEST:
-        raise _refused("operator", text, f"it is longer than {LONGEST} characters")
+        raise _identifier_error("operator", text, f"it is longer than {LONGEST} characters")
     return text
 
 
@@ -83,16 +83,16 @@ def check_serial_pattern(pattern: str) -> str:
         raise ValueError(f"it must have at most {LONGEST_PATTERN} characters")
     if not pattern:
         raise ValueError("it must not be empty; leave the key out to allow every serial number")
-    _compiled(pattern)
+    _compile_pattern(pattern)
     return pattern
 
 
 def fits_pattern(pattern: str, serial: str) -> bool:
     """Whether the whole of a serial number matches a pattern; the time grows with its length, for any pattern."""
-    return _compiled(pattern).fullmatch(serial) is not None
+    return _compile_pattern(pattern).fullmatch(serial) is not None
 
 
-def _compiled(pattern: str) -> Any:
+def _compile_pattern(pattern: str) -> Any:
     import re2  # Python's own ``re`` takes years for some patterns and a serial number of 64 characters
 
     options = re2.Options()
@@ -106,17 +106,17 @@ def _compiled(pattern: str) -> Any:
 
 def _identifier(noun: str, text: str) -> str:
     if not text:
-        raise _refused(noun, text, "it is empty")
+        raise _identifier_error(noun, text, "it is empty")
     if len(text) > LONGEST:
-        raise _refused(noun, text, f"it is longer than {LONGEST} characters")
+        raise _identifier_error(noun, text, f"it is longer than {LONGEST} characters")
     if not _IDENTIFIER.fullmatch(text):
         wrong = next((c for c in text if not re.fullmatch(r"[A-Za-z0-9._-]", c)), text[0])
         where = "allowed at the start" if wrong in "._-" else "allowed"
-        raise _refused(noun, text, f"{wrong!r} is not {where}")
+        raise _identifier_error(noun, text, f"{wrong!r} is not {where}")
     return text
 
 
-def _refused(noun: str, text: str, why: str) -> ConfigError:
+def _identifier_error(noun: str, text: str, why: str) -> ConfigError:
     allowed = (
         "letters, digits, single spaces and . _ - '"
         if noun == "operator"

@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from cbsr_qa.config.choices import Choice, chosen
+from cbsr_qa.config.choices import Choice, read_choice
 from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.gate import GateTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.plan import (
     EMULATED,
     EventSinkSpec,
     InstrumentSpec,
@@ -24,8 +24,9 @@ from cbsr_qa.domain.plan import (
     Station,
     SyncSettings,
 )
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.plugin import Kind, Problem, Table
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.problems import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -221,19 +222,19 @@ class StationFile(FileModel[Station]):
     def choices(cls, data: Any) -> Iterator[Choice]:
         instruments = data.get("instruments")
         for role, table in instruments.items() if isinstance(instruments, Mapping) else ():
-            yield from chosen(
+            yield from read_choice(
                 Kind.INSTRUMENT, table, ("instruments", role), "driver", tuple(InstrumentTable.model_fields)
             )
         events = data.get("events")
         for name, table in events.items() if isinstance(events, Mapping) else ():
-            yield from chosen(Kind.SINK, table, ("events", name), "sink")
+            yield from read_choice(Kind.SINK, table, ("events", name), "sink")
 
     def problems(self) -> Iterator[Problem]:
         """Every role is filled once, the head by one instrument; emulated instruments have a world."""
         yield from self.station.problems()
         yield from self.indenter.problems()
         yield from self.safety.problems()
-        yield from self._unemulated()
+        yield from self._emulation_problems()
         if self.reference_ring is not None:
             yield from self.reference_ring.problems()
         if self.calibrations is not None:
@@ -256,7 +257,7 @@ class StationFile(FileModel[Station]):
             if role not in filled:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
-    def _unemulated(self) -> Iterator[Problem]:
+    def _emulation_problems(self) -> Iterator[Problem]:
         emulated = [name for name, table in self.instruments.items() if table.options.get("address") == EMULATED]
         if self.emulation is None:
             for name in emulated:
@@ -290,7 +291,7 @@ class StationFile(FileModel[Station]):
         )
 
 
-def resolved_options(instrument: InstrumentSpec, near: Path | None) -> InstrumentSpec:
+def resolve_options(instrument: InstrumentSpec, near: Path | None) -> InstrumentSpec:
     """Turn references to files next to the station file into their full paths, so that a driver can open them."""
     options = dict(instrument.options)
     for key in REFERENCES:

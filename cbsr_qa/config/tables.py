@@ -8,10 +8,12 @@ from typing import Annotated, Any, Generic, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
 from cbsr_qa.config.choices import Choice, check_choice
-from cbsr_qa.config.documents import REFERENCE, Document, not_finite
+from cbsr_qa.config.documents import REFERENCE, Document, find_not_finite
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError, RefusedError, fitted
-from cbsr_qa.plugin import CheckedTable, Plugins, Problem, check
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.problems import CheckedTable, Problem, check
 
 T = TypeVar("T")
 D = TypeVar("D")
@@ -64,7 +66,7 @@ def as_domain(kind: type[D], table: BaseModel, **others: Any) -> D:
     """Return a domain object of a table's keys; ``others`` go first, and ``x_percent`` is the fraction ``x``."""
     values = {name: getattr(table, name) for name in type(table).model_fields}
     percent = {name.removesuffix(_PERCENT): value for name, value in values.items() if name.endswith(_PERCENT)}
-    return fitted(kind, {name: _fraction(value) for name, value in percent.items()} | values, **others)
+    return fill_from_mapping(kind, {name: _fraction(value) for name, value in percent.items()} | values, **others)
 
 
 def _fraction(percent: float | list[float] | None) -> float | list[float] | None:
@@ -73,7 +75,7 @@ def _fraction(percent: float | list[float] | None) -> float | list[float] | None
     return None if percent is None else percent / 100
 
 
-def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | None = None) -> T:
+def validate(model: type[FileModel[T]], document: Document, plugins: Plugins | None = None) -> T:
     """Check a document against its model and turn it into its domain object.
 
     Parameters
@@ -85,7 +87,7 @@ def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | 
     ConfigError
         Listing every problem of the file with line, value found and allowed values.
     """
-    infinite = [Problem(path, "is not a finite number") for path in not_finite(document.data)]
+    infinite = [Problem(path, "is not a finite number") for path in find_not_finite(document.data)]
     parsed, problems = check(model, document.data)
     problems += () if plugins is None else model.plugin_problems(document.data, plugins)
     problems = [*infinite, *(p for p in problems if all(p.path != known.path for known in infinite))]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from cbsr_qa.plugin import KeyPath
+from cbsr_qa.system.words import KeyPath
 
 
 def plainly(number: float) -> str:
@@ -56,7 +56,7 @@ def _places(text: str) -> Iterator[tuple[int, KeyPath]]:
         if opened:
             continue
         if header := _HEADER.match(line):
-            names = _indexed(_split(header[2]), counts)
+            names = _insert_positions(_split(header[2]), counts)
             if header[1] == "[[":
                 counts[names] = counts.get(names, -1) + 1
                 names = (*names, counts[names])
@@ -66,7 +66,7 @@ def _places(text: str) -> Iterator[tuple[int, KeyPath]]:
             yield number, (*table, *_split(key[1]))
 
 
-def _indexed(names: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
+def _insert_positions(names: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
     """Insert the positions of the arrays of tables that a header passes through."""
     path: KeyPath = ()
     for name in names[:-1]:

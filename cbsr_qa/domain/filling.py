@@ -10,20 +10,20 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 T = TypeVar("T")
 
 
-def filled(kind: type[T], source: object, /, **rest: Any) -> T:
+def fill_from_object(kind: type[T], source: object, /, **rest: Any) -> T:
     """Return a dataclass of the attributes that ``source`` has by the names of its fields; ``rest`` goes first."""
     names = (field.name for field in fields(kind) if field.name not in rest)  # type: ignore[arg-type]
     return kind(**{name: getattr(source, name) for name in names if hasattr(source, name)}, **rest)
 
 
-def fitted(kind: type[T], values: Mapping[str, Any], /, **rest: Any) -> T:
-    """Return a dataclass of the values that have the names of its fields, as :func:`typed`; ``rest`` goes first."""
+def fill_from_mapping(kind: type[T], values: Mapping[str, Any], /, **rest: Any) -> T:
+    """Return a dataclass of the values named as its fields, each as :func:`convert_json`; ``rest`` goes first."""
     hints = _hints(kind)
     names = hints.keys() & values.keys() - rest.keys()
-    return kind(**{name: typed(hints[name], values[name]) for name in names}, **rest)
+    return kind(**{name: convert_json(hints[name], values[name]) for name in names}, **rest)
 
 
-def typed(hint: Any, value: Any) -> Any:
+def convert_json(hint: Any, value: Any) -> Any:
     """Return JSON as the type of a field: tables as dataclasses, lists as tuples, words as members of enumerations.
 
     Of several dataclasses the first with all keys is used. Numbers and texts are unchanged.
@@ -41,7 +41,7 @@ def typed(hint: Any, value: Any) -> Any:
             return None
         kinds = tuple(kind for kind in kinds if kind is not NoneType)
         if len(kinds) == 1:
-            return typed(kinds[0], value)
+            return convert_json(kinds[0], value)
     tables: list[Any] = [kind for kind in kinds if is_dataclass(kind)]
     if tables:
         return _table(tables, value)
@@ -50,22 +50,22 @@ def typed(hint: Any, value: Any) -> Any:
 
 def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
     if kinds[-1] is ...:
-        return tuple(typed(kinds[0], one) for one in (() if value is None else value))
-    return tuple(typed(kind, one) for kind, one in zip(kinds, value, strict=True))
+        return tuple(convert_json(kinds[0], one) for one in (() if value is None else value))
+    return tuple(convert_json(kind, one) for kind, one in zip(kinds, value, strict=True))
 
 
 def _table(kinds: list[Any], value: Any) -> Any:
     if not isinstance(value, Mapping):
         raise TypeError(f"{str(value)[:60]!r} is not a table")
     kind = next((one for one in kinds if value.keys() <= _hints(one).keys()), kinds[0])
-    return kind(**{name: typed(_hints(kind)[name], one) for name, one in value.items()})
+    return kind(**{name: convert_json(_hints(kind)[name], one) for name, one in value.items()})
 
 
 def _hints(kind: Any) -> dict[str, Any]:
-    return _cached_hints(kind)
+    return _read_hints(kind)
 
 
 @cache
-def _cached_hints(kind: Any) -> dict[str, Any]:
+def _read_hints(kind: Any) -> dict[str, Any]:
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(kind)}

@@ -35,7 +35,7 @@ class Goodness:
     in_model: bool
 
     @classmethod
-    def of(cls, change: Array, fitted: Array, sigma: Array, variance: float) -> Self:
+    def from_fit(cls, change: Array, fitted: Array, sigma: Array, variance: float) -> Self:
         """Judge a least-squares fit (m,) of a change (m,), both over the noise ``sigma`` (m,) of a frame.
 
         Parameters
@@ -44,14 +44,14 @@ class Goodness:
         """
         left, energy = (change - fitted) ** 2, change**2
         weighted, unweighted = (
-            float(explained_share((energy - left) @ weight, left @ weight, variance * weight.sum()))
+            float(share_explained((energy - left) @ weight, left @ weight, variance * weight.sum()))
             for weight in (np.ones_like(sigma), sigma**2)
         )
         unlike = unlike_model((energy - left).sum() / variance, left.sum() / variance, len(change))
         return cls(weighted, unweighted, in_model=not unlike)
 
 
-def explained_share(gain: Array, left: Array, noise: float) -> Array:
+def share_explained(gain: Array, left: Array, noise: float) -> Array:
     """Share of the signal that a model explains, noise taken off.
 
     Parameters

@@ -39,7 +39,7 @@ class Kept:
     omitted : not written if it is the default, though the first version had it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
-    steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`in_steps`.
+    steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`round_to_steps`.
     columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
@@ -106,18 +106,18 @@ class KeptField:
         return end if end in _SUFFIXES else ""
 
 
-def kept_fields(of: Any) -> tuple[KeptField, ...]:
+def list_fields(of: Any) -> tuple[KeptField, ...]:
     """Return the fields of a dataclass."""
-    return _kept_fields(of)
+    return _read_fields(of)
 
 
 @cache
-def _kept_fields(of: Any) -> tuple[KeptField, ...]:
+def _read_fields(of: Any) -> tuple[KeptField, ...]:
     hints = get_type_hints(of, include_extras=True)
-    return tuple(_kept_field(field, hints[field.name]) for field in dataclasses.fields(of))
+    return tuple(_read_field(field, hints[field.name]) for field in dataclasses.fields(of))
 
 
-def _kept_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
+def _read_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
     said = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Kept)]
     return KeptField(field.name, hint.__origin__ if said else hint, field.default, said[0] if said else Kept())
 
@@ -125,12 +125,12 @@ def _kept_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
 def as_filed(held: _Kind) -> _Kind:
     """Return a dataclass with its arrays in the precision of its file, so that the issued one equals the one read."""
     filed: dict[str, Any] = {}
-    for field in kept_fields(type(held)):
+    for field in list_fields(type(held)):
         if field.kept.not_kept:
             continue
         before = after = getattr(held, field.name)
         if isinstance(before, np.ndarray) and before.dtype == np.float64:
-            after = _rounded(before, field.kept)
+            after = _round_as_filed(before, field.kept)
         elif dataclasses.is_dataclass(before):
             after = as_filed(before)
         if after is not before:
@@ -138,15 +138,15 @@ def as_filed(held: _Kind) -> _Kind:
     return dataclasses.replace(held, **filed) if filed else held  # type: ignore[type-var]
 
 
-def _rounded(values: NDArray[np.float64], kept: Kept) -> NDArray[np.float64]:
+def _round_as_filed(values: NDArray[np.float64], kept: Kept) -> NDArray[np.float64]:
     """Return values in the precision of a file, without negative zeros; themselves if they are."""
-    rounded = in_steps(values, kept.steps) if kept.steps else values
+    rounded = round_to_steps(values, kept.steps) if kept.steps else values
     single = rounded.astype(np.float32).astype(np.float64) if kept.single else rounded
     filed: NDArray[np.float64] = single + 0.0
     return values if filed.tobytes() == values.tobytes() else filed
 
 
-def in_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
+def round_to_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
     """Round values to multiples of the largest power of two not above the largest magnitude over ``steps``.
 
     Rounding twice changes nothing more. Values so small that a step would be no normal number stay as they are.
@@ -168,17 +168,17 @@ def group_of(hint: Any) -> type | None:
     return found[0] if len(found) == 1 else None
 
 
-def tabulated(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:
+def walk_fields(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:
     """Yield every field a dataclass keeps, groups before their members."""
-    for field in kept_fields(of):
+    for field in list_fields(of):
         group = group_of(field.hint)
         if not field.kept.not_kept:
             yield field.path(within, group=group is not None), field
         if group is not None and not field.kept.not_kept:
-            yield from tabulated(group, field.path(within, group=True))
+            yield from walk_fields(group, field.path(within, group=True))
 
 
-def taken(of: type, holder: Any) -> Mapping[str, Any]:
+def take_sources(of: type, holder: Any) -> Mapping[str, Any]:
     """Return the fields of a dataclass that another object has, by their ``source``."""
-    sources = {field.name: field.kept.source for field in kept_fields(of)}
+    sources = {field.name: field.kept.source for field in list_fields(of)}
     return {name: attrgetter(source)(holder) for name, source in sources.items() if source}

@@ -113,7 +113,7 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     return f"did you mean {near[0]!r}?" if near else ""
 
 
-def of_kind(kind: str, name: str) -> str:
+def prefix_kind(kind: str, name: str) -> str:
     """Return ``station bench-a``; a name that contains its kind is not prefixed: ``station-B``.
 
     Parameters

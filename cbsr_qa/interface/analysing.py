@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from cbsr_qa.app.analyse import Analysed, AnalyseRequest, analyse_file, analyse_frames, analyse_outcome
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.readings import Recording, ScanKind
+from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file, analyse_frames
+from cbsr_qa.app.analyse.outcome import Analysed, analyse_outcome
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.readings.frames import Recording, ScanKind
 from cbsr_qa.interface.frames import Frames, frame_block, recording_dataset
 from cbsr_qa.interface.result import Progress, Result, quiet
 from cbsr_qa.interface.scenes import Scene

@@ -5,21 +5,13 @@ from datetime import date
 from enum import StrEnum
 from typing import Literal, TypeVar
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.interface.result import Result
-from cbsr_qa.studies.compare import (
-    Adjustment,
-    By,
-    Comparison,
-    Period,
-    Policy,
-    Quarantine,
-    Terms,
-    compare_groups,
-    compare_outcome,
-)
-from cbsr_qa.system import RealClock
+from cbsr_qa.studies.compare.comparison import Comparison, compare_groups
+from cbsr_qa.studies.compare.report import compare_outcome
+from cbsr_qa.studies.compare.terms import Adjustment, By, Period, Policy, Quarantine, Terms
+from cbsr_qa.system.clock import RealClock
 
 C = TypeVar("C", bound=StrEnum)
 

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from datetime import date
 from typing import TYPE_CHECKING, TypedDict
 
-from cbsr_qa.app import DatabaseStatus, database_status
-from cbsr_qa.app.export import ExportTable
-from cbsr_qa.config import database_url
+from cbsr_qa.app.database import DatabaseStatus, database_status
+from cbsr_qa.app.export.formats import ExportTable
+from cbsr_qa.app.shift.lists import ListRequest, list_request
+from cbsr_qa.config.paths import database_url
 from cbsr_qa.interface.result import Result
 from cbsr_qa.interface.stored_run import Run
 from cbsr_qa.interface.tables import table_of
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.shift import ListRequest, list_request
+from cbsr_qa.store.opening import open_store
 
 if TYPE_CHECKING:
     from typing import Unpack

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.app.export import Variable, frame_variables, frames_of
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import RefusedError, real_numbers
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, VoltageUnit
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.app.export.frames import frames_of
+from cbsr_qa.app.export.netcdf import Variable, frame_variables
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import real_numbers
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, VoltageUnit
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.interface.tables import notebook_library
 
 if TYPE_CHECKING:
@@ -62,12 +64,12 @@ def frame_block(frames: Frames, *, time_s: ArrayLike | None = None, current_A: f
     if isinstance(frames, FrameBlock):
         return frames
     if hasattr(frames, "data_vars"):
-        return _of_dataset(cast("xr.Dataset", frames), time_s, current_A)
+        return _read_dataset(cast("xr.Dataset", frames), time_s, current_A)
     voltages = real_numbers(frames, "frames")
     return _block(voltages, np.zeros(voltages.shape, np.uint8), time_s, current_A)
 
 
-def _of_dataset(frames: "xr.Dataset", time_s: ArrayLike | None, current_A: float | None) -> FrameBlock:
+def _read_dataset(frames: "xr.Dataset", time_s: ArrayLike | None, current_A: float | None) -> FrameBlock:
     if "voltage" not in frames:
         raise RefusedError(
             f"a dataset without the variable voltage: it has {', '.join(map(str, frames.data_vars)) or 'none'}",

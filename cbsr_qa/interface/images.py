@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cbsr_qa.app import ImagedFrames, image_frames, imaged_outcome
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh, SensorType
+from cbsr_qa.app.imaging import ImagedFrames, image_frames, image_outcome
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.interface.frames import Frames, frame_block, sensor_type_of
 from cbsr_qa.interface.result import Progress, Result, quiet
 
@@ -32,7 +33,7 @@ class Images(Result[ImagedFrames]):
     def plot(self, axes: "Axes | None" = None, *, frame: int = -1) -> "Axes":
         """Draw one image with its electrodes; returns the axes."""
         from cbsr_qa.interface.plots import own_axes
-        from cbsr_qa.report.draw import ImagePanel, draw_image
+        from cbsr_qa.report.draw.images import ImagePanel, draw_image
 
         axes = own_axes() if axes is None else axes
         draw_image(axes, ImagePanel("", Image(self.mesh, self.values[frame])), self.result.sensor_type)
@@ -65,4 +66,4 @@ def image(
     chosen = PluginChoice(reconstruction, options)
     blocks = frame_block(frames), frame_block(reference)
     imaged = image_frames(*blocks, sensor_type_of(frames, sensor_type), chosen, tell=progress or quiet)
-    return Images(imaged_outcome(imaged))
+    return Images(image_outcome(imaged))

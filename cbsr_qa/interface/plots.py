@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from cbsr_qa.app.export import joined_samples
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Trace
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.report.draw import Span, draw_timeline
+from cbsr_qa.app.export.frames import join_channels
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.observation import Trace
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.report.draw.time import Span, draw_timeline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ def own_axes() -> "Axes":
 
 def plot_run(record: RunRecord, axes: "Axes | None") -> "Axes":
     """Draw the force of a run against time, its holds shaded. RefusedError if it holds no force."""
-    forces = [block for block in joined_samples(record.phases) if block.channel == "force"]
+    forces = [block for block in join_channels(record.phases) if block.channel == "force"]
     if not forces:
         raise RefusedError(f"run {record.identity.run} holds no force", remedy="plot its frames: run.frames()")
     traces = [Trace("force", f.unit, f.time_s / 60, f.values) for f in forces]

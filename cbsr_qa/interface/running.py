@@ -3,8 +3,9 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cbsr_qa.app.gate import Override
-from cbsr_qa.app.run import RunRequest, run_outcome, run_sensor
+from cbsr_qa.app.gate.request import Override
+from cbsr_qa.app.run.outcome import run_outcome
+from cbsr_qa.app.run.run import RunRequest, run_sensor
 from cbsr_qa.interface.result import Progress, quiet
 from cbsr_qa.interface.stored_run import Run
 

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Final
 
 from cbsr_qa.interface.frames import recording_dataset
 from cbsr_qa.interface.result import Progress, Result, quiet
-from cbsr_qa.studies.scenes import SceneRun, SimulatedScene, scene_outcome, simulate_to_memory
-from cbsr_qa.system import RealClock
+from cbsr_qa.studies.scenes.report import scene_outcome
+from cbsr_qa.studies.scenes.run import SceneRun, SimulatedScene, simulate_to_memory
+from cbsr_qa.system.clock import RealClock
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -3,21 +3,27 @@
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from cbsr_qa.app.export import ExportTable, frame_variables, joined_samples, run_attributes, run_frames
-from cbsr_qa.app.run import RunOutcome, outcome_of_stored, run_outcome
-from cbsr_qa.calibration import Calibration
-from cbsr_qa.calibration.file import calibration_of
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import CalibrationError, StoreError
-from cbsr_qa.domain.results import CommandOutcome, Outcome, RunSelection
-from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.app.export.export import run_attributes
+from cbsr_qa.app.export.formats import ExportTable
+from cbsr_qa.app.export.frames import join_channels, run_frames
+from cbsr_qa.app.export.netcdf import frame_variables
+from cbsr_qa.app.run.outcome import RunOutcome, run_outcome
+from cbsr_qa.app.run.render import outcome_of_stored
+from cbsr_qa.app.shift.lists import ListRequest
+from cbsr_qa.calibration.file.hdf5 import calibration_of
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import CalibrationError, StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.interface.frames import dataset_of
 from cbsr_qa.interface.plots import plot_run
 from cbsr_qa.interface.result import Result
 from cbsr_qa.interface.tables import table_of
-from cbsr_qa.plugin import discover
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.shift import ListRequest
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.store.opening import open_store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +79,7 @@ class Run(Result[RunOutcome]):
         StoreError if the run was altered since it was stored.
         """
         with open_store(self._url, create=False) as store:
-            (listed,) = store.listed_runs(self._only)
+            (listed,) = store.list_runs(self._only)
         if listed.altered:
             raise StoreError(listed.altered, remedy="restore the database from a copy")
         return listed.verdict
@@ -100,7 +106,7 @@ class Run(Result[RunOutcome]):
         """
         record = self.record
         phases = record.phases if phase is None else (record.phase(phase),)
-        variables = frame_variables(record.sensor_type, run_frames(record, phases), joined_samples(phases))
+        variables = frame_variables(record.sensor_type, run_frames(record, phases), join_channels(phases))
         return dataset_of(variables, run_attributes(record, self.verdict))
 
     def calibration(self) -> Calibration:

@@ -5,8 +5,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.app.stream import EndMessage, FrameMessage, FramesFrom, StreamRequest, stream_messages
-from cbsr_qa.domain import BrokenError
+from cbsr_qa.app.stream.messages import EndMessage, FrameMessage
+from cbsr_qa.app.stream.source import FramesFrom
+from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
+from cbsr_qa.domain.errors import BrokenError
 
 __all__ = ["FrameMessage", "stream"]
 

@@ -4,10 +4,11 @@ from datetime import datetime
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from cbsr_qa.app.export import ExportTable, whole_table
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.shift import ListRequest
+from cbsr_qa.app.export.formats import ExportTable
+from cbsr_qa.app.export.tables import whole_table
+from cbsr_qa.app.shift.lists import ListRequest
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.store.opening import open_store
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,13 +11,14 @@ from typing import Any
 
 import pluggy
 
-from cbsr_qa.domain import AbortedError, ConfigError, PluginError
-from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.errors import AbortedError, ConfigError, PluginError
+from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.plugin import hooks as hookspecs
-from cbsr_qa.plugin.failures import contained, failure, said
+from cbsr_qa.plugin.failures import blame_plugin, failure
 from cbsr_qa.plugin.hooks import PROJECT, Example, Kind
 from cbsr_qa.plugin.options import options_of
-from cbsr_qa.system import come_back_once
+from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.words import describe_error
 
 Factory = Callable[..., Any]
 
@@ -68,7 +69,7 @@ class Plugins:
     def names(self, kind: Kind) -> tuple[str, ...]:
         return tuple(r.name for r in self.registrations(kind))
 
-    def in_order(self, kind: Kind) -> tuple[str, ...]:
+    def list_names(self, kind: Kind) -> tuple[str, ...]:
         """Names registered under a kind: each distribution's in its own order, the built-ins' first."""
         return tuple(r.name for r in self._registered.values() if r.kind is kind)
 
@@ -138,7 +139,7 @@ class Plugins:
                 with come_back_once():
                     answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
-                answers[number] = None, said(error)
+                answers[number] = None, describe_error(error)
 
         threads = [threading.Thread(target=call, args=(n,), daemon=True) for n in range(len(implementations))]
         for thread in threads:
@@ -243,14 +244,14 @@ def create_plugin(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str
     """
     factory, who = plugins.factory(kind, choice.name), f"{where}: {kind} {choice.name!r}"
     try:
-        with contained(who):
+        with blame_plugin(who):
             options_of(factory).read(choice.options)
             return factory(**choice.options)
     except ConfigError as error:
         raise ConfigError(f"{who}: {error.reason}", remedy=error.remedy) from error
 
 
-def left_running(before: Iterable[threading.Thread]) -> list[str]:
+def name_left_threads(before: Iterable[threading.Thread]) -> list[str]:
     """Name new threads that would delay the end of the program."""
     names = sorted(thread.name for thread in set(threading.enumerate()) - set(before) if not thread.daemon)
     return [f"thread {name!r} of a plugin is still running, and is not waited for" for name in names]

@@ -2,13 +2,10 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
-from cbsr_qa.domain import CbsrError, PluginError
-from cbsr_qa.system import come_back_once
-
-#: Longer messages of plugins are cut [characters].
-_LONGEST: Final = 500
+from cbsr_qa.domain.errors import CbsrError, PluginError
+from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.words import describe_error
 
 
 class Interruption(BaseException):
@@ -27,23 +24,11 @@ def failure(error: BaseException) -> str:
     """
     if isinstance(error, KeyboardInterrupt | GeneratorExit | Interruption):
         raise error
-    return said(error)
-
-
-def said(error: BaseException) -> str:
-    """Return type and message of an error, printable and of limited length; never raises."""
-    try:
-        text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-    except KeyboardInterrupt:
-        raise
-    except BaseException:  # noqa: BLE001 - even its message is a stranger's code
-        text = type(error).__name__
-    plain = "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST])
-    return plain + "…" * (len(text) > _LONGEST)
+    return describe_error(error)
 
 
 @contextmanager
-def contained(who: str) -> Iterator[None]:
+def blame_plugin(who: str) -> Iterator[None]:
     """Blame a plugin for what its code raises; a copy of this process that it forked ends here.
 
     Parameters

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import pluggy
 
-from cbsr_qa.domain.results import Calibration
-from cbsr_qa.domain.run import RunIdentity
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.run.run import RunIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 
 PROJECT: Final = "cbsr_qa"
 
@@ -63,7 +63,7 @@ class Example:
     options : of the plugin, as in a recipe, scene or station file. Of an instrument: the address of its emulator.
     file : of a recording format: a file that it reads.
     received : of a sink: returns the messages that have arrived so far, in order.
-    tolerances : of a reconstruction that needs other ones than usual, by field of ``cbsr_qa.testing.Tolerances``.
+    tolerances : of a reconstruction that needs other ones than usual, by field of ``Tolerances``.
     close : called after the checks, e.g. to stop an emulator.
     """
 

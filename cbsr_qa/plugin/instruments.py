@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from cbsr_qa.domain.plan import Motion, SafetyLimits, Scene
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock
-from cbsr_qa.domain.run import CheckResult, Indenter, InstrumentIdentity
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.system import Clock
+from cbsr_qa.domain.plan.plan import Motion, SafetyLimits, Scene
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, SampleBlock
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.run.station import CheckResult
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.system.clock import Clock
 
 
 @dataclass(frozen=True, slots=True)

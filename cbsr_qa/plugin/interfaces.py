@@ -5,19 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from cbsr_qa.domain.plan import Moment, SheetDesign, Step, Transcript
-from cbsr_qa.domain.readings import ReadOptions, Recording, RecordingResult
-from cbsr_qa.domain.results import (
-    ImagingProblem,
-    LoadObservation,
-    Measurement,
-    PreparedReconstruction,
-    RunObservation,
-    RunResult,
-    Section,
-)
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.imaging import ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.plan.steps import Step
+from cbsr_qa.domain.plan.world import Moment, SheetDesign, Transcript
+from cbsr_qa.domain.readings.frames import ReadOptions, Recording
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.findings import RecordingResult
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.results.report import RunResult, Section
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 
 class RecordingFormat(Protocol):
@@ -112,7 +109,7 @@ class Effect(Protocol):
 
     @property
     def perturbs(self) -> str:
-        """A stage of the moment; :data:`cbsr_qa.simulate.STAGES` lists them."""
+        """A stage of the moment; :data:`cbsr_qa.simulate.chain.STAGES` lists them."""
         ...
 
     def apply(self, moment: Moment) -> None:
@@ -188,7 +185,7 @@ class SequenceContext:
 class Sequence(Protocol):
     """Makes steps. It never touches an instrument: the runner does, and a dry run only counts.
 
-    A sequence may have an attribute ``role`` (:class:`~cbsr_qa.domain.plan.Role`) that states its purpose; metrics
+    A sequence may have an attribute ``role`` (``Role``) that states its purpose; metrics
     and report sections look for roles. Without it the role is OTHER.
     """
 
@@ -210,7 +207,7 @@ class EventSink(Protocol):
         ...
 
     def deliver(self, messages: AnySequence[Mapping[str, Any]]) -> None:
-        """Deliver messages (see :class:`~cbsr_qa.domain.run.EventMessage`) in order; return once they are taken.
+        """Deliver messages (see ``EventMessage``) in order; return once they are taken.
 
         Raises
         ------

@@ -8,10 +8,10 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.plugin.problems import CheckedTable, Problem, check
-from cbsr_qa.plugin.words import dotted
+from cbsr_qa.system.words import format_key_path
 
 #: A pair or an array that is written as an array in TOML, and as a tuple in Python.
 Array: Final = Field(strict=False)
@@ -44,16 +44,18 @@ class PluginOptions(CheckedTable):
         """
         options, problems = check(cls, given)
         if problems or options is None:
-            raise refused(problems)
+            raise options_error(problems)
         return options
 
 
-def refused(problems: list[Problem]) -> ConfigError:
+def options_error(problems: list[Problem]) -> ConfigError:
     """Return the error that lists what is wrong with options."""
     found = "; ".join(str(replace(problem, allowed="")) for problem in problems)
     if len(problems) == 1:
         return ConfigError(found, remedy=problems[0].allowed)
-    return ConfigError(found, remedy="; ".join(f"{dotted(p.path)}: {p.allowed}" for p in problems if p.allowed))
+    return ConfigError(
+        found, remedy="; ".join(f"{format_key_path(p.path)}: {p.allowed}" for p in problems if p.allowed)
+    )
 
 
 class WithOptions:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cbsr_qa.plugin.words import KeyPath, dotted, shown
+from cbsr_qa.system.words import KeyPath, format_key_path, quote_value
 
 #: Terms of pydantic → terms of TOML.
 _IN_TOML: Final = {
@@ -26,7 +26,7 @@ _IN_TOML: Final = {
     "a valid boolean": "true or false",
 }
 _WORDS: Final[Mapping[Any, str]] = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
-#: Errors of pydantic that :func:`allowed` words.
+#: Errors of pydantic that :func:`describe_allowed` words.
 _OURS: Final = (
     "greater_than",
     "less_than",
@@ -48,7 +48,7 @@ class Problem:
     allowed: str = ""
 
     def __str__(self) -> str:
-        found = f"{dotted(self.path)} {self.what}".strip()
+        found = f"{format_key_path(self.path)} {self.what}".strip()
         return f"{found}; {self.allowed}" if self.allowed else found
 
 
@@ -80,10 +80,10 @@ def check(model: type[Checked], data: Mapping[str, Any]) -> tuple[Checked | None
         table: Checked | None = model.model_validate(data)
         problems: list[Problem] = []
     except ValidationError as error:
-        worded = [_worded(model, detail) for detail in error.errors()]
+        worded = [_word_problem(model, detail) for detail in error.errors()]
         within = _above(worded)
         problems = [p for p in worded if p.path not in within]  # an array with a wrong entry is not too short besides
-        table = _without(model, data, [problem.path for problem in problems])
+        table = _parse_rest(model, data, [problem.path for problem in problems])
     if table is not None:
         # A key that is left out because it is wrong may be what a table lacks.
         wrong = _above(problems) | {problem.path for problem in problems}
@@ -96,9 +96,9 @@ def _above(problems: Sequence[Problem]) -> set[KeyPath]:
     return {problem.path[:depth] for problem in problems for depth in range(len(problem.path))}
 
 
-def _without(model: type[Checked], data: Mapping[str, Any], wrong: Sequence[KeyPath]) -> Checked | None:
+def _parse_rest(model: type[Checked], data: Mapping[str, Any], wrong: Sequence[KeyPath]) -> Checked | None:
     """Parse again without the keys that are wrong, so that one of them does not hide what else does not fit."""
-    rest: Any = _copied(data)
+    rest: Any = _copy(data)
     for path in wrong:
         names = [depth for depth, part in enumerate(path) if isinstance(part, str)]
         if names:
@@ -112,13 +112,13 @@ def _without(model: type[Checked], data: Mapping[str, Any], wrong: Sequence[KeyP
         return None
 
 
-def _copied(data: Any) -> Any:
+def _copy(data: Any) -> Any:
     if isinstance(data, Mapping):
-        return {key: _copied(value) for key, value in data.items()}
-    return [_copied(value) for value in data] if isinstance(data, list) else data
+        return {key: _copy(value) for key, value in data.items()}
+    return [_copy(value) for value in data] if isinstance(data, list) else data
 
 
-def _worded(model: type[BaseModel], detail: ErrorDetails) -> Problem:
+def _word_problem(model: type[BaseModel], detail: ErrorDetails) -> Problem:
     path: KeyPath = tuple(part for part in detail["loc"] if part != "[key]")  # a key itself is wrong
     found = detail["input"]
     match detail["type"]:
@@ -126,13 +126,13 @@ def _worded(model: type[BaseModel], detail: ErrorDetails) -> Problem:
             return Problem(path, *_unknown(str(path[-1]), _table(_field_at(model, path[:-1]))))
         case "missing" if isinstance(path[-1], int):  # an entry of a pair
             path, kind = path[:-1], "too_short"
-            return Problem(path, f"is {shown(found)}", f"it must be {allowed(_field_at(model, path))}")
+            return Problem(path, f"is {quote_value(found)}", f"it must be {describe_allowed(_field_at(model, path))}")
         case "missing":
             return Problem(path, "is missing", _missing(str(path[-1]), _table(_field_at(model, path[:-1])), found))
         case "value_error":
-            return Problem(path, f"is {shown(found)}", str(detail["ctx"]["error"]))
+            return Problem(path, f"is {quote_value(found)}", str(detail["ctx"]["error"]))
         case kind:
-            return Problem(path, f"is {shown(found)}", _rule(_field_at(model, path), kind, detail["msg"]))
+            return Problem(path, f"is {quote_value(found)}", _rule(_field_at(model, path), kind, detail["msg"]))
 
 
 def _rule(field: Any, kind: str, message: str) -> str:
@@ -140,7 +140,7 @@ def _rule(field: Any, kind: str, message: str) -> str:
     if isinstance(field, FieldInfo) and field.description:
         return f"it must be {field.description}"
     if field is not None and kind.startswith(_OURS):
-        words = allowed(field)
+        words = describe_allowed(field)
         return f"it must be {words.replace('a number', 'a finite number', 1) if kind == 'finite_number' else words}"
     _, should, rest = message.partition(" should ")
     if not should:
@@ -164,10 +164,10 @@ def _missing(key: str, table: type[BaseModel] | None, present: Any) -> str:
     near = get_close_matches(key, others, n=1)
     if near:
         return f"is {near[0]!r} a misspelling of it?"
-    return f"it must be {allowed(known[key])}" if key in known else ""
+    return f"it must be {describe_allowed(known[key])}" if key in known else ""
 
 
-def allowed(field: Any) -> str:
+def describe_allowed(field: Any) -> str:
     """Describe the values a field takes: ``a number from 1 to 60``.
 
     Parameters
@@ -175,25 +175,25 @@ def allowed(field: Any) -> str:
     field : of a model, or an annotation.
     """
     if isinstance(field, FieldInfo):
-        return field.description or _allowed(field.annotation, field.metadata)
-    return _allowed(field, ())
+        return field.description or _describe_annotation(field.annotation, field.metadata)
+    return _describe_annotation(field, ())
 
 
-def _allowed(annotation: Any, rules: Sequence[Any]) -> str:
+def _describe_annotation(annotation: Any, rules: Sequence[Any]) -> str:
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         *most, last = map(repr, parts)
         return f"{', '.join(most)} or {last}" if most else last
     if origin in (list, tuple):
-        return f"an array{_length(parts, rules)}, each {_allowed(parts[0], ())}"
+        return f"an array{_length(parts, rules)}, each {_describe_annotation(parts[0], ())}"
     if origin is Annotated:
         inner = [rule for part in parts[1:] for rule in (part.metadata if isinstance(part, FieldInfo) else [part])]
         described = [part.description for part in parts[1:] if isinstance(part, FieldInfo) and part.description]
-        return described[0] if described else _allowed(parts[0], [*inner, *rules])
+        return described[0] if described else _describe_annotation(parts[0], [*inner, *rules])
     if origin in (Union, UnionType):
-        return " or ".join(_allowed(part, rules) for part in parts if part is not NoneType)
+        return " or ".join(_describe_annotation(part, rules) for part in parts if part is not NoneType)
     if origin is dict:
-        return f"one named table or more, each {_allowed(parts[1], ())}"
+        return f"one named table or more, each {_describe_annotation(parts[1], ())}"
     table = _table(annotation)
     return _table_words(table) if table else _WORDS.get(annotation, "a value") + _bounds(rules)
 
@@ -209,14 +209,14 @@ def _table_words(table: type[BaseModel]) -> str:
 
 
 def _length(parts: Sequence[Any], rules: Sequence[Any]) -> str:
-    least = _bound(rules, "min_length")
+    least = _find_bound(rules, "min_length")
     if Ellipsis in parts or len(parts) == 1:
         return "" if least is None else f" of at least {least}"
     return f" of {len(parts)}"
 
 
 def _bounds(rules: Sequence[Any]) -> str:
-    least, above, most, below = (_plain(_bound(rules, name)) for name in ("ge", "gt", "le", "lt"))
+    least, above, most, below = (_plain(_find_bound(rules, name)) for name in ("ge", "gt", "le", "lt"))
     if least and most:
         return f" from {least} to {most}"
     low = f" of at least {least}" if least else f" above {above}" if above else ""
@@ -230,7 +230,7 @@ def _plain(bound: float | None) -> str:
     return str(int(bound)) if abs(bound) < 1e9 and bound == int(bound) else f"{bound:g}"
 
 
-def _bound(rules: Sequence[Any], name: str) -> Any:
+def _find_bound(rules: Sequence[Any], name: str) -> Any:
     return next((value for rule in rules if (value := getattr(rule, name, None)) is not None), None)
 
 

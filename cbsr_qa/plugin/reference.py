@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from cbsr_qa.plugin.discovery import Factory, Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.options import options_of
-from cbsr_qa.plugin.problems import allowed
+from cbsr_qa.plugin.problems import describe_allowed
 
 #: How names of options end → their unit; the first that fits counts.
 _UNITS: Final[Mapping[str, str]] = {
@@ -102,7 +102,7 @@ def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference
     """
     factory = plugins.factory(kind, name)
     model = options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT)))
-    described = dict(_described(factory))
+    described = dict(_read_descriptions(factory))
     options = tuple(_option(key, field, described.get(key, "")) for key, field in model.model_fields.items())
     return PluginReference(
         kind, name, _text(factory).partition("\n\n")[0], options, getattr(factory, "measures", None) or {}
@@ -112,14 +112,14 @@ def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference
 def _option(name: str, field: FieldInfo, description: str) -> OptionReference:
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
     default = "" if field.is_required() or field.default is None else json.dumps(field.default, ensure_ascii=False)
-    return OptionReference(name, unit, allowed(field), default, field.is_required(), description)
+    return OptionReference(name, unit, describe_allowed(field), default, field.is_required(), description)
 
 
 def _text(factory: Factory) -> str:
     return re.sub(r"(?<!\n)\n(?!\n|\s|[-=])", " ", inspect.getdoc(factory) or "")
 
 
-def _described(factory: Any) -> Iterator[tuple[str, str]]:
+def _read_descriptions(factory: Any) -> Iterator[tuple[str, str]]:
     """Yield options and their descriptions in docstrings, in the form ``first, second : words``; own ones last."""
     for cls in reversed(getattr(factory, "__mro__", (factory,))):
         text = inspect.cleandoc(vars(cls).get("__doc__") or "")

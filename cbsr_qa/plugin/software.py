@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from typing import Final
 
 import cbsr_qa
-from cbsr_qa.domain import PluginError
+from cbsr_qa.domain.errors import PluginError
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 
@@ -31,10 +31,10 @@ def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
     """
     theirs = {(r.distribution, r.version) for r in plugins.registrations() if r.distribution != "cbsr-qa"}
     python = ("python", platform.python_version())
-    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), python, *_installed())
+    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), python, *_installation_versions())
 
 
-def _installed() -> tuple[tuple[str, str], ...]:
+def _installation_versions() -> tuple[tuple[str, str], ...]:
     found = []
     for name in (*_NUMERICS, *_LINKS):
         try:

@@ -3,8 +3,9 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from cbsr_qa.domain.results import Block, Cell, Outcome, Paragraph, Table
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.report import Block, Cell, Paragraph, Table
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.report.tables import plural, text_table
 
 _CELLS: Final = {

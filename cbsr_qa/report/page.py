@@ -4,8 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
 
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Banner, CommandOutcome, EndReason, Outcome, Page, RunResult, explained
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.findings import RecordingResult
+from cbsr_qa.domain.results.measurement import explain_verdict
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, RunResult
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.tables import duration, plural
 
 _SYMBOLS: Final = {
@@ -43,7 +46,7 @@ def answer(
 
     Parameters
     ----------
-    facts, printed : as in :class:`~cbsr_qa.domain.results.Page`.
+    facts, printed : as in :class:`~cbsr_qa.domain.results.report.Page`.
     """
     page = Page("", "", Banner("pass", "✓", headline, reason), tuple(facts))
     return CommandOutcome(result, replace(page, printed=tuple(printed), warnings=tuple(warnings)))
@@ -63,7 +66,7 @@ def run_page(result: RunResult) -> Page:
         ("Started", identity.started_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
         ("Run", identity.run),
         ("Station time", duration(record.station_s)),
-        _issued(result),
+        _describe_issued(result),
         *_tries(result),
     )
     observed = result.observation.warnings if result.observation else ()
@@ -71,7 +74,7 @@ def run_page(result: RunResult) -> Page:
     return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
 
 
-def _issued(result: RunResult) -> tuple[str, str]:
+def _describe_issued(result: RunResult) -> tuple[str, str]:
     """What a run issued: a calibration, or a material file where a material was characterised."""
     characterised = result.characterisation
     if characterised is None:
@@ -108,7 +111,7 @@ def recording_page(result: RecordingResult) -> Page:
         *_imaging(result),
     )
     headline = f"{plural(count, 'event')} found" if count else "no event"
-    banner = Banner("plain", "●" if count else "○", headline, _found(result))
+    banner = Banner("plain", "●" if count else "○", headline, _describe_strongest(result))
     return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
 
 
@@ -128,7 +131,7 @@ def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:
 def _verdict(result: RunResult) -> Banner:
     outcome, end = result.verdict.outcome, result.record.end
     tone = "plain" if outcome is Outcome.NOT_JUDGED else outcome.value.replace(" ", "-")
-    reason = explained(result.verdict, result.measurements)
+    reason = explain_verdict(result.verdict, result.measurements)
     if end in _ENDS:
         # An unfinished run is never judged: how it ended is the one reason.
         detail = f": {result.record.end_detail}" if result.record.end_detail else ""
@@ -148,7 +151,7 @@ def _overridden(result: RunResult) -> tuple[str, ...]:
     return (f"{decided}. What was measured and found is unchanged, and an override issues no calibration.",)
 
 
-def _found(result: RecordingResult) -> str:
+def _describe_strongest(result: RecordingResult) -> str:
     if not result.events:
         return result.events_why
     strongest = max(result.events, key=lambda event: event.snr)

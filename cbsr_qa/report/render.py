@@ -11,14 +11,19 @@ from typing import Any, Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cbsr_qa.domain import RefusedError, with_type
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Section, Table
-from cbsr_qa.plugin import ReportSection, failure
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import with_type
+from cbsr_qa.domain.results.findings import RecordingResult
+from cbsr_qa.domain.results.report import Block, Figure, Page, Paragraph, RunResult, Section, Table
+from cbsr_qa.plugin.failures import failure
+from cbsr_qa.plugin.interfaces import ReportSection
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa.report.page import recording_page, run_page
-from cbsr_qa.report.section import limited_blocks
-from cbsr_qa.system import come_back_once, open_foreign, side_by_side, writing, written_whole
+from cbsr_qa.report.section import limit_blocks
+from cbsr_qa.system.beside import side_by_side
+from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import open_foreign
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -81,7 +86,7 @@ def render_fragment(page: Page, sections: Sequence[Section]) -> str:
     """
     environment, style = _environment(), re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", _style(_STYLE))
     style = re.sub(r"(?m)^@page .*\n", "", style)
-    shown = [_prepared(section, "") for section in sections]
+    shown = [_prepare(section, "") for section in sections]
     return environment.get_template(_FRAGMENT).render(
         page=page,
         sections=shown,
@@ -106,7 +111,7 @@ def write_report(path: Path, html: str) -> None:
     remedy = "make the folder writable, name another, or set CBSR_QA_VAR where no file was named"
     with writing(path, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as file:
+        with write_atomically(path) as file:
             file.write(html.encode("utf-8", errors="xmlcharrefreplace"))
 
 
@@ -151,7 +156,7 @@ def _render(
     page: Page, result: RunResult | RecordingResult, sections: Sequence[ReportSection], warnings: Sequence[str]
 ) -> str:
     failed: list[str] = []
-    shown = tuple(_shown(sections, result, failed))
+    shown = tuple(_render_each(sections, result, failed))
     return _page(page, shown, (*warnings, *failed))
 
 
@@ -183,7 +188,7 @@ def _environment() -> Environment:
     )
 
 
-def _shown(
+def _render_each(
     sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
 ) -> Iterator[_Shown]:
     tasks = [partial(_section_shown, section, result, f"s{n}") for n, section in enumerate(sections, start=1)]
@@ -201,19 +206,19 @@ def _section_shown(section: ReportSection, result: RunResult | RecordingResult, 
             content = section.render(result)
             if content is None:
                 return None
-            return _prepared(replace(content, blocks=limited_blocks(content.blocks)), anchor)
+            return _prepare(replace(content, blocks=limit_blocks(content.blocks)), anchor)
     except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
         return f"The report section {type(section).__name__} failed and is left out: {failure(error)}"
 
 
-def _prepared(section: Section, anchor: str) -> _Shown:
+def _prepare(section: Section, anchor: str) -> _Shown:
     return _Shown(anchor, section.title, tuple(_block(block) for block in section.blocks))
 
 
 def _block(block: Block) -> tuple[str, Any]:
     if isinstance(block, Figure):
         svg = Markup(
-            checked_svg(block.svg() if callable(block.svg) else block.svg)
+            check_svg(block.svg() if callable(block.svg) else block.svg)
         )  # nothing passes that could do more than be looked at
         return "figure", {"svg": svg, "caption": block.caption, "alternative": block.alternative}
     if isinstance(block, Table):

@@ -5,9 +5,15 @@ from collections.abc import Iterable
 from itertools import islice
 from typing import ClassVar, Final
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, RunObservation, RunResult, Section
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.findings import RecordingResult
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.results.report import Block, RunResult, Section
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.failures import failure
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import ReportSection
+from cbsr_qa.system.copies import come_back_once
 
 #: More paragraphs, tables and figures of one section are refused.
 MOST_BLOCKS: Final = 1_000
@@ -32,10 +38,10 @@ class ObservedSection(RunSection):
 
     def blocks(self, result: RunResult) -> Iterable[Block]:
         """Return the content, in reading order; nothing of a run without an observation."""
-        return () if result.observation is None else self.observed(result, result.observation)
+        return () if result.observation is None else self.run_blocks(result, result.observation)
 
     @abstractmethod
-    def observed(self, result: RunResult, run: RunObservation) -> Iterable[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterable[Block]:
         """Return the content, in reading order."""
 
 
@@ -53,7 +59,7 @@ class RecordingSection(ABC):
         """Return the content, in reading order."""
 
 
-def limited_blocks(blocks: Iterable[Block]) -> tuple[Block, ...]:
+def limit_blocks(blocks: Iterable[Block]) -> tuple[Block, ...]:
     """Return the blocks of a section. RefusedError for more than :data:`MOST_BLOCKS`: a generator may never end."""
     content = tuple(islice(blocks, MOST_BLOCKS + 1))
     if len(content) > MOST_BLOCKS:
@@ -62,5 +68,21 @@ def limited_blocks(blocks: Iterable[Block]) -> tuple[Block, ...]:
 
 
 def _section(title: str, blocks: Iterable[Block]) -> Section | None:
-    content = limited_blocks(blocks)
+    content = limit_blocks(blocks)
     return Section(title, content) if content else None
+
+
+def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[ReportSection], list[str]]:
+    """Return the named sections (all installed ones if none are named), and a warning for each that failed to load.
+
+    Built-in sections come first, in the order of their registration, then others by name.
+    """
+    sections: list[ReportSection] = []
+    missing: list[str] = []
+    for name in names or plugins.list_names(Kind.SECTION):
+        try:
+            with come_back_once():
+                sections.append(plugins.factory(Kind.SECTION, name)())
+        except BaseException as error:  # noqa: BLE001 - a stranger's constructor may raise anything
+            missing.append(f"The report section {name} is left out: {failure(error)}")
+    return sections, missing

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Final
 
-from cbsr_qa.domain import of_kind
-from cbsr_qa.domain.results import Block, Cell, Outcome, Paragraph, Table
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCharts, StationCheck
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.charts import StationCharts
+from cbsr_qa.domain.results.report import Block, Cell, Paragraph, Table
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.report.tables import plural, quantity, text_table
 
 _CELLS: Final = {
@@ -40,7 +42,7 @@ def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:
     return tuple(said)
 
 
-def counted(check: StationCheck) -> str:
+def count_results(check: StationCheck) -> str:
     """Say how many results failed and warn: ``2 failed, 1 warning``; ``none failed``."""
     failed, warned = len(check.lines(CheckOutcome.FAILED)), len(check.lines(CheckOutcome.WARNING))
     words = f"{failed or 'none'} failed"
@@ -62,7 +64,9 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
     at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
     words = f"Station {station} was last checked {age(check, begun)} before this run began, on {at}{by}"
     tone = {CheckOutcome.FAILED: "warning", CheckOutcome.WARNING: "note"}.get(check.outcome, "plain")
-    blocks: list[Block] = [Paragraph(f"{words}: of {plural(len(check.results), 'check')}, {counted(check)}.", tone)]
+    blocks: list[Block] = [
+        Paragraph(f"{words}: of {plural(len(check.results), 'check')}, {count_results(check)}.", tone)
+    ]
     bad = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
     if bad:
         blocks.append(lines_table("Failed checks and warnings.", bad))
@@ -86,7 +90,7 @@ def chart_blocks(charts: StationCharts | None) -> tuple[Block, ...]:
     """Say which charts signal since when and by which rule; nothing where the station has no reference stored."""
     if charts is None:
         return ()
-    whole = f"{plural(charts.charts, 'control chart')} of {of_kind('station', charts.station)}"
+    whole = f"{plural(charts.charts, 'control chart')} of {prefix_kind('station', charts.station)}"
     if not charts.signals:
         blocks: list[Block] = [Paragraph(f"None of {whole} signals.")]
     else:

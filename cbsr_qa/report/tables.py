@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from math import floor, log10
 from typing import Final, Protocol, TypeVar
 
-from cbsr_qa.domain.results import Bound, Cell, Limit, Measurement, Table
+from cbsr_qa.domain.plan.limits import Bound, Limit
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.report import Cell, Table
 
 T = TypeVar("T")
 
@@ -40,11 +42,11 @@ def number(value: float, digits: int = 3) -> str:
     rounded = round(value, digits - 1 - exponent)
     exponent = floor(log10(abs(rounded)))
     if -4 < exponent < 5:
-        return fixed(rounded, max(digits - 1 - exponent, 0))
-    return f"{fixed(rounded / 10.0**exponent, digits - 1)} × 10{str(exponent).translate(_SUPERSCRIPTS)}"
+        return format_fixed(rounded, max(digits - 1 - exponent, 0))
+    return f"{format_fixed(rounded / 10.0**exponent, digits - 1)} × 10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
-def fixed(value: float, decimals: int) -> str:
+def format_fixed(value: float, decimals: int) -> str:
     """Write a number with this many decimals and a true minus sign; a rounded zero has no sign."""
     text = f"{value:.{decimals}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", _MINUS)
@@ -57,7 +59,7 @@ def plain(value: float, unit: str) -> str:
         return number(value)
     if round(value, most) == 0:
         return number(value, 1)
-    return fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
+    return format_fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
 
 
 def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -> str:
@@ -73,17 +75,17 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     decimals = keep - first
     largest = max(abs(value), uncertainty)
     if largest < 1e5 and (decimals <= 5 or largest >= 1.0):  # a power would not make these shorter
-        return f"{fixed(value, max(decimals, 0))} ± {fixed(uncertainty, max(decimals, 0))}"
+        return f"{format_fixed(value, max(decimals, 0))} ± {format_fixed(uncertainty, max(decimals, 0))}"
     exponent = floor(log10(largest))
     scale = 10.0**exponent
     shown = max(decimals + exponent, 0)
     power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
-    return f"({fixed(value / scale, shown)} ± {fixed(uncertainty / scale, shown)}) × {power}"
+    return f"({format_fixed(value / scale, shown)} ± {format_fixed(uncertainty / scale, shown)}) × {power}"
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """Write a number with its unit; volts, amperes, siemens and ohms get a prefix (18.1 kΩ)."""
-    scale, shown = scaled_unit(value, unit)
+    scale, shown = scale_unit(value, unit)
     if not uncertainty and scale == 1:
         text = plain(value, unit)
     else:
@@ -92,7 +94,7 @@ def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     return f"{text}{gap}{shown}"
 
 
-def scaled_unit(value: float, unit: str) -> tuple[float, str]:
+def scale_unit(value: float, unit: str) -> tuple[float, str]:
     """Return what to divide by, and the unit to print, so that a value of this size reads well."""
     if unit not in _SCALABLE or value == 0:
         return 1.0, unit_shown(unit)
@@ -120,7 +122,7 @@ def plural(count: int, one: str, many: str = "") -> str:
     return f"{count or 'no'} {noun}"
 
 
-def dashed(value: T | None, write: Callable[[T], str]) -> str:
+def format_or_dash(value: T | None, write: Callable[[T], str]) -> str:
     """Write a value; a dash for None."""
     return "–" if value is None else write(value)
 
@@ -150,7 +152,7 @@ def place_text(x_mm: float, y_mm: float) -> str:
     return f"{x_mm:g}, {y_mm:g}".replace("-", _MINUS)
 
 
-def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
+def list_names(names: Sequence[str], most: int = _MOST_NAMED) -> str:
     """List names; of very many the first ones."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
@@ -176,10 +178,10 @@ def value_cell(measurement: Measurement | None, *, unit: bool = False) -> Cell:
     outcome = measurement.outcome if measurement.limit is not None else None
     if measurement.value is None:
         return Cell("not measured", outcome)
-    return Cell(f"{bound_sign([measurement])}{_value_text(measurement, measurement.value, unit)}", outcome)
+    return Cell(f"{sign_of_bound([measurement])}{_value_text(measurement, measurement.value, unit)}", outcome)
 
 
-def bound_sign(measurements: Iterable[Measurement]) -> str:
+def sign_of_bound(measurements: Iterable[Measurement]) -> str:
     """Return ``"≥ "`` where any of some values is only a lower bound: their mean is one too."""
     return "≥ " if any(m.bound is Bound.LOWER and m.value is not None for m in measurements) else ""
 
@@ -195,7 +197,7 @@ def _value_text(measurement: Measurement, value: float, unit: bool) -> str:
 def limit_text(limit: Limit) -> str:
     """Write a limit: ``≤ 5 mm``, ``50 to 100 %``."""
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
-    scale, shown = scaled_unit(max(bounds, key=abs), limit.unit)
+    scale, shown = scale_unit(max(bounds, key=abs), limit.unit)
     gap = "\N{NO-BREAK SPACE}" if shown else ""
     written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "

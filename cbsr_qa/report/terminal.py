@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from typing import Final
 
-from cbsr_qa.domain.results import Block, Page, Paragraph, Section, Table
-from cbsr_qa.plugin import printable
+from cbsr_qa.domain.results.report import Block, Page, Paragraph, Section, Table
+from cbsr_qa.system.words import printable
 
 _WIDTH: Final = 100
 #: Longest line of a text in a table that is wider than the terminal.
@@ -32,11 +32,11 @@ def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
     for name, value in facts:
         yield from _hanging(f"{name:<{width}}  ", value)
     for name, value in page.printed:
-        yield f"{_name(name):<{width}}  {_shown(value)}"
+        yield f"{_name(name):<{width}}  {_escape_line(value)}"
     for section in sections:
         lines = [line for block in section.blocks for line in _block(block)]
         if lines and not section.page_only:
-            yield from ("", _shown(section.title), *lines)
+            yield from ("", _escape_line(section.title), *lines)
 
 
 def _block(block: Block) -> Iterator[str]:
@@ -48,7 +48,7 @@ def _block(block: Block) -> Iterator[str]:
 
 def _table(table: Table) -> Iterator[str]:
     yield from _hanging(_INDENT, table.caption)
-    rows = [table.columns, *(tuple(_shown(cell.text) for cell in row) for row in table.rows)]
+    rows = [table.columns, *(tuple(_escape_line(cell.text) for cell in row) for row in table.rows)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     room = _WIDTH - 2 * len(_INDENT) - sum(width + 2 for width in widths[:-1])
     if widths[-1] > room >= _LEAST_ROOM and len(widths) - 1 not in table.numeric:
@@ -75,7 +75,7 @@ def _name(name: str) -> str:
     return name if name.isupper() else name.lower()
 
 
-def _shown(text: str) -> str:
+def _escape_line(text: str) -> str:
     """A text of one line without control characters; spaces that must not break are wrapped as others are."""
     return printable(text.replace("\N{NO-BREAK SPACE}", " "))
 
@@ -83,7 +83,7 @@ def _shown(text: str) -> str:
 def _hanging(start: str, text: str) -> Iterator[str]:
     """Wrap text behind its first words, further lines below its beginning."""
     yield from textwrap.wrap(
-        _shown(text),
+        _escape_line(text),
         _WIDTH,
         initial_indent=start,
         subsequent_indent=" " * len(start),

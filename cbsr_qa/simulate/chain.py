@@ -8,20 +8,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.domain import CbsrError, ConfigError, PluginError
-from cbsr_qa.domain.plan import Moment, PluginChoice, Scene, SceneSetting, SheetDesign, Transcript
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.plugin import (
-    AnyEffect,
-    Effect,
-    RecordingEffect,
-    SheetEffect,
-    SwitchingEffect,
-    failure,
-    options_of,
-    shown,
-)
-from cbsr_qa.system import come_back_once, end_copy
+from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError
+from cbsr_qa.domain.plan.plan import PluginChoice, Scene
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SheetDesign, Transcript
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.plugin.failures import failure
+from cbsr_qa.plugin.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect
+from cbsr_qa.plugin.options import options_of
+from cbsr_qa.system.copies import come_back_once, end_copy
+from cbsr_qa.system.words import quote_value
 
 #: ``effect_factory(name)`` returns the factory of an effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -71,7 +66,7 @@ class Chain:
         self.names = tuple(name for name, _ in named)
         self._sheet = tuple((name, e) for name, e in named if isinstance(e, SheetEffect))
         self._recording = tuple((name, e) for name, e in named if isinstance(e, RecordingEffect))
-        self._stages = {stage: tuple(_applied(named, stage)) for stage in STAGES}
+        self._stages = {stage: tuple(_select_stage(named, stage)) for stage in STAGES}
 
     def has(self, stage: str) -> bool:
         return bool(self._stages[stage])
@@ -106,7 +101,7 @@ class Chain:
             except CbsrError:
                 raise
             except BaseException as error:
-                raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
+                raise _effect_error(name, error, f" at {moment.time_s:.6g} s") from error
             finally:
                 end_copy(process)
             if not finite:
@@ -123,7 +118,7 @@ class Chain:
         return times_s
 
 
-def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tuple[str, Effect]]:
+def _select_stage(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tuple[str, Effect]]:
     for name, effect in named:
         if effect.perturbs == stage and stage not in _OWN_METHODS and isinstance(effect, Effect):
             yield name, effect
@@ -153,10 +148,10 @@ def _blaming(name: str) -> Iterator[None]:
     except CbsrError:
         raise
     except BaseException as error:
-        raise _failed(name, error) from error
+        raise _effect_error(name, error) from error
 
 
-def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
+def _effect_error(name: str, error: BaseException, when: str = "") -> PluginError:
     return PluginError(
         f"effect {name!r} failed{when}: {failure(error)}",
         remedy="report it to its author, or remove it from the scene",
@@ -210,13 +205,13 @@ def _check_names(name: str, effect: Any) -> None:
     perturbs = getattr(effect, "perturbs", None)
     if not isinstance(perturbs, str):
         raise ConfigError(
-            f"effect {name!r} perturbs {shown(perturbs)}",
+            f"effect {name!r} perturbs {quote_value(perturbs)}",
             remedy=f"allowed: {', '.join(STAGES)}",
         )
     for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
         if not isinstance(names, tuple | list) or not all(isinstance(each, str) for each in names):
             raise ConfigError(
-                f"effect {name!r} has {which} = {shown(names)}", remedy="it must be a tuple of effect names"
+                f"effect {name!r} has {which} = {quote_value(names)}", remedy="it must be a tuple of effect names"
             )
 
 

@@ -4,9 +4,9 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import SceneSetting
-from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.world import SceneSetting
+from cbsr_qa.plugin.options import PluginOptions
 
 #: Above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
 BEYOND: Final = 1e15

@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, ConfigError
-from cbsr_qa.domain.plan import Moment, SheetDesign, SimulatedPress
-from cbsr_qa.eit.forward import ring_impedance
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.world import Moment, SheetDesign, SimulatedPress
+from cbsr_qa.eit.forward.closed_forms import ring_impedance
 from cbsr_qa.simulate.chain import Chain
 from cbsr_qa.simulate.sheet import Place, SimulatedSheet
 
@@ -51,7 +52,7 @@ class SimulatedRing:
         pattern = self.sensor_type.pattern
         return pattern.drive_currents().T @ impedance_ohm @ pattern.measure_matrix()
 
-    def pressed_mm2(self, place: Place) -> float:
+    def area_under_head_mm2(self, place: Place) -> float:
         """Return no change: nothing is pressed."""
         return 0.0
 
@@ -71,7 +72,7 @@ class SimulatedFrame:
     Parameters
     ----------
     voltages : (drives, measures) [V].
-    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`.
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`.
     time_s : (drives, measures) of each reading on the station's clock; None if all are simultaneous.
     current_A : (drives, measures) current during each reading.
     drive_ohm : (drives, measures) resistance of its driven pair at that time.
@@ -113,7 +114,7 @@ class FrameMaker:
         if pauses_s is not None and moment.reading_offsets_s is not None:
             moment.reading_offsets_s = moment.reading_offsets_s + pauses_s[:, None]
         offsets = moment.reading_offsets_s
-        moment.impedance_ohm, per_ampere, drive_ohm, measure_ohm = self._solved(moment_at, moment)
+        moment.impedance_ohm, per_ampere, drive_ohm, measure_ohm = self._solve(moment_at, moment)
         # A dead short is only rounding, of either sign; so is a parabola at the end of one.
         moment.drive_ohm, moment.measure_ohm = np.maximum(drive_ohm, 0.0), np.maximum(measure_ohm, 0.0)
         moment.current_A = np.full(self._pattern.shape, moment.setting.current_A)
@@ -124,14 +125,14 @@ class FrameMaker:
         own_s = None if offsets is None else time_s + offsets
         return SimulatedFrame(moment.voltages, moment.flags, own_s, moment.current_A, moment.drive_ohm)
 
-    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array, Array]:
+    def _solve(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array, Array]:
         """Transfer impedance in the middle; readings per ampere and resistances of their pairs, at their times."""
         offsets = moment.reading_offsets_s
         contact_mm = self._contacts(moment)
         if offsets is None or not self._changes(moment):
             (middle,) = self._impedances([moment], contact_mm)
-            drive_ohm = np.broadcast_to(_between(self._driven, middle)[:, None], self._pattern.shape)
-            measure_ohm = np.broadcast_to(_between(self._measured, middle), self._pattern.shape)
+            drive_ohm = np.broadcast_to(_pair_resistance(self._driven, middle)[:, None], self._pattern.shape)
+            measure_ohm = np.broadcast_to(_pair_resistance(self._measured, middle), self._pattern.shape)
             return middle, self._sheet.readings(middle), drive_ohm, measure_ohm
         first_s, last_s = float(moment.time_s + offsets.min()), float(moment.time_s + offsets.max())
         knots = _knots(moment.presses, self._chain.switches(moment, first_s, last_s), first_s, last_s)
@@ -144,7 +145,8 @@ class FrameMaker:
             solved.insert(own, middle)
         readings = np.array([self._sheet.readings(impedance) for impedance in solved])
         drive_ohm, measure_ohm = (
-            np.array([_between(pairs, impedance) for impedance in solved]) for pairs in (self._driven, self._measured)
+            np.array([_pair_resistance(pairs, impedance) for impedance in solved])
+            for pairs in (self._driven, self._measured)
         )
         weights = _weights(knots, moment.time_s + offsets)
         return (
@@ -167,7 +169,7 @@ class FrameMaker:
         for moment in moments:
             moment.contact_mm = contact_mm
             self._chain.apply("response", moment)
-        solved = self._sheet.impedances([_by_place(moment) for moment in moments], contact_mm)
+        solved = self._sheet.impedances([_sum_changes(moment) for moment in moments], contact_mm)
         for moment, impedance in zip(moments, solved, strict=True):
             moment.impedance_ohm = impedance
             self._chain.apply("impedance", moment)
@@ -177,13 +179,13 @@ class FrameMaker:
         return bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
 
 
-def _between(pairs: Array, impedance_ohm: Array) -> Array:
+def _pair_resistance(pairs: Array, impedance_ohm: Array) -> Array:
     """Resistance of some pairs (electrodes, pairs): (pairs,)."""
     ohm: Array = np.einsum("ep,ep->p", pairs, impedance_ohm @ pairs)
     return ohm
 
 
-def _by_place(moment: Moment) -> dict[Place, float]:
+def _sum_changes(moment: Moment) -> dict[Place, float]:
     """Sum the changes of presses at one place, without faded ones."""
     total: dict[Place, float] = {}
     for press, change in zip(moment.presses, moment.response, strict=True):

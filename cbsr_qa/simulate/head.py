@@ -7,19 +7,17 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.plan import Motion
+from cbsr_qa.domain.plan.steps import (
     CLEARANCE_MM,
     SEARCH_CONTACT_STEPS,
     SEARCH_DWELL_S,
     SEARCH_FROM_MM,
     SEARCH_STEP_MM,
-    HeadPosition,
-    Motion,
-    SimulatedPress,
-    StrainRamp,
 )
-from cbsr_qa.system import Clock, in_ticks
+from cbsr_qa.domain.plan.world import HeadPosition, SimulatedPress, StrainRamp
+from cbsr_qa.system.clock import Clock, round_to_ticks
 
 
 class Sheet(Protocol):
@@ -85,7 +83,7 @@ class PressWriter:
         self._stroke = _Stroke(start_s, duration_s, true_mm, self._true[2], surface)
         before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
         if before != after:
-            ramp_s = min(in_ticks(abs(after - before) / speed_mm_s), duration_s)
+            ramp_s = min(round_to_ticks(abs(after - before) / speed_mm_s), duration_s)
             begins = start_s if after < before else start_s + duration_s - ramp_s
             self._write(StrainRamp(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
         if after == 0:
@@ -109,7 +107,7 @@ class PressWriter:
     def _cut(self, time_s: float) -> SimulatedPress:
         """Replace the last press by a new object that ends now, so references to the old one stay distinct."""
         old = self._sheet.presses[-1]
-        steps = [_until(step, time_s) for step in old.steps if step.start_s < time_s]
+        steps = [_cut_ramp(step, time_s) for step in old.steps if step.start_s < time_s]
         new = SimulatedPress(old.index, old.x_mm, old.y_mm, steps)
         self._sheet.presses[-1] = new
         return new
@@ -125,7 +123,7 @@ class PressWriter:
         self._pressing.steps.append(step)
 
 
-def _until(step: StrainRamp, time_s: float) -> StrainRamp:
+def _cut_ramp(step: StrainRamp, time_s: float) -> StrainRamp:
     """Return the part of a ramp before a time."""
     if time_s >= step.start_s + step.ramp_s:
         return step
@@ -201,7 +199,7 @@ class SimulatedHead:
         self.lift()
         stiffness, offset = np.polyfit(depths, forces, 1)
         if stiffness <= 0:
-            raise self._no_surface("the force does not rise with depth at the surface")
+            raise self._surface_error("the force does not rise with depth at the surface")
         self._found[self._place] = float(-offset / stiffness)
         return self._motion.hover_mm + self._found[self._place]
 
@@ -215,7 +213,7 @@ class SimulatedHead:
         while sum(force >= _CONTACT_FORCE_N for force in forces) < SEARCH_CONTACT_STEPS:
             if self._depth_mm > _SEARCH_DEPTH_MM:
                 self.lift()
-                raise self._no_surface(
+                raise self._surface_error(
                     f"no contact force of {_CONTACT_FORCE_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
                 )
             self._go(self._depth_mm + SEARCH_STEP_MM, motion.press_speed_mm_s)
@@ -224,7 +222,7 @@ class SimulatedHead:
             forces.append(read_force_N(SEARCH_DWELL_S))
         return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
 
-    def _no_surface(self, reason: str) -> InstrumentError:
+    def _surface_error(self, reason: str) -> InstrumentError:
         x_mm, y_mm = self._place
         return InstrumentError(
             self._role,
@@ -248,7 +246,7 @@ class SimulatedHead:
         start = self._clock.now()
         if depth_mm == self._depth_mm:
             return start  # commanded to stay, it does: no new error, no ramp of zero length
-        duration_s = in_ticks(abs(depth_mm - self._depth_mm) / speed_mm_s)
+        duration_s = round_to_ticks(abs(depth_mm - self._depth_mm) / speed_mm_s)
         self._depth_mm = depth_mm
         self._written.stroke((*self._place, depth_mm), start, duration_s, speed_mm_s)
         return start + duration_s

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
-from cbsr_qa.domain.sensor import QuasiStatic, Relaxation
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Relaxation
 
 #: Relative change below which a press is forgotten; a hundredth of the smallest change solved for.
 FORGOTTEN: Final = 1e-9
@@ -21,7 +21,7 @@ FORGOTTEN: Final = 1e-9
 CONTACT_STRAIN: Final = 0.0125
 
 
-def done(ramp: StrainRamp, time_s: float) -> float:
+def ramp_share(ramp: StrainRamp, time_s: float) -> float:
     """Return the completed share of a ramp at a time, 0 to 1."""
     since = time_s - ramp.start_s
     if since >= ramp.ramp_s:
@@ -32,7 +32,7 @@ def done(ramp: StrainRamp, time_s: float) -> float:
 def transient(ramp: StrainRamp, relaxation: Relaxation, time_s: float) -> float:
     """Return the transient of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
 
-    Together with :func:`done` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
+    Together with :func:`ramp_share` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
     """
     since = time_s - ramp.start_s
     if since <= 0:
@@ -41,7 +41,7 @@ def transient(ramp: StrainRamp, relaxation: Relaxation, time_s: float) -> float:
     total = 0.0
     for weight, tau in zip(relaxation.weights, relaxation.time_constants_s, strict=True):
         total += weight * math.exp(-past / tau) * _share((since - past) / tau)
-    return total * done(ramp, time_s)
+    return total * ramp_share(ramp, time_s)
 
 
 def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[bool, StrainRamp]]:
@@ -99,18 +99,18 @@ class Transients:
         lasts = [tau * math.log(max(abs(w) * largest * len(parts) / FORGOTTEN, 1.0)) for w, tau in parts]
         return max(lasts, default=0.0)
 
-    def of(self, press: SimulatedPress, time_s: float) -> float:
+    def change_at(self, press: SimulatedPress, time_s: float) -> float:
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
         over = self._known.get(press.index)
         if over is None or over.press is not press or over.steps != len(press.steps):
-            over = self._known[press.index] = self._summed(press)
+            over = self._known[press.index] = self._sum_ramps(press)
         since = time_s - over.end_s
         if since >= 0:
             return sum([begun * math.exp(-since / tau) for begun, tau in over.terms])
         return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in over.ramps])
 
-    def _summed(self, press: SimulatedPress) -> "_Over":
+    def _sum_ramps(self, press: SimulatedPress) -> "_Over":
         ramps = response_ramps(press, self._line) if self._line else ((s.change > 0, s) for s in press.steps)
         answered = [(ramp, kernel) for loads, ramp in ramps if (kernel := self._kernels[loads])]
         end_s = max(step.start_s + step.ramp_s for step in press.steps)

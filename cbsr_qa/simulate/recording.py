@@ -9,23 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.plan import (
-    PressTimes,
-    SceneLoad,
-    ScenePlan,
-    SimulatedPress,
-    Transcript,
-    distance_mm,
-    press_times,
-    stroke_points,
-    travel_s,
-)
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.run import Load, LoadRecord
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.scene_plan import PressTimes, SceneLoad, ScenePlan, press_times, stroke_points
+from cbsr_qa.domain.plan.steps import distance_mm, travel_s
+from cbsr_qa.domain.plan.world import SimulatedPress, Transcript
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
 from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.system.clock import VirtualClock
 
 #: Addresses of a head's movements start at this multiple of its number less one.
 HEAD_BLOCK: Final = 1 << 24
@@ -63,7 +56,7 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
     """
     pressed: list[PressedLoad] = []
     for number, loads in plan.heads().items():
-        pressed += _pressed_by(world, plan, number, loads, end_s)
+        pressed += _press_loads(world, plan, number, loads, end_s)
     for load in pressed:
         if load.true_strain >= 1:
             raise RefusedError(
@@ -74,7 +67,7 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
     return tuple(sorted(pressed, key=lambda load: load.index))
 
 
-def _pressed_by(
+def _press_loads(
     world: SimulatedWorld, plan: ScenePlan, number: int, loads: tuple[SceneLoad, ...], end_s: float
 ) -> list[PressedLoad]:
     clock = VirtualClock()
@@ -93,7 +86,7 @@ def _pressed_by(
         made = world.presses[before] if len(world.presses) > before else None
         index = next(index for index, other in enumerate(plan.loads) if other is load)
         pressed.append(PressedLoad(index, load, _record(index, load, times, end_s), made))
-    return _rested(pressed)
+    return _end_rests(pressed)
 
 
 def _record(index: int, load: SceneLoad, times: PressTimes, rest_end_s: float) -> LoadRecord:
@@ -109,7 +102,7 @@ def _record(index: int, load: SceneLoad, times: PressTimes, rest_end_s: float) -
     )
 
 
-def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
+def _end_rests(pressed: list[PressedLoad]) -> list[PressedLoad]:
     """End each rest where the same head's next press begins."""
     rested = [
         replace(load, record=replace(load.record, rest_end_s=following.record.press_start_s))
@@ -162,7 +155,7 @@ class RecordedScene:
         return int(self.transcript.lost.any(axis=1).sum())
 
 
-def planned_middles_s(plan: ScenePlan) -> Array:
+def frame_middles_s(plan: ScenePlan) -> Array:
     """Middles of the frames of a board that never pauses, (frames,) [s]."""
     return (np.arange(plan.frame_count, dtype=np.float64) + 0.5) * plan.scene.frame_period_s
 
@@ -189,17 +182,17 @@ def record_scene(
     the same scene and seed give the same bytes everywhere. RefusedError if a load strains the sheet by 100 % or more,
     or an effect leaves an unsolvable sheet. ``progress``: called with the numbers of frames taken and in total.
     """
-    transcript = world.transcript(planned_middles_s(plan))
+    transcript = world.transcript(frame_middles_s(plan))
     paused_s = sum(dump.pause_s for dump in transcript.dumps)
     end_s = plan.frame_count * plan.scene.frame_period_s + paused_s
     pressed = press_loads(world, plan, end_s)
     cell = _LoadCell(world, end_s)
 
-    def taken(done: int, of: int) -> None:
+    def report_progress(done: int, of: int) -> None:
         cell.read_up_to(done / of)  # along with the frames: they take most of the time of slow frames
         progress(done, of)
 
-    frames = _frames(world, transcript, taken)
+    frames = _frames(world, transcript, report_progress)
     samples = cell.samples(plan)
     recording = Recording(
         path=Path(),

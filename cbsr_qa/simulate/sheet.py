@@ -8,12 +8,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.sensor import PlacedElectrodes, SensorType
-from cbsr_qa.eit.forward import Cover, ForwardModel, NestedCover, cover, cover_by_nested_outlines
-from cbsr_qa.eit.loads import LoadedSheet, LoadFamily
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.sensor.electrodes import PlacedElectrodes
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.coverage import Cover, NestedCover, cover, cover_by_nested_outlines
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.loads.family import LoadFamily
+from cbsr_qa.eit.loads.sheet import LoadedSheet
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 Place = tuple[float, float]
 
@@ -41,7 +45,7 @@ class SimulatedSheet:
 
     def __init__(self, design: SheetDesign, *, size_mm: float, interelectrode_resistance_ohm: float) -> None:
         self.design = design
-        self.sensor_type = _moved(design.sensor_type, design.shift_mm)
+        self.sensor_type = _move_sheet(design.sensor_type, design.shift_mm)
         self.mesh = sheet_mesh(self.sensor_type, size_mm=size_mm, order=_ORDER)
         conductance = design.sheet_conductance_at(self.mesh.centroids_mm)
         self.unit_model = ForwardModel(
@@ -92,7 +96,7 @@ class SimulatedSheet:
         """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
         return self.unit_model.readings(impedance_ohm)
 
-    def pressed_mm2(self, place: Place) -> float:
+    def area_under_head_mm2(self, place: Place) -> float:
         """Share of a head that is on the sheet, at a place."""
         if place not in self._pressed_mm2:
             if len(self._pressed_mm2) >= _PLACES:
@@ -104,7 +108,7 @@ class SimulatedSheet:
         head, outline = self.design.indenter, self.sensor_type.outline
         if outline.clearance_mm(np.array([place]))[0] >= head.reach_mm:
             return head.area_mm2
-        covered = cover(self.unit_model.elements, head.at(*place))
+        covered = cover(self.unit_model.elements, head.footprint_at(*place))
         return float(covered.share @ self.mesh.areas_mm2[covered.elements])
 
     @cached_property
@@ -126,14 +130,14 @@ class SimulatedSheet:
         if place not in self._loads:
             while len(self._loads) >= _PLACES:
                 self._loads.popitem(last=False)
-            self._loads[place] = self._made(place)
+            self._loads[place] = self._make_loads(place)
         self._loads.move_to_end(place)
         return self._loads[place]
 
-    def _made(self, place: Place) -> LoadFamily:
+    def _make_loads(self, place: Place) -> LoadFamily:
         head, elements, conductance = self.design.indenter, self.unit_model.elements, self.unit_model.conductance
         rings = sorted(self.design.rings, key=lambda ring: -ring.size)
-        largest = head.scaled(rings[0].size).at(*place)
+        largest = head.scale(rings[0].size).footprint_at(*place)
         covered: Cover | NestedCover
         if len(rings) == 1:
             covered = cover(elements, largest)
@@ -150,7 +154,7 @@ class SimulatedSheet:
         return LoadFamily(covered.elements, lambda relative: covered.change(conductance, relative * response))
 
 
-def _moved(sensor_type: SensorType, shift_mm: Array) -> SensorType:
+def _move_sheet(sensor_type: SensorType, shift_mm: Array) -> SensorType:
     if not shift_mm.any():
         return sensor_type
     layout = sensor_type.electrodes

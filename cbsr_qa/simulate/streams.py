@@ -18,8 +18,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.system import Clock
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.system.clock import Clock
 
 #: Separates these keys from any other use of the same hash.
 _PURPOSE: Final = b"cbsr-qa stream"

@@ -9,19 +9,20 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, ConfigError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.plan import Scene
+from cbsr_qa.domain.plan.world import (
     CONTACT_LENGTH_MM,
     HeadPosition,
     Moment,
-    Scene,
     SceneSetting,
     SheetDesign,
     SimulatedPress,
     Transcript,
 )
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame, SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
@@ -36,9 +37,9 @@ class SimulatedWorld:
 
     Parameters
     ----------
-    effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.build_chain`.
+    effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.chain.build_chain`.
     contact_length_mm : contact impedance over sheet resistance, unless an effect changes it.
-    began_s : start of the station's clock on the run's time line, see :class:`~cbsr_qa.domain.plan.SceneSetting`.
+    began_s : start of the station's clock on the run's time line, see ``SceneSetting``.
     sheet : reused from a scene with the same effects on the sheet; by default it is created.
     """
 
@@ -59,7 +60,7 @@ class SimulatedWorld:
             sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s, began_s
         )
         self.chain = build_chain(scene, self.setting, effect_factory)
-        self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
+        self.sheet = self._make_sheet(scene, contact_length_mm) if sheet is None else sheet
         # Noise is the station's, in volts: noise stated relative to the sheet's readings is the same for a ring.
         self._scale_V = _mean_reading_ohm(self.sheet, sensor_type) * scene.current_A
         ring = scene.reference_ring_ohm
@@ -70,7 +71,7 @@ class SimulatedWorld:
         self._memory_s = self.chain.memory_s
         self._frame_reach_s = 2 * scene.frame_period_s  # beside a board's pauses
 
-    def _made(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
+    def _make_sheet(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
         finest_mm = finest_mesh_mm(self.setting.sensor_type)
         if scene.sheet_mesh_size_mm < finest_mm:
             raise ConfigError(
@@ -107,12 +108,16 @@ class SimulatedWorld:
 
     def force_N(self, time_s: float, index: int) -> float:
         """Load cell reading at a time; the index addresses the sample's random numbers."""
-        touching = [press for press in self._moving.at(self.presses, time_s) if press.strain_at(time_s) > _TOUCHING]
+        touching = [
+            press
+            for press in self._moving.select_presses(self.presses, time_s)
+            if press.strain_at(time_s) > _TOUCHING
+        ]
         moment = self._moment(time_s, index, touching)
         if touching:  # most samples are of a head in the air
             self.chain.apply("stress", moment)
             moment.force_N = 1e-3 * sum(
-                max(stress, 0.0) * self._connected.pressed_mm2((press.x_mm, press.y_mm))
+                max(stress, 0.0) * self._connected.area_under_head_mm2((press.x_mm, press.y_mm))
                 for press, stress in zip(touching, moment.stress_kPa, strict=True)
             )
         self.chain.apply("force", moment)
@@ -162,7 +167,7 @@ class _Moving:
         self._found: list[SimulatedPress] = []
         self._since_s, self._until_s = math.inf, -math.inf
 
-    def at(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
+    def select_presses(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
         """Return the presses that may act at a time."""
         last = presses[-1] if presses else None
         if len(presses) != self._count or last is not self._last:

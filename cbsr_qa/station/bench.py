@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, Final
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.plan import InstrumentSpec
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import (
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.instruments import (
     Alive,
     ForceApplicator,
     FrameSource,
@@ -22,9 +23,9 @@ from cbsr_qa.plugin import (
     Multiplexer,
     Sampler,
     SourceMeter,
-    contained,
 )
-from cbsr_qa.system import RealClock, come_back_once, end_copy
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.copies import come_back_once, end_copy
 
 #: How long one instrument may take before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
@@ -139,9 +140,9 @@ class Bench:
             for role in one.spec.provides:
                 if role in filled:
                     raise ConfigError(f"both {filled[role].name} and {one.name} provide role {role!r}")
-                filled[role] = _checked(one, role)
-        self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
-        self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
+                filled[role] = _check_role(one, role)
+        self.frame_source: FrameSource = _find_role(filled, FRAME_SOURCE)
+        self.force_applicator: ForceApplicator = _find_role(filled, FORCE_APPLICATOR)
         self.samplers = _samplers([one for role, one in filled.items() if role not in _PROTOCOLS])
         _link(self.mounted, filled)
 
@@ -225,7 +226,7 @@ def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdenti
 
     ``emulated``: it works through emulated instruments, and therefore counts as simulated.
     """
-    with contained(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
+    with blame_plugin(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
         identity = mounted.instrument.identity()
     _recognise(mounted.spec, identity)
     return replace(
@@ -267,13 +268,13 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
     for one in mounted:
         if isinstance(one.instrument, Linked):
             try:
-                with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
+                with blame_plugin(f"instrument {one.spec.role!r} ({one.spec.driver})"):
                     one.instrument.link(peers)
             except ConfigError as error:
                 raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
 
 
-def _checked(mounted: Mounted, role: str) -> Mounted:
+def _check_role(mounted: Mounted, role: str) -> Mounted:
     channel = str(getattr(mounted.instrument, "channel", "")).replace(" ", "_")
     if role not in _PROTOCOLS and role != channel:
         near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
@@ -298,7 +299,7 @@ def _members(protocol: type) -> set[str]:
     return {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
 
 
-def _filled(filled: dict[str, Mounted], role: str) -> Any:
+def _find_role(filled: dict[str, Mounted], role: str) -> Any:
     if role not in filled:
         raise ConfigError(
             f"no instrument of the station provides {role!r}",

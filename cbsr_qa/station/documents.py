@@ -5,11 +5,10 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final, TypeVar
 
-from cbsr_qa.domain import AbortedError, CbsrError, SafetyError
-from cbsr_qa.domain.readings import join_frames, join_samples
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
-    AttendanceEvent,
+from cbsr_qa.domain.errors import AbortedError, CbsrError, SafetyError
+from cbsr_qa.domain.readings.frames import join_frames, join_samples
+from cbsr_qa.domain.run.attendance import AttendanceEvent, pauses_of, prompts_of
+from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
@@ -21,10 +20,9 @@ from cbsr_qa.domain.run import (
     RunRecord,
     SamplesTaken,
     Unloaded,
-    pauses_of,
-    prompts_of,
 )
-from cbsr_qa.plugin import failure
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.failures import failure
 from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.plan import Plan
 
@@ -54,7 +52,7 @@ class Documents:
 
         SafetyError with rule ``"journal"`` if the journal could not store it.
         """
-        with self._interrupts.deferred():
+        with self._interrupts.defer():
             self._store(event)
             self._tell(event)
 
@@ -66,7 +64,7 @@ class Documents:
         try:
             self._store(event)
         except SafetyError as error:
-            event = replace(event, end=EndReason.BROKEN, detail=_unstored(event, error))
+            event = replace(event, end=EndReason.BROKEN, detail=_describe_unstored(event, error))
         with suppress(AbortedError):  # it has ended
             self._tell(event)
         return event
@@ -98,7 +96,7 @@ class Documents:
                 self._warn(f"{_name(listener)} failed and receives no further events: {reason}")
 
 
-def _unstored(event: RunEnded, error: SafetyError) -> str:
+def _describe_unstored(event: RunEnded, error: SafetyError) -> str:
     """Report that the end of a run could not be stored; once, if the same error ended it."""
     if event.detail.startswith(f"rule {_RULE!r}"):
         return event.detail
@@ -135,14 +133,14 @@ class MemoryJournal:
             ended.spent, pauses=pauses_of(attended), prompts=prompts_of(attended),
         )  # fmt: skip
 
-    def _of(self, kind: type[E], phase: int) -> list[E]:
+    def _select_events(self, kind: type[E], phase: int) -> list[E]:
         return [event for event in self._events if isinstance(event, kind) and event.phase == phase]
 
     def _phase(self, event: PhaseStarted, ended_s: float) -> PhaseRecord:
-        frames = [item.frames for item in self._of(FramesTaken, event.index)]
-        samples = [item.samples for item in self._of(SamplesTaken, event.index)]
+        frames = [item.frames for item in self._select_events(FramesTaken, event.index)]
+        samples = [item.samples for item in self._select_events(SamplesTaken, event.index)]
         channels = sorted({block.channel for block in samples})
-        loads = [item.record for item in self._of(LoadFinished, event.index)]
+        loads = [item.record for item in self._select_events(LoadFinished, event.index)]
         return PhaseRecord(
             index=event.index,
             name=event.name,
@@ -153,6 +151,6 @@ class MemoryJournal:
             samples=tuple(join_samples([item for item in samples if item.channel == name]) for name in channels),
             loads=tuple(load for load in loads if not load.eased),
             loops=tuple(load for load in loads if load.eased),
-            unloaded_from_s=max((item.time_s for item in self._of(Unloaded, event.index)), default=None),
+            unloaded_from_s=max((item.time_s for item in self._select_events(Unloaded, event.index)), default=None),
             role=event.role,
         )

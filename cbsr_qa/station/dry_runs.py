@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan import steps as kinematics
+from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
     FindSurface,
     Hold,
@@ -16,13 +17,12 @@ from cbsr_qa.domain.plan import (
     Release,
     Step,
     StrainStep,
-    steps as kinematics,
 )
-from cbsr_qa.domain.run import Load
+from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.station.limits import (
     Violation,
     dwell_violations,
-    expected_force_N,
+    highest_force_N,
     load_violations,
     place_violations,
     strain_violations,
@@ -231,7 +231,7 @@ class _DryWalk:
     def _down(self, strain: float) -> None:
         self.depth_mm = strain * self.plan.sensor_type.thickness_mm
         self.peak_strain = max(self.peak_strain, strain)
-        self.peak_force_N = max(self.peak_force_N, expected_force_N(strain, self.plan))
+        self.peak_force_N = max(self.peak_force_N, highest_force_N(strain, self.plan))
 
     def _release(self) -> None:
         self.spent.add(Activity.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))

@@ -7,12 +7,16 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-from cbsr_qa.domain import CbsrError, DeliveryError
-from cbsr_qa.domain.plan import EventSinkSpec
-from cbsr_qa.domain.run import RunConcluded, RunEvent, RunIdentity, event_document, event_message
-from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
+from cbsr_qa.domain.errors import CbsrError, DeliveryError
+from cbsr_qa.domain.plan.plan import EventSinkSpec
+from cbsr_qa.domain.run.event_documents import event_document, event_message
+from cbsr_qa.domain.run.run import RunConcluded, RunEvent, RunIdentity
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.documents import Warn
-from cbsr_qa.system import come_back_once
+from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.words import describe_error
 
 #: Events that wait for a sink at most; beyond it the oldest are lost.
 #: The recipe nine-locations has 2920 on the simulated bench.
@@ -70,7 +74,7 @@ class EventSinks:
         deadline = time.monotonic() + END_S
         for delivery in self._deliveries:
             delivery.wait(deadline - time.monotonic())
-        for lost in filter(None, [delivery.lost() for delivery in self._deliveries]):
+        for lost in filter(None, [delivery.describe_loss() for delivery in self._deliveries]):
             self._warn(lost)
 
 
@@ -119,7 +123,7 @@ class Delivery:
             self._given_up = True
             self._changed.notify()
 
-    def lost(self) -> str:
+    def describe_loss(self) -> str:
         """Return how many events were not delivered, and why; empty if all were."""
         with self._changed:
             lost = self._dropped + len(self._sending) + len(self._waiting)
@@ -128,8 +132,8 @@ class Delivery:
 
     def _work(self) -> None:
         pause_s = _FIRST_PAUSE_S
-        while batch := self._next():
-            if self._delivered(batch):
+        while batch := self._wait_for_batch():
+            if self._deliver(batch):
                 pause_s = _FIRST_PAUSE_S
             else:
                 self._pause(pause_s)
@@ -137,7 +141,7 @@ class Delivery:
         with suppress(BaseException), come_back_once():  # a stranger's code may raise anything
             self._sink.close()
 
-    def _next(self) -> list[Message]:
+    def _wait_for_batch(self) -> list[Message]:
         """Return the messages to send, those that failed first; none at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._sending or self._waiting or self._ending)
@@ -148,14 +152,14 @@ class Delivery:
                 self._sending = [self._waiting.popleft() for _ in range(size)]
             return self._sending
 
-    def _delivered(self, batch: list[Message]) -> bool:
+    def _deliver(self, batch: list[Message]) -> bool:
         """Deliver, and keep why it failed; False if the batch is to be sent again."""
         why, dropped = "", 0
         try:
             with come_back_once():
                 self._sink.deliver(batch)
         except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
-            why = said(error)
+            why = describe_error(error)
             if not (isinstance(error, DeliveryError) and error.final):
                 with self._changed:
                     self._why = why

@@ -6,13 +6,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, SafetyError
-from cbsr_qa.domain.plan import AcquireFrames, Hold, MarkUnloaded
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import PhaseFinished, PhaseStarted, RunEnded, RunIdentity, RunStarted, StepStarted
-from cbsr_qa.plugin import said
+from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, SafetyError
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, MarkUnloaded
+from cbsr_qa.domain.run.run import PhaseFinished, PhaseStarted, RunEnded, RunIdentity, RunStarted, StepStarted
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench
-from cbsr_qa.station.control import ControlDesk
+from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.documents import Documents, Subscriber, Warn
 from cbsr_qa.station.dry_runs import DryPhase, DryRun, dry_run
 from cbsr_qa.station.interrupts import Interrupts, Stopped, on_stderr
@@ -22,7 +21,9 @@ from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe, ends_re
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import BrokenInto, Watchdog
-from cbsr_qa.system import Clock, MemoryReserve
+from cbsr_qa.system.clock import Clock
+from cbsr_qa.system.reserve import MemoryReserve
+from cbsr_qa.system.words import describe_error
 
 #: Reason and detail.
 Ending = tuple[EndReason, str]
@@ -45,7 +46,7 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         reason, detail = before
         return reason, f"{detail}; {_during_retreat(error, at_once)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        by = _by(error)
+        by = _name_stopper(error)
         if at_once:
             by = at_once if by in at_once else f"{by} and at once by {at_once}"
         return EndReason.ABORTED, f"by {by}, {where}"
@@ -55,15 +56,15 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     """Report instruments that did not reach their safe state; the run is then broken in any case."""
     warnings = [f"NOT SAFE: {who}; check the bench before touching it" for who in silent]
-    return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *warnings])
+    return EndReason.BROKEN, "; ".join([*filter(None, [_describe_ending(end)]), *warnings])
 
 
-def _told(end: Ending) -> str:
+def _describe_ending(end: Ending) -> str:
     reason, detail = end
     return f"aborted {detail}" if reason is EndReason.ABORTED else detail
 
 
-def _by(error: BaseException) -> str:
+def _name_stopper(error: BaseException) -> str:
     return error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
 
 
@@ -78,7 +79,7 @@ def _what(error: BaseException) -> str:
         case CbsrError():
             return error.reason
         case _:
-            return f"error {said(error)}"
+            return f"error {describe_error(error)}"
 
 
 def _remedy(error: BaseException) -> str:
@@ -121,7 +122,7 @@ def execute(
         others see it; a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
-    ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.OperatorPrompt` if instruments
+    ask : shows a prompt and returns when it is answered; an ``OperatorPrompt`` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.
     desk : takes requests for a pause, to continue, and to stop.
     retries : how often an operation that failed retryably is tried again.
@@ -202,13 +203,13 @@ class _Execution:
         interrupts = self._interrupts
         silent: tuple[str, ...] = ()
         try:
-            with interrupts.heard():
+            with interrupts.listen():
                 self._desk.open(_Brakes(interrupts, self._watchdog))
                 self._through_or_back(identity)
         except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
             self._reserve.give_back()
             interrupts.mask()
-            self._end = ending(error, self.where(), at_once=interrupts.urgent_by, before=self._end)
+            self._end = ending(error, self.describe_place(), at_once=interrupts.urgent_by, before=self._end)
         finally:
             self._reserve.give_back()
             interrupts.mask()
@@ -225,7 +226,7 @@ class _Execution:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:
             urgent = self._interrupts.urgent_by
-            self._end = ending(error, self.where(), at_once=urgent)
+            self._end = ending(error, self.describe_place(), at_once=urgent)
             if not urgent:
                 self._performer.retreat()
         else:
@@ -233,11 +234,13 @@ class _Execution:
 
     def _through(self, identity: RunIdentity) -> None:
         self._documents.emit(RunStarted(identity))
-        self._prompt.heard_by(self._documents.emit, self._clock, lambda: 0 if self._at is None else self._at[1].phase)
+        self._prompt.report_to(
+            self._documents.emit, self._clock, lambda: 0 if self._at is None else self._at[1].phase
+        )
         for phase in self._dry.phases:
             self._phase(phase)
 
-    def where(self) -> str:
+    def describe_place(self) -> str:
         if self._at is None:
             return "before the first step"
         phase, step = self._at

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, Self
 
-from cbsr_qa.system import Redelivery
+from cbsr_qa.system.redelivery import Redelivery
 
 #: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
@@ -49,7 +49,7 @@ class Interrupts:
 
     The first signal is only remembered: :meth:`poll` raises it where the run may end, after every document and within
     :meth:`idle`. The second raises anywhere, also in a delivery or a hanging driver, and sets :attr:`urgent`. Both do
-    so only within :meth:`heard`; outside, and after :meth:`mask`, nothing is raised: the bench is being made safe,
+    so only within :meth:`listen`; outside, and after :meth:`mask`, nothing is raised: the bench is being made safe,
     which must not leave the head down. Handlers installed by the application identify the sender; without one the
     signal raises :class:`Stopped`. A signal inherited as ignored (SIGHUP under nohup, SIGINT in a script's
     background) stays ignored. Outside the main thread nothing is installed, because Python delivers no signals there.
@@ -98,7 +98,7 @@ class Interrupts:
         self._masked = True
 
     @contextmanager
-    def heard(self) -> Iterator[None]:
+    def listen(self) -> Iterator[None]:
         """Let signals end the body; a signal during exit is raised to the caller."""
         self._heard_now = True
         try:
@@ -118,7 +118,7 @@ class Interrupts:
             self._idle = False
 
     @contextmanager
-    def deferred(self) -> Iterator[None]:
+    def defer(self) -> Iterator[None]:
         """Let the first signal end the run after the body has finished."""
         yield
         self.poll()
@@ -135,7 +135,7 @@ class Interrupts:
     def ask_to_stop(self, by: str, *, at_once: bool = False) -> bool:
         """Stop the run as the first signal does, or at once as the second does; called from another thread.
 
-        Returns whether it takes effect: not outside of :meth:`heard`.
+        Returns whether it takes effect: not outside of :meth:`listen`.
         """
         if self._masked or not self._heard_now:
             return False

@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import ConfigError, SafetyError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock
-from cbsr_qa.domain.run import Load
-from cbsr_qa.plugin import Sampler
+from cbsr_qa.domain.errors import ConfigError, SafetyError
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, SampleBlock
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.plugin.instruments import Sampler
 from cbsr_qa.station.bench import FORCE_CHANNEL
 from cbsr_qa.station.plan import Plan, duration
 
@@ -91,7 +91,7 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
         yield Violation(
             "strain", f"{100 * strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
         )
-    force_N = expected_force_N(strain, plan)
+    force_N = highest_force_N(strain, plan)
     if not force_N <= plan.safety.force_N:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
 
@@ -103,7 +103,7 @@ def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
         yield Violation("dwell", f"the head is down for {dwell_s:.4g} s; the station allows {allowed_s:g} s")
 
 
-def expected_force_N(strain: float, plan: Plan) -> float:
+def highest_force_N(strain: float, plan: Plan) -> float:
     """Return the highest expected force of a press [N].
 
     E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the relaxing
@@ -171,7 +171,7 @@ class Limits:
         share = counted.mean(axis=1)
         worst = int(share.argmax())
         if share[worst] >= self._plan.safety.compliance:
-            drives = self._limited_drives(limited[worst])
+            drives = self._name_limited_drives(limited[worst])
             raise SafetyError(
                 "compliance",
                 f"{int(counted[worst].sum())} of {counted.shape[1]} readings of a frame of {who}"
@@ -226,7 +226,7 @@ class Limits:
                 f"{outside[0]:.4g} °C measured by {who}; the station allows {lowest_C:g} to {highest_C:g} °C",
             )
 
-    def _limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
+    def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
         """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
         pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
         whole = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]

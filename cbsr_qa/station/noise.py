@@ -5,10 +5,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import AcquireFrames, Press, Release
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
-from cbsr_qa.domain.run import FramesTaken, RunEvent, StepStarted
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.steps import AcquireFrames, Press, Release
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
+from cbsr_qa.domain.run.run import FramesTaken, RunEvent, StepStarted
 
 #: Fewer degrees of freedom give no figure.
 _LEAST: Final = 5

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, TypeVar
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan import steps as kinematics
+from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
     FindSurface,
     Hold,
@@ -16,27 +17,18 @@ from cbsr_qa.domain.plan import (
     Prompt,
     Release,
     StrainStep,
-    steps as kinematics,
 )
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.run import (
-    EasedStrain,
-    FramesTaken,
-    Load,
-    LoadFinished,
-    LoadRecord,
-    RunContinued,
-    RunPaused,
-    StepRetried,
-    Unloaded,
-)
-from cbsr_qa.plugin import Addressed
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepRetried, Unloaded
+from cbsr_qa.plugin.instruments import Addressed
 from cbsr_qa.station.bench import FRAME_SOURCE
-from cbsr_qa.station.control import ControlDesk
+from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, another_frame, ends_rest
 from cbsr_qa.station.safety import State, UnderWay, Watch
-from cbsr_qa.system import in_ticks, passing
+from cbsr_qa.system.clock import passing, round_to_ticks
 
 
 @dataclass(slots=True)
@@ -87,7 +79,7 @@ class LoadLog:
             return None
         _, _, release_s, up_s = self.times_s
         # In ticks, like all times of a run; a head that is up has left the sheet.
-        return min(release_s + in_ticks(self.lift_off_s), up_s)
+        return min(release_s + round_to_ticks(self.lift_off_s), up_s)
 
 
 T = TypeVar("T")
@@ -183,8 +175,8 @@ class Performer:
         self._documents.emit(RunPaused(before.phase, start_s, by))
         desk.begin_pause(by, start_s)
         with self.spent.on(Activity.PAUSE, self._clock):
-            while (continued := desk.continued()) is None:
-                self._wait_at_most(self._watch.next_look_s(), desk)
+            while (continued := desk.who_continued()) is None:
+                self._wait_at_most(self._watch.wait_s(), desk)
         self._documents.emit(RunContinued(before.phase, self._clock.now(), continued))
         return True
 
@@ -309,7 +301,7 @@ class Performer:
 
     def _wait_until(self, end_s: float) -> None:
         while (left_s := end_s - self._clock.now()) > _OVER_S:
-            pause_s = min(left_s, self._watch.next_look_s())
+            pause_s = min(left_s, self._watch.wait_s())
             with self._watchdog.expect("the station's clock", pause_s), self._interrupts.idle():
                 self._clock.sleep(pause_s)
             self._look()

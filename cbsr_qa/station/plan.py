@@ -9,26 +9,27 @@ from enum import StrEnum
 from itertools import chain, islice
 from typing import Final
 
-from cbsr_qa.domain import PluginError, RefusedError
-from cbsr_qa.domain.plan import (
+from cbsr_qa.domain.errors import PluginError, RefusedError
+from cbsr_qa.domain.plan.plan import Motion, SafetyLimits
+from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
     FindSurface,
     Hold,
     Home,
     MarkUnloaded,
-    Motion,
     Press,
     Prompt,
     Release,
     Role,
-    SafetyLimits,
     Step,
     StrainStep,
 )
-from cbsr_qa.domain.run import Indenter, Load
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Sequence, SequenceContext, contained
-from cbsr_qa.system import Clock, end_copy
+from cbsr_qa.domain.readings.loads import Indenter, Load
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.interfaces import Sequence, SequenceContext
+from cbsr_qa.system.clock import Clock
+from cbsr_qa.system.copies import end_copy
 
 #: A frame starts only if more than this share of it lies inside the hold; otherwise rounding of the clock would
 #: decide whether a hold of exactly 24 frames takes 24 or 25.
@@ -137,7 +138,7 @@ class PlannedPhase:
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the sequence's steps; PluginError if its code fails."""
-        with contained(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
+        with blame_plugin(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
             process = os.getpid()
             for step in self.sequence.steps(context):
                 end_copy(process)
@@ -226,23 +227,25 @@ def schedule(
     """
     if not plan.phases:
         raise RefusedError("the recipe has no phase", remedy="add at least one [[phases]] table")
-    return tuple(_scheduled(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
+    return tuple(_schedule_phase(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
 
 
-def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool) -> ScheduledPhase:
+def _schedule_phase(
+    plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool
+) -> ScheduledPhase:
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
         count = "no step" if not steps else f"more than {MOST_STEPS} steps"
         raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {count}")
     if index == 0 and not isinstance(steps[0], Home):
         steps = tuple(chain([Home()], steps))
-    numbered = tuple(_numbered(index, steps))
+    numbered = tuple(_number_steps(index, steps))
     loads = sum(isinstance(step, Press) for step in steps)
     first_open = next((load for load in range(loads) if (index, load) not in done), loads)
     if ended:
         left = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
     elif first_open:
-        left = tuple(_left(numbered, first_open, loads))
+        left = tuple(_skip_finished(numbered, first_open, loads))
     else:
         left = numbered
     return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, ended)
@@ -258,7 +261,7 @@ def _role(phase: PlannedPhase) -> Role:
     return role
 
 
-def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
+def _number_steps(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
     pressed = -1
     inside = False
     for number, step in enumerate(steps):
@@ -269,7 +272,7 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
         yield ScheduledStep(phase, number, step, pressed if inside else None)
 
 
-def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
+def _skip_finished(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
     """Yield the remaining steps of a phase after its first, completed loads (at least one)."""
     pressed = -1
     released = False

@@ -6,22 +6,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
-from cbsr_qa.domain.plan import Release
-from cbsr_qa.domain.run import (
+from cbsr_qa.domain.plan.steps import Release
+from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
+from cbsr_qa.domain.run.run import (
     PhaseStarted,
-    RunContinued,
     RunEnded,
     RunEvent,
-    RunPaused,
     RunStarted,
     SamplesTaken,
     StepRetried,
     StepStarted,
 )
-from cbsr_qa.station.control import Activity, RunStatus
+from cbsr_qa.station.control.messages import Activity
+from cbsr_qa.station.control.status import RunStatus
 from cbsr_qa.station.noise import NoiseSoFar
 from cbsr_qa.station.plan import duration
-from cbsr_qa.system import Clock, VirtualClock
+from cbsr_qa.system.clock import Clock, VirtualClock
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -80,7 +80,7 @@ class RunProgress:
             case StepStarted():
                 self._step(event)
             case SamplesTaken():
-                self._sampled()
+                self._show_force()
             case RunPaused(by=by):
                 self._say(f"paused by {by}: the head is up; cbsr-qa station continue resumes the run")
             case RunContinued(by=by):
@@ -92,7 +92,7 @@ class RunProgress:
 
     def _step(self, event: StepStarted) -> None:
         if self._bar is not None:
-            self._bar.timed(event.time_s, event.remaining_s)
+            self._bar.set_times(event.time_s, event.remaining_s)
             self._bar.show(self._name(), self._live())
             return
         if not self._announced and self._phase is not None:
@@ -105,7 +105,7 @@ class RunProgress:
         elif time.monotonic() - self._said_s >= _QUIET_S:
             self._say(f"{self._live()}, {duration(event.remaining_s)} left")
 
-    def _sampled(self) -> None:
+    def _show_force(self) -> None:
         """Show the latest force."""
         if self._bar is not None:
             self._bar.show(self._name(), self._live())
@@ -131,7 +131,7 @@ class RunProgress:
         return figures
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
+    def pause(self) -> Iterator[None]:
         """Hide the bar during a question to the operator, and show it again."""
         bar = self._bar
         if bar is not None:
@@ -170,10 +170,10 @@ class _Bar:
         self._clock = clock
         self._total_s: float | None = None
         self._ends_s = 0.0
-        self._bar, self._task = _rich_bar(stream, self._left)
+        self._bar, self._task = _rich_bar(stream, self._format_remaining)
         self._bar.start()
 
-    def timed(self, now_s: float, remaining_s: float) -> None:
+    def set_times(self, now_s: float, remaining_s: float) -> None:
         self._total_s = max(self._total_s or 0.0, remaining_s)
         self._ends_s = now_s + remaining_s
         self._bar.update(self._task, total=self._total_s, completed=self._total_s - remaining_s)
@@ -190,7 +190,7 @@ class _Bar:
     def close(self) -> None:
         self._bar.stop()
 
-    def _left(self, percentage: float) -> str:
+    def _format_remaining(self, percentage: float) -> str:
         speed = self._clock.speed if isinstance(self._clock, VirtualClock) else 1.0
         if speed is None:
             return f"{percentage:3.0f} %"

@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
-from cbsr_qa.domain.run import PromptAnswered, PromptShown
-from cbsr_qa.station.control import ControlDesk, Question
-from cbsr_qa.system import Clock
+from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown
+from cbsr_qa.station.control.desk import ControlDesk, Question
+from cbsr_qa.system.clock import Clock
 
 A = TypeVar("A")
 
@@ -43,7 +43,7 @@ class OperatorPrompt(Generic[A]):
     def is_waiting(self) -> bool:
         return self._waiting
 
-    def heard_by(
+    def report_to(
         self, emit: Callable[[PromptShown | PromptAnswered], None], clock: Clock, phase: Callable[[], int]
     ) -> None:
         """Report prompts as events of a run from now on, if they are asked in this thread."""
@@ -59,13 +59,13 @@ class OperatorPrompt(Generic[A]):
         self._tell(lambda phase, now_s: PromptShown(phase, question.prompt, text, Path(picture).name, now_s))
         self._waiting = True
         try:
-            answer, by = self._answered(question)
+            answer, by = self._await_answer(question)
         finally:
             self._waiting = False
         self._tell(lambda phase, now_s: PromptAnswered(phase, question.prompt, str(answer), by, now_s))
         return answer
 
-    def _answered(self, question: Question) -> tuple[A, str]:
+    def _await_answer(self, question: Question) -> tuple[A, str]:
         if self._desk is not None and self._desk.answers:
             answer = self._desk.ask(question)
             return cast(A, answer.text), answer.by  # people's answers are text wherever they give them

@@ -7,16 +7,16 @@ from enum import StrEnum
 from functools import partial
 from typing import Final, Protocol, TypeVar
 
-from cbsr_qa.domain import InstrumentError, SafetyError
-from cbsr_qa.domain.run import SamplesTaken
-from cbsr_qa.plugin import Sampler
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
+from cbsr_qa.domain.run.run import SamplesTaken
+from cbsr_qa.plugin.instruments import Sampler
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.documents import Documents
 from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.plan import Plan
 from cbsr_qa.station.watchdog import Watchdog
-from cbsr_qa.system import Clock
+from cbsr_qa.system.clock import Clock
 
 
 class State(StrEnum):
@@ -187,7 +187,7 @@ class Watch:
         if self._silent_s() >= self._safety.heartbeat_s - _SOON_S:
             self._ask_all()
 
-    def next_look_s(self) -> float:
+    def wait_s(self) -> float:
         """Longest wait until the next check [s]."""
         every_s = min(WATCH_S, self._safety.stale_s / 2) if self._interlock.touching else WATCH_S
         return max(min(every_s, self._safety.heartbeat_s - self._silent_s()), _SOON_S) if self._alive else every_s

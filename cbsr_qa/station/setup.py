@@ -6,26 +6,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.config import (
-    Configuration,
-    load_material,
-    load_recipe,
-    load_scene,
-    load_sensor_type,
-    load_station,
-    merge,
-)
-from cbsr_qa.domain import ConfigError, PluginError
-from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Instrument, Kind, Plugins, StationContext, contained, create_plugin
-from cbsr_qa.simulate import SimulatedWorld
-from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, WatchedClock
+from cbsr_qa.analysis.recording.reading import read_recording_file
+from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
+from cbsr_qa.config.merging import Configuration, merge
+from cbsr_qa.domain.errors import ConfigError, PluginError
+from cbsr_qa.domain.plan.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.instruments import Instrument, StationContext
+from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
+from cbsr_qa.simulate.instruments.streams import WatchedClock
+from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.station.bench import Action, Bench, open_bench
 from cbsr_qa.station.plan import Plan, PlannedPhase
-from cbsr_qa.system import Clock, RealClock, VirtualClock
+from cbsr_qa.system.clock import Clock, RealClock, VirtualClock
 
 
 def configure(
@@ -108,7 +105,7 @@ def open_station(
 
     Parameters
     ----------
-    resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.StationContext`.
+    resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.instruments.StationContext`.
     emulated : called with the emulation, if any: to arm faults, or to inspect its world.
     """
     opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
@@ -140,11 +137,11 @@ def opener(
     if emulation is not None:
         emulated(emulation)
 
-    def opened(spec: InstrumentSpec) -> Instrument:
-        addressed = spec if emulation is None else emulation.addressed(spec)
-        return _opened(addressed, configuration, plugins, clock, resumed_at_s, ask)
+    def open_instrument(spec: InstrumentSpec) -> Instrument:
+        addressed = spec if emulation is None else emulation.fill_address(spec)
+        return _open_instrument(addressed, configuration, plugins, clock, resumed_at_s, ask)
 
-    return opened, () if emulation is None else (("emulated instruments", emulation.close),)
+    return open_instrument, () if emulation is None else (("emulated instruments", emulation.close),)
 
 
 def check_clock(configuration: Configuration, instruments: Iterable[InstrumentIdentity]) -> None:
@@ -184,7 +181,7 @@ def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str |
     return read_recording_file(path, plugins, format_=format_, dataset=dataset)
 
 
-def _opened(
+def _open_instrument(
     spec: InstrumentSpec,
     configuration: Configuration,
     plugins: Plugins,
@@ -225,7 +222,7 @@ def open_instrument(driver: str, plugins: Plugins, context: StationContext) -> I
     )
     factory = plugins.factory(Kind.INSTRUMENT, driver)
     try:
-        with contained(f"instrument {context.role!r}"):
+        with blame_plugin(f"instrument {context.role!r}"):
             instrument: Instrument = factory(whole)
     except (PluginError, ConfigError) as error:
         who = f"instrument {context.role!r}"

@@ -6,9 +6,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Self
 
-from cbsr_qa.domain import CbsrError, SafetyError
-from cbsr_qa.plugin import Interruption, contained
-from cbsr_qa.system import RealClock
+from cbsr_qa.domain.errors import CbsrError, SafetyError
+from cbsr_qa.plugin.failures import Interruption, blame_plugin
+from cbsr_qa.system.clock import RealClock
 
 #: Beyond what its work takes, a call gets this long once the run is to stop in order [s, real time].
 GRACE_S: Final = 10.0
@@ -66,14 +66,14 @@ class Watchdog:
         self._excused = excused
         self._clock = RealClock()
         # One assignment each, so that a signal's handler and two threads need no lock.
-        self._call = self._between()
+        self._call = self._describe_idle()
         self._late: SafetyError | None = None
         self._insisted = False
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def __enter__(self) -> Self:
-        self._call = self._between()
+        self._call = self._describe_idle()
         self._thread.start()
         return self
 
@@ -99,13 +99,13 @@ class Watchdog:
         """Watch over a call.
 
         SafetyError with rule ``"no answer"`` if it was broken into or came back too late, and for every call after
-        that; PluginError for what else it raised, see :func:`~cbsr_qa.plugin.contained`. ``work_s``: how long that
+        that; PluginError for what else it raised, see ``contained``. ``work_s``: how long that
         takes when all is well [s].
         """
         self._raise_late()
         self._call = _Call(what, self._clock.now(), work_s)
         try:
-            with contained(what):
+            with blame_plugin(what):
                 yield
         except BrokenInto as broken:
             raise broken.error from None
@@ -113,10 +113,10 @@ class Watchdog:
             self._raise_late()
             raise
         finally:
-            self._call = self._between()
+            self._call = self._describe_idle()
         self._raise_late()
 
-    def _between(self) -> _Call:
+    def _describe_idle(self) -> _Call:
         return _Call("the journal or an event listener", self._clock.now(), 0.0)
 
     def _raise_late(self) -> None:

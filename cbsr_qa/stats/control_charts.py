@@ -18,7 +18,8 @@ from math import sqrt
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.nelson import ALL_RULES, Rule, d2_d3, nelson
 from cbsr_qa.stats.samples import constant, sample, subtract_mean
 

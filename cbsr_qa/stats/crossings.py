@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 
 IntArray = NDArray[np.intp]
 SparseArray: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"

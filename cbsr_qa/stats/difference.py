@@ -17,7 +17,8 @@ from math import exp, inf, isfinite, lgamma, log, sqrt
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import Judged, noncentrality
 from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, Summary, sample, share, summary
 

@@ -12,7 +12,7 @@ from math import ceil, exp, floor, log, log10
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import count_needed, spacings_outside
 from cbsr_qa.stats.variance_components import Components, components, telling_runs
 from cbsr_qa.stats.worst_value import worst_of

@@ -14,7 +14,7 @@ from math import exp, sqrt
 import numpy as np
 from scipy import special, stats
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.golden_lots import Bound, Distribution, Runs
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS, components
 from cbsr_qa.stats.worst_value import worst_of

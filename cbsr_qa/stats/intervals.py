@@ -22,7 +22,7 @@ import numpy as np
 from scipy import optimize, special, stats
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, sample, share, smallest
 
 #: Beyond it the normal part of a noncentral t is negligible beside its χ part (1e-8), and its series no longer
@@ -106,7 +106,7 @@ def two_sided_factor(coverage: float, confidence: float, mean_size: float, freed
     """
 
     def shortfall(k: float) -> float:
-        return _enclosed_probability(k, coverage, mean_size, freedom) - confidence
+        return _content_probability(k, coverage, mean_size, freedom) - confidence
 
     start = float(stats.norm.ppf((1 + coverage) / 2))
     low, high = start * 0.5, start * 2
@@ -115,7 +115,7 @@ def two_sided_factor(coverage: float, confidence: float, mean_size: float, freed
     return float(optimize.brentq(shortfall, low, high, xtol=1e-9))
 
 
-def _enclosed_probability(k: float, coverage: float, mean_size: float, freedom: float) -> float:
+def _content_probability(k: float, coverage: float, mean_size: float, freedom: float) -> float:
     """Probability that mean ± k s holds the share: E over the mean's error z/√n of P(χ²_f ≥ f r(z)² / k²)."""
     z = 0.5 * _FAR * (_NODES_TOLERANCE + 1)
     radius2 = stats.ncx2.ppf(coverage, 1, z**2 / mean_size)

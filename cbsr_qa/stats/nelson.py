@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 
 _FAR = 9.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy import special, stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.samples import share, smallest
 
 _MOST = 10**9  #: sensors per group; more is not a practical plan

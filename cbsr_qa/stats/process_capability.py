@@ -22,7 +22,8 @@ from math import fsum, inf, sqrt
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import noncentrality
 from cbsr_qa.stats.samples import Interval, constant, sample, share, subtract_mean
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 
 #: Beyond it squares and their sums overflow.
 LARGEST = 1e150

@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import factor_of_quantile, two_sided_factor
 from cbsr_qa.stats.worst_value import skewness_ratio, worst_of
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special, stats
 from scipy.integrate import trapezoid
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import factor_of_quantile
 
 _GRID = np.linspace(-9.0, 12.0, 8401)

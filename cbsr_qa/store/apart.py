@@ -6,11 +6,12 @@ from typing import Any, Final, TypeVar
 
 from sqlalchemy import JSON, Connection, Integer, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store.chain import covered, unreadable
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.chain.check import unreadable
+from cbsr_qa.store.chain.run_documents import list_covered
 from cbsr_qa.store.damage import FOREIGN_CELL, cell_reader, raw_cell
-from cbsr_qa.store.tables import Base, RunRow
-from cbsr_qa.store.types import Instant, made_at
+from cbsr_qa.store.tables.runs import Base, RunRow
+from cbsr_qa.store.types import Instant, time_of_id
 
 _T = TypeVar("_T")
 _NEVER: Final = datetime.fromtimestamp(0, UTC)
@@ -59,7 +60,7 @@ def problem_of(connection: Connection, run: str, error: Exception) -> str:
 def readable_values(connection: Connection, run: str) -> dict[str, Any]:
     """Return what can be shown of the row of a run; something of the right type stands for cells that cannot."""
     table = Base.metadata.tables[RunRow.__tablename__]
-    columns = covered(table)
+    columns = list_covered(table)
     query = select(*(raw_cell(connection, column) for column in columns)).where(RunRow.run == run)
     cells = connection.execute(query).one()
     return {column.name: _value(connection, column, run, cell) for column, cell in zip(columns, cells, strict=True)}
@@ -70,7 +71,7 @@ def _value(connection: Connection, column: Any, run: str, cell: Any) -> Any:
         return cell_reader(connection, column)(cell)
     except FOREIGN_CELL:
         if isinstance(column.type, Instant):
-            return made_at(run) or _NEVER
+            return time_of_id(run) or _NEVER
         if isinstance(column.type, JSON):
             return []
         if isinstance(getattr(column.type, "impl", column.type), Integer):

@@ -16,10 +16,12 @@ import h5py
 import numpy as np
 from sqlalchemy import Connection, Engine, Row, select
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.engine import sqlite_file
-from cbsr_qa.store.tables import ArchiveRow
-from cbsr_qa.system import open_foreign, read_foreign, read_untrusted, writing, written_whole
+from cbsr_qa.store.tables.records import ArchiveRow
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import open_foreign, read_foreign
+from cbsr_qa.system.untrusted import read_untrusted
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
@@ -38,10 +40,10 @@ _FILTERS: Final = frozenset({1, 2, 3})
 def archive_root(engine: Engine) -> Path | None:
     """Return the folder that places of archives start at: of a SQLite file, else as CBSR_QA_ARCHIVE says, or None."""
     database = sqlite_file(engine.url)
-    return _named_folder() if database is None else database.resolve().parent
+    return _environment_folder() if database is None else database.resolve().parent
 
 
-def _named_folder() -> Path | None:
+def _environment_folder() -> Path | None:
     named = os.environ.get(ROOT_VARIABLE)
     return Path(named).resolve() if named else None
 
@@ -63,7 +65,7 @@ def place_of(engine: Engine, file: Path) -> str:
 
 def _check_inside(root: Path, file: Path) -> None:
     """Refuse a path, links followed, that leads out of the folders of archives: a database could name any file."""
-    folders = [folder for folder in (root, _named_folder()) if folder is not None]
+    folders = [folder for folder in (root, _environment_folder()) if folder is not None]
     if not any(file.is_relative_to(folder) for folder in folders):
         where = " or ".join(map(str, dict.fromkeys(folders)))
         raise StoreError(
@@ -97,7 +99,7 @@ def archive_row(connection: Connection, run: str) -> Row[Any] | None:
     return connection.execute(select(*ArchiveRow.__table__.columns).where(ArchiveRow.run == run)).one_or_none()
 
 
-def checked_bytes(connection: Connection, run: str) -> bytes | None:
+def read_checked(connection: Connection, run: str) -> bytes | None:
     """Return the archive of a run; None if its frames are in the database.
 
     Raises
@@ -117,7 +119,7 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
             size_bytes = os.fstat(archive.fileno()).st_size
             if size_bytes != row.file_bytes:  # before gigabytes are read
                 why = f"it has {size_bytes} bytes, {row.file_bytes} were written"
-                raise _changed(run, file, why)
+                raise _changed_error(run, file, why)
             data = archive.read(size_bytes)
     except OSError as error:
         raise StoreError(
@@ -125,11 +127,11 @@ def checked_bytes(connection: Connection, run: str) -> bytes | None:
             remedy="put the file back there, from a copy if need be",
         ) from error
     if hashlib.sha256(data).hexdigest() != row.file_sha256:
-        raise _changed(run, file, "it does not match its digest")
+        raise _changed_error(run, file, "it does not match its digest")
     return data
 
 
-def _changed(run: str, file: Path, why: str) -> StoreError:
+def _changed_error(run: str, file: Path, why: str) -> StoreError:
     return StoreError(
         f"run {run}: its frames are archived in {file}, which was changed: {why}",
         remedy="put the file back as it was, from a copy",
@@ -148,10 +150,10 @@ class Archives:
         self._run = ""
         self._archive: Archive | None = None
 
-    def of(self, connection: Connection, run: str) -> "Archive | None":
+    def find(self, connection: Connection, run: str) -> "Archive | None":
         """Return the archive of a run; None if its frames are in the database. StoreError as checked_bytes."""
         if run != self._run:
-            row, data = archive_row(connection, run), checked_bytes(connection, run)
+            row, data = archive_row(connection, run), read_checked(connection, run)
             self._archive = (
                 None if row is None or data is None else Archive(data, file_at(connection.engine, row.file))
             )
@@ -169,10 +171,10 @@ def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives 
     Raises
     ------
     StoreError
-        As :func:`checked_bytes`, or if the archive does not hold a block.
+        As :func:`read_checked`, or if the archive does not hold a block.
     """
     archived = next((row.run for row in rows if not row.voltages), None)
-    archive = None if archived is None else (archives or Archives()).of(connection, archived)
+    archive = None if archived is None else (archives or Archives()).find(connection, archived)
     for row in rows:  # one that lacks its arrays without an archive is refused by its digest
         yield row if row.voltages or archive is None else with_cells(row, archive.cells(row.phase, row.block))
 
@@ -187,7 +189,7 @@ def write_archive(file: Path, run: str, blocks: Iterable[tuple[int, int, Any]]) 
 
     Parameters
     ----------
-    blocks : phase, number and :class:`~cbsr_qa.domain.readings.FrameBlock` of each block.
+    blocks : phase, number and :class:`~cbsr_qa.domain.readings.frames.FrameBlock` of each block.
 
     Raises
     ------
@@ -207,7 +209,7 @@ def write_archive(file: Path, run: str, blocks: Iterable[tuple[int, int, Any]]) 
         image = bytes(content.id.get_file_image())
     with writing(file, refusal=StoreError, remedy="choose another folder with --to, or free space"):
         file.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(file) as whole:
+        with write_atomically(file) as whole:
             whole.write(image)
         _sync_folder(file.parent)
 

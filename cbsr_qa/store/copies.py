@@ -13,12 +13,13 @@ from typing import Final
 from sqlalchemy import URL, Engine, select
 from sqlalchemy.orm import aliased
 
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.store.damage import shown, translated
-from cbsr_qa.store.engine import SIDES, file_problem, open_engine, parsed_url, sqlite_file
-from cbsr_qa.store.schema import Age, SchemaVersion, found_version, refusal
-from cbsr_qa.store.tables import LinkRow
-from cbsr_qa.system import UnfitFileError, check_regular, holder, open_foreign
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.store.damage import name_database, translate_errors
+from cbsr_qa.store.engine import SIDES, file_problem, open_engine, parse_url, sqlite_file
+from cbsr_qa.store.schema import Age, SchemaVersion, read_version, refusal
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.system.files import holder
+from cbsr_qa.system.foreign import UnfitFileError, check_regular, open_foreign
 
 #: Called with what is done, and parts done and in total.
 Count = Callable[[str, int, int], None]
@@ -47,15 +48,15 @@ def copy_database(engine: Engine, to: Path, count: Count = lambda what, done, of
     source = _source(engine)
     if to.exists():
         raise RefusedError(f"{to} exists already; a backup replaces nothing", remedy="name another file")
-    _check_version(engine, found_version(engine))
+    _check_version(engine, read_version(engine))
     with _temporary(to) as partial:
         with (
-            translated(engine.url),
+            translate_errors(engine.url),
             closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True)) as old,
         ):
             old.execute("BEGIN")  # one state of the database: others write on, and do not begin the copy again
             old.execute("SELECT count(*) FROM sqlite_master").fetchone()
-            with translated(URL.create("sqlite", database=str(to))), closing(sqlite3.connect(partial)) as new:
+            with translate_errors(URL.create("sqlite", database=str(to))), closing(sqlite3.connect(partial)) as new:
                 old.backup(new, pages=_PAGES, progress=lambda _, left, of: count("copying", of - left, of))
                 new.execute("PRAGMA journal_mode = DELETE")  # one file, which can be moved
             heads = _heads(old)
@@ -79,7 +80,7 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
     """
     target = sqlite_file(engine.url)
     if target is None:
-        raise _no_file(engine, "pg_restore --clean --if-exists --dbname='{url}' FILE")
+        raise _server_error(engine, "pg_restore --clean --if-exists --dbname='{url}' FILE")
     try:
         check_regular(backup)
     except OSError as error:
@@ -98,7 +99,7 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
             _copy(log, partial.with_name(f"{partial.name}-wal"))
         count("verifying", 0, 1)
         version = _restorable(partial, backup)
-        with _unused(target):
+        with _hold_unused(target):
             _exchange(partial, target, aside)
     return version
 
@@ -117,9 +118,9 @@ def _copy(backup: Path, to: Path) -> None:
 
 
 def _restorable(partial: Path, backup: Path) -> SchemaVersion:
-    copy = open_engine(parsed_url(f"sqlite:///{partial}"))
+    copy = open_engine(parse_url(f"sqlite:///{partial}"))
     try:
-        version = found_version(copy)
+        version = read_version(copy)
         if version.age not in (Age.CURRENT, Age.OLDER):
             raise refusal(copy, version)
         if problem := file_problem(copy):
@@ -137,7 +138,7 @@ def _restorable(partial: Path, backup: Path) -> SchemaVersion:
 
 
 def _verify(partial: Path, heads: dict[str, str], to: Path) -> None:
-    copy = open_engine(parsed_url(f"sqlite:///{partial}"))
+    copy = open_engine(parse_url(f"sqlite:///{partial}"))
     try:
         problem = file_problem(copy)
         if not problem:
@@ -165,17 +166,17 @@ def _heads(connection: sqlite3.Connection) -> dict[str, str]:
 def _source(engine: Engine) -> Path:
     file = sqlite_file(engine.url)
     if file is None:
-        raise _no_file(engine, "pg_dump --format=custom --file=FILE --dbname='{url}'")
+        raise _server_error(engine, "pg_dump --format=custom --file=FILE --dbname='{url}'")
     return file
 
 
-def _no_file(engine: Engine, command: str) -> RefusedError:
+def _server_error(engine: Engine, command: str) -> RefusedError:
     bare = engine.url.difference_update_query([name for name in engine.url.query if "password" in name.lower()])
     url = bare._replace(drivername=bare.get_backend_name(), password=None).render_as_string()
     if engine.url.get_backend_name() == "sqlite":
-        return RefusedError(f"{shown(engine.url)} is not a file")
+        return RefusedError(f"{name_database(engine.url)} is not a file")
     return RefusedError(
-        f"{shown(engine.url)} is not a file: its server makes and restores backups",
+        f"{name_database(engine.url)} is not a file: its server makes and restores backups",
         remedy=f"with its own tools (password: PGPASSWORD or ~/.pgpass): {command.format(url=url)}",
     )
 
@@ -220,7 +221,7 @@ def _name(partial: Path, to: Path) -> None:
 
 
 @contextmanager
-def _unused(database: Path) -> Iterator[None]:
+def _hold_unused(database: Path) -> Iterator[None]:
     """Hold all locks of a SQLite file: nobody reads or writes it, and nobody begins to.
 
     The file's own locks say so even if its content is damaged.
@@ -233,7 +234,7 @@ def _unused(database: Path) -> Iterator[None]:
     for lock in sorted(database.parent.glob(f"{glob.escape(database.name)}-*.lock")):
         if (who := holder(lock)) is not None:
             name = lock.name.removeprefix(f"{database.name}-").removesuffix(".lock")
-            raise _used(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
+            raise _in_use_error(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
     if not database.exists():
         yield
         return
@@ -244,11 +245,11 @@ def _unused(database: Path) -> Iterator[None]:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, length, first)
         except OSError as error:
-            raise _used(database, "a page, a run or another program has it open") from error
+            raise _in_use_error(database, "a page, a run or another program has it open") from error
         yield
 
 
-def _used(database: Path, who: str) -> StoreError:
+def _in_use_error(database: Path, who: str) -> StoreError:
     return StoreError(
         f"database {database} is in use: {who}; {_UNCHANGED}",
         remedy="end runs and cbsr-qa serve, and whatever else reads it, then restore again",

@@ -15,7 +15,7 @@ from sqlalchemy import JSON, URL, Column, ColumnElement, Connection, DateTime, T
 from sqlalchemy.exc import DataError, DBAPIError, SQLAlchemyError, StatementError
 from sqlalchemy.types import NullType
 
-from cbsr_qa.domain import CbsrError, StoreError
+from cbsr_qa.domain.errors import CbsrError, StoreError
 
 #: Raised where a cell has another type than its column, JSON without end, or a moment that no calendar has.
 FOREIGN_VALUE: Final = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
@@ -62,7 +62,7 @@ _KNOWN = (
 _Word = TypeVar("_Word", bound=StrEnum)
 
 
-def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
+def read_word(words: type[_Word], value: Any, column: str, row: str) -> _Word:
     """Return a stored text as a member of its column's enumeration.
 
     Parameters
@@ -84,14 +84,14 @@ def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
         ) from None
 
 
-def shown(url: URL) -> str:
+def name_database(url: URL) -> str:
     """Write a URL with its password hidden, or the path of a SQLite file."""
     if url.get_backend_name() == "sqlite":
         return f"database {url.database or 'in memory'}"
-    return f"database {without_password(url)}"
+    return f"database {hide_password(url)}"
 
 
-def without_password(url: URL) -> str:
+def hide_password(url: URL) -> str:
     """Return a URL with its password hidden, in its query too."""
     hidden = {name: "***" for name in url.query if "password" in name.lower()}
     return url.update_query_dict(hidden).render_as_string(hide_password=True).replace("%2A%2A%2A", "***")
@@ -100,11 +100,11 @@ def without_password(url: URL) -> str:
 def address(url: URL) -> str:
     """Return the value of ``--database`` for a database: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
-    return str(url.database) if sqlite else without_password(url)
+    return str(url.database) if sqlite else hide_password(url)
 
 
 @contextmanager
-def translated(url: URL) -> Iterator[None]:
+def translate_errors(url: URL) -> Iterator[None]:
     """Turn any database exception of the body into a StoreError that names it and gives a remedy."""
     try:
         yield
@@ -112,7 +112,7 @@ def translated(url: URL) -> Iterator[None]:
         raise
     except UnicodeEncodeError as error:
         raise StoreError(
-            f"{shown(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
+            f"{name_database(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
         ) from error
     except (UnicodeDecodeError, OverflowError) as error:  # from Python's sqlite3, for bytes that SQLite never checks
         raise _driver_error(url, sqlite3.DatabaseError(f"malformed: {error}")) from error
@@ -122,9 +122,9 @@ def translated(url: URL) -> Iterator[None]:
         if isinstance(error, DBAPIError) and error.orig is not None:
             raise _driver_error(url, error.orig) from error
         # A value that a column type refuses.
-        raise StoreError(f"{shown(url)}: {_first_line(str(error.orig))}") from error
+        raise StoreError(f"{name_database(url)}: {_first_line(str(error.orig))}") from error
     except SQLAlchemyError as error:
-        raise StoreError(f"{shown(url)}: {_first_line(str(error))}") from error
+        raise StoreError(f"{name_database(url)}: {_first_line(str(error))}") from error
 
 
 def check_files(url: URL) -> None:
@@ -134,8 +134,9 @@ def check_files(url: URL) -> None:
     except OSError as error:
         if error.errno not in (errno.EMFILE, errno.ENFILE):
             return
+        limit = _file_limit() if error.errno == errno.EMFILE else ""
         raise StoreError(
-            f"{shown(url)} cannot be opened: {error.strerror}{_file_limit() if error.errno == errno.EMFILE else ''}",
+            f"{name_database(url)} cannot be opened: {error.strerror}{limit}",
             remedy="raise the limit (ulimit -n); do without a plugin that lowers it, or leaves files open",
         ) from error
     for end in ends:
@@ -159,8 +160,8 @@ def _driver_error(url: URL, error: BaseException) -> StoreError:
             return full
     for part, meaning, remedy in _KNOWN:
         if part in said.lower():
-            return StoreError(f"{shown(url)} {meaning} ({said})", remedy=remedy)
-    return StoreError(f"{shown(url)}: {said}")
+            return StoreError(f"{name_database(url)} {meaning} ({said})", remedy=remedy)
+    return StoreError(f"{name_database(url)}: {said}")
 
 
 def _first_line(text: str) -> str:

@@ -20,9 +20,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
-from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
-from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, shown, translated
-from cbsr_qa.system import UnfitFileError, check_regular
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
+from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, name_database, translate_errors
+from cbsr_qa.system.foreign import UnfitFileError, check_regular
 
 #: How long a writer waits for another one [ms].
 BUSY_TIMEOUT_MS = 10_000
@@ -50,7 +50,7 @@ _PATIENCE: Final = {
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
 
-def parsed_url(text: str) -> URL:
+def parse_url(text: str) -> URL:
     """Read a database URL.
 
     Raises
@@ -99,7 +99,8 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
         engine = create_engine(url, connect_args=given)
     except ModuleNotFoundError as error:
         raise StoreError(
-            f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"
+            f"{name_database(url)} needs {error.name}, which is not installed",
+            remedy="pip install 'cbsr-qa[postgres]'",
         ) from error
     event.listen(engine, "begin", partial(_refuse_copy, os.getpid()))
     if url.get_backend_name() == "sqlite":
@@ -110,18 +111,18 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
             event.listen(engine, "begin", partial(_refuse_lost_file, file))
         event.listen(engine, "begin", _begin_sqlite)
     else:
-        event.listen(engine, "connect", _without_compiler)
+        event.listen(engine, "connect", _disable_compiler)
     return engine
 
 
 def _check_regular(file: Path, url: URL) -> None:
     """Refuse a folder, pipe or device as database, or as its log: SQLite would wait, or read for ever."""
     if file.is_dir():
-        raise StoreError(f"{shown(url)} is a folder, not a database", remedy="name a file in it")
+        raise StoreError(f"{name_database(url)} is a folder, not a database", remedy="name a file in it")
     there = next((above for above in file.absolute().parents if os.path.lexists(above)), None)
     if there is not None and not there.is_dir():
         raise StoreError(
-            f"{shown(url)} cannot be opened: {there} is not a folder",
+            f"{name_database(url)} cannot be opened: {there} is not a folder",
             remedy=f"name another file\n{AT_COMMAND_LINE}--database, CBSR_QA_DATABASE or CBSR_QA_VAR names it",
         )
     for each in (file, *(file.with_name(file.name + suffix) for suffix in SIDES)):
@@ -129,13 +130,14 @@ def _check_regular(file: Path, url: URL) -> None:
             check_regular(each)
         except UnfitFileError as error:
             raise StoreError(
-                f"{shown(url)} cannot be opened: {each.name}: {error.strerror}", remedy="name the file of a database"
+                f"{name_database(url)} cannot be opened: {each.name}: {error.strerror}",
+                remedy="name the file of a database",
             ) from error
         except OSError:
             continue  # SQLite says so, or makes it
 
 
-def _without_compiler(connection: Any, record: object) -> None:
+def _disable_compiler(connection: Any, record: object) -> None:
     """Switch the compiler of queries off, which takes a second where a plan looks costly, and saves none here."""
     with connection.cursor() as cursor:
         cursor.execute("SET jit = off")
@@ -145,7 +147,7 @@ def _without_compiler(connection: Any, record: object) -> None:
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
     """Open a read transaction on one snapshot; StoreError for database errors and for cells of the wrong type."""
-    with translated(engine.url), engine.connect() as connection:
+    with translate_errors(engine.url), engine.connect() as connection:
         if connection.dialect.name == "postgresql":  # what others commit meanwhile is not seen, as in SQLite
             connection.execution_options(isolation_level="REPEATABLE READ")
         with connection.begin(), _foreign_cells_named(connection):
@@ -158,7 +160,7 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
     try:
         yield
     except FOREIGN_VALUE as error:
-        from cbsr_qa.store.tables import Base
+        from cbsr_qa.store.tables.runs import Base
 
         try:
             foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
@@ -175,13 +177,13 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
     ----------
     tell : called when the wait for another program exceeds a second; it ends after :data:`BUSY_TIMEOUT_MS`.
     """
-    with translated(engine.url), engine.connect() as connection:
+    with translate_errors(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
-        with _begun(writer, tell), _foreign_cells_named(writer):
+        with _begin(writer, tell), _foreign_cells_named(writer):
             yield writer
 
 
-def _begun(writer: Connection, tell: Callable[[str], None] | None) -> RootTransaction:
+def _begin(writer: Connection, tell: Callable[[str], None] | None) -> RootTransaction:
     """Begin a transaction; wait for a SQLite file that another program writes, silently at first."""
     if tell is None or writer.dialect.name != "sqlite":
         return writer.begin()
@@ -193,7 +195,8 @@ def _begun(writer: Connection, tell: Callable[[str], None] | None) -> RootTransa
             raise
     finally:
         _wait_at_most(writer, BUSY_TIMEOUT_MS)
-    tell(f"{shown(writer.engine.url)} is in use by another program; waiting {BUSY_TIMEOUT_MS // 1000} s at most")
+    database = name_database(writer.engine.url)
+    tell(f"{database} is in use by another program; waiting {BUSY_TIMEOUT_MS // 1000} s at most")
     return writer.begin()
 
 
@@ -205,7 +208,7 @@ def use_write_ahead_log(engine: Engine) -> None:
     """Switch a SQLite file to write-ahead logging: readers and one writer do not block each other."""
     if sqlite_file(engine.url) is None:
         return
-    with translated(engine.url):
+    with translate_errors(engine.url):
         connection = engine.raw_connection()
         try:
             connection.cursor().execute("PRAGMA journal_mode = WAL")
@@ -230,7 +233,7 @@ def shrink(engine: Engine) -> None:
     """
     if sqlite_file(engine.url) is None:
         return
-    with translated(engine.url):
+    with translate_errors(engine.url):
         connection = engine.raw_connection()
         try:
             connection.cursor().execute("VACUUM")
@@ -264,7 +267,7 @@ def file_problem(engine: Engine) -> str:
     except StoreError as error:
         return error.reason
     problem = " ".join(answer.removeprefix("*** in database main ***").split())
-    return "" if answer == "ok" else f"{shown(engine.url)} is damaged ({problem})"
+    return "" if answer == "ok" else f"{name_database(engine.url)} is damaged ({problem})"
 
 
 def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None:
@@ -296,8 +299,8 @@ def _refuse_copy(process: int, connection: Connection) -> None:
     """Refuse a forked copy of the process that opened the database: both would write over one connection."""
     if os.getpid() != process:
         raise StoreError(
-            f"{shown(connection.engine.url)} was opened by process {process}, of which process {os.getpid()} is a"
-            " forked copy: it can neither read nor store",
+            f"{name_database(connection.engine.url)} was opened by process {process}, of which process {os.getpid()}"
+            " is a forked copy: it can neither read nor store",
             remedy="open the database again in the process that forks, or let a plugin that forks end its copy",
         )
 
@@ -309,7 +312,7 @@ def _refuse_lost_file(path: Path, connection: Connection) -> None:
         return
     what = "was deleted or moved away" if found is None else "was replaced by another file"
     raise StoreError(
-        f"{shown(connection.engine.url)} {what} while it was in use",
+        f"{name_database(connection.engine.url)} {what} while it was in use",
         remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; data stored"
         " in a deleted file is lost",
     )

@@ -6,35 +6,20 @@ from typing import Any, Final
 import numpy as np
 from sqlalchemy import Connection, Engine, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import (
-    Bound,
-    FleetTable,
-    MetricKey,
-    Outcome,
-    RunLine,
-    RunSelection,
-    State,
-    ValueKind,
-)
-from cbsr_qa.store.chain import (
-    BETWEEN,
-    JOINED,
-    Figures,
-    Known,
-    check_figures,
-    facts,
-    figures_query,
-    words,
-)
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine, RunSelection, State, ValueKind
+from cbsr_qa.store.chain.fleet import Figures, Known, check_figures, figures_query
+from cbsr_qa.store.chain.run_documents import BETWEEN, JOINED, facts, words
+from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
+from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts
 from cbsr_qa.store.selected import Conditions, conditions, naming_runs
-from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow
-from cbsr_qa.store.types import made_at
-from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts
+from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
+from cbsr_qa.store.tables.runs import LoadRow, RunRow
+from cbsr_qa.store.types import time_of_id
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
 #: State of a value by its outcome and its bound.
@@ -57,7 +42,7 @@ def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine
         If the database cannot be read.
     """
     with reading(engine) as connection:
-        return tuple(line for line, _ in _lines(connection, _selected(connection, selection)))
+        return tuple(line for line, _ in _lines(connection, _select_runs(connection, selection)))
 
 
 def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
@@ -74,11 +59,11 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
         runs: list[RunLine] = []
         places: dict[str, int] = {}
         known: list[Known | None] = []
-        for line, one in _lines(connection, _selected(connection, selection, chosen)):
-            one.checked()
+        for line, one in _lines(connection, _select_runs(connection, selection, chosen)):
+            one.validate()
             if one.analysis:
                 places[one.analysis] = len(runs)
-            known.append(_known(line, one))
+            known.append(_known_content(line, one))
             runs.append(line)
         kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
@@ -87,15 +72,15 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
         return naming_runs(connection, conditions(selection), table)
 
 
-def _selected(connection: Connection, selection: RunSelection, chosen: Conditions | None = None) -> list[str]:
+def _select_runs(connection: Connection, selection: RunSelection, chosen: Conditions | None = None) -> list[str]:
     query = select(RunRow.run).where(*(conditions(selection) if chosen is None else chosen)).order_by(RunRow.run)
     return with_left_out(connection, selection, list(connection.scalars(query)))
 
 
 def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLine, StoredVerdict]]:
-    of_checks = believed_golden_runs(connection, set(connection.scalars(golden_runs())).intersection(names))
+    of_checks = find_golden_runs(connection, set(connection.scalars(golden_runs())).intersection(names))
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
-    for one in stored_verdicts(connection, names):
+    for one in read_verdicts(connection, names):
         yield _line(one, shared, of_check=one.run in of_checks), one
 
 
@@ -112,7 +97,7 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
         station=shared.setdefault(row["station"], row["station"]),
         recipe=shared.setdefault(row["recipe"], row["recipe"]),
         started_at=row["started_at"],
-        made_at=made_at(row["run"]),
+        made_at=time_of_id(row["run"]),
         end=one.end,
         outcome=one.outcome,
         software=shared.setdefault(one.software, one.software),
@@ -125,7 +110,7 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
     )
 
 
-def _known(line: RunLine, one: StoredVerdict) -> Known | None:
+def _known_content(line: RunLine, one: StoredVerdict) -> Known | None:
     """Return what the link of a run's measured values covers besides them; None for one without link or result."""
     if not one.analysis or not one.chain.chained:
         return None
@@ -162,8 +147,8 @@ def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKin
     name, phase, qualifier, unit, location, outcome, bound = parts
     if (outcome, bound) not in _STATES:
         row = _first(connection, said)
-        stored(Outcome, outcome, "measurements.outcome", row)
-        stored(Bound, bound, "measurements.bound", row)
+        read_word(Outcome, outcome, "measurements.outcome", row)
+        read_word(Bound, bound, "measurements.bound", row)
     kind = ValueKind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
     return kinds.setdefault(kind, len(kinds)), _STATES[outcome, bound]
 

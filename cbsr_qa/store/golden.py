@@ -11,10 +11,11 @@ from typing import Any, Final
 from sqlalchemy import Connection, Row, Select, select, type_coerce
 from sqlalchemy.types import NullType
 
-from cbsr_qa.store.chain import key_id_of
+from cbsr_qa.store.chain.links import key_id_of
 from cbsr_qa.store.seals import check_seals, key_of_seal
-from cbsr_qa.store.tables import RunRow, StationCheckRow
-from cbsr_qa.store.types import made_at
+from cbsr_qa.store.tables.records import StationCheckRow
+from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.types import time_of_id
 
 #: Recipe of a golden sensor's run, in checks that have no seal.
 GOLDEN_RECIPE: Final = "golden-check"
@@ -28,21 +29,21 @@ def golden_runs() -> Select[Any]:
     return select(type_coerce(named, NullType())).where(named.is_not(None))
 
 
-def believed_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
+def find_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
     """Return the runs, of some, that a check to believe names as that of its golden sensor."""
     if not runs:
         return set()
-    named = _named(connection, runs)
+    named = _read_checks(connection, runs)
     doubted = _problems(connection, named)
     return {row.golden_run for row in named if row.check_id not in doubted}
 
 
-def doubted_checks(connection: Connection) -> dict[str, str]:
+def find_doubtful_checks(connection: Connection) -> dict[str, str]:
     """Return why checks that name a run of a golden sensor are not believed, by check; the others are absent."""
-    return _problems(connection, _named(connection))
+    return _problems(connection, _read_checks(connection))
 
 
-def _named(connection: Connection, runs: Collection[str] | None = None) -> list[Row[Any]]:
+def _read_checks(connection: Connection, runs: Collection[str] | None = None) -> list[Row[Any]]:
     """Return the checks that name some runs (None: any run), each with what is compared of that run."""
     c, r = StationCheckRow, RunRow
     columns = c.check_id, c.golden_run, c.station, c.seal, r.station.label("tested_at"), r.recipe, r.chain
@@ -60,7 +61,7 @@ def _problems(connection: Connection, named: Sequence[Row[Any]]) -> dict[str, st
 
 def _unlike_run(row: Row[Any]) -> str:
     """Say what of a check does not fit the run that it names; empty where all does."""
-    made, begun = made_at(str(row.check_id)), made_at(str(row.golden_run))
+    made, begun = time_of_id(str(row.check_id)), time_of_id(str(row.golden_run))
     what = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
     if row.station != row.tested_at:
         return f"{what} it is of station {str(row.station)[:64]!r}, the run of {str(row.tested_at)[:64]!r}"

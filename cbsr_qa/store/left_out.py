@@ -13,12 +13,12 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, select, type_coerce
 from sqlalchemy.types import NullType
 
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.apart import read_apart
-from cbsr_qa.store.chain import RUNS_AT_ONCE, altered_runs, read_rows
-from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
+from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.selected import Conditions, conditions
-from cbsr_qa.store.tables import RunRow
+from cbsr_qa.store.tables.runs import RunRow
 
 #: How much earlier than its run began an identifier may have been made. It may be later by any time: identifiers
 #: go on from the latest one where a clock was set back.
@@ -34,12 +34,12 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
     selected : the runs that the columns select.
     """
     within = _within(selection, selected)
-    hidden = _hidden(connection, selection, within)
-    altered = altered_among(connection, within, {*selected, *hidden}) if _reads_columns(selection) else {}
+    hidden = _find_hidden(connection, selection, within)
+    altered = find_altered_outside(connection, within, {*selected, *hidden}) if _reads_columns(selection) else {}
     return sorted({*selected, *hidden, *altered})
 
 
-def altered_among(
+def find_altered_outside(
     connection: Connection, within: Conditions, known: Collection[str], latest: int | None = None
 ) -> dict[str, str]:
     """Return what is wrong with the rows in ``runs`` of those that do not match their links, by run.
@@ -56,14 +56,14 @@ def altered_among(
     found: dict[str, str] = {}
     for first in range(0, len(runs), RUNS_AT_ONCE):
         some = runs[first : first + RUNS_AT_ONCE]
-        for altered in read_apart(connection, some, partial(_altered, connection), lambda run, why: {run: why}):
+        for altered in read_apart(connection, some, partial(_find_altered, connection), lambda run, why: {run: why}):
             found |= altered
     return found
 
 
-def _altered(connection: Connection, runs: Collection[str]) -> dict[str, str]:
+def _find_altered(connection: Connection, runs: Collection[str]) -> dict[str, str]:
     rows = read_rows(connection, RunRow, sorted(runs))
-    return altered_runs(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows])
+    return find_altered(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows])
 
 
 def _reads_columns(selection: RunSelection) -> bool:
@@ -98,10 +98,10 @@ def _first_name(moment: datetime) -> str:
     return f"{digits[:8]}-{digits[8:]}"
 
 
-def _hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:
+def _find_hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:
     """Return the runs that are left out as golden sensors', though no check that names them is to be believed."""
     if selection.checks:
         return set()
     others = conditions(replace(selection, checks=True, latest=None))
     named = set(connection.scalars(select(RunRow.run).where(*others, *within, RunRow.run.in_(golden_runs()))))
-    return named - believed_golden_runs(connection, named)
+    return named - find_golden_runs(connection, named)

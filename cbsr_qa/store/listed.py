@@ -9,17 +9,24 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, exists, func, select, type_coerce
 from sqlalchemy.types import NullType
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Bound, EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.apart import read_apart
-from cbsr_qa.store.chain import RESTORE, ReadRows, altered_runs, covered, read_rows
+from cbsr_qa.store.chain.check import RESTORE
+from cbsr_qa.store.chain.many_runs import ReadRows, find_altered, read_rows
+from cbsr_qa.store.chain.run_documents import list_covered
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.golden import believed_golden_runs, golden_runs
+from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
-from cbsr_qa.store.results import stored_measurement
+from cbsr_qa.store.results.analyses import restore_measurement
+from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, verdict_pages
 from cbsr_qa.store.selected import conditions
-from cbsr_qa.store.tables import Base, MeasurementRow, RunRow, RunStateRow
-from cbsr_qa.store.verdicts import StoredVerdict, stored_verdicts, verdict_pages
+from cbsr_qa.store.tables.results import MeasurementRow
+from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
 
 _EVERY: Final = RunSelection()
 #: Runs up to which the others of their sensors are looked up; those of all sensors are read for more.
@@ -28,7 +35,7 @@ _FEW: Final = 1000
 _WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map(str, Bound))}
 
 
-def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
+def list_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
     """Return the selected runs in the order they were made in; those that were altered are marked.
 
     An altered run is also returned where the selection leaves it out, as what selects may be what was altered.
@@ -40,13 +47,13 @@ def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[Liste
         If the database cannot be read.
     """
     with reading(engine) as connection:
-        return _listed(connection, _names(connection, selection))
+        return _list_runs(connection, _names(connection, selection))
 
 
 def runs_named(engine: Engine, runs: Sequence[str]) -> tuple[ListedRun, ...]:
-    """Return some runs as :func:`listed_runs`; names of no stored run are passed over."""
+    """Return some runs as :func:`list_runs`; names of no stored run are passed over."""
     with reading(engine) as connection:
-        return _listed(connection, runs)
+        return _list_runs(connection, runs)
 
 
 def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
@@ -57,7 +64,7 @@ def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
 
 
 def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ...]:
-    """Return the identifiers of the runs that :func:`listed_runs` returns, in the order they were made in."""
+    """Return the identifiers of the runs that :func:`list_runs` returns, in the order they were made in."""
     with reading(engine) as connection:
         return tuple(_names(connection, selection))
 
@@ -83,7 +90,7 @@ class MeasuredRuns:
     altered: Mapping[str, str]
 
 
-def measured_runs(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
+def read_measurements(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
     """Read what runs measured, compared with their chains.
 
     Raises
@@ -92,8 +99,12 @@ def measured_runs(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
         If the database cannot be read.
     """
     with reading(engine) as connection:
-        parts = list(read_apart(connection, runs, partial(_measured, connection), _unmeasured)) if runs else []
-    names = [column.name for column in covered(Base.metadata.tables[MeasurementRow.__tablename__])]
+        parts = (
+            list(read_apart(connection, runs, partial(_read_measurements, connection), _mark_unreadable))
+            if runs
+            else []
+        )
+    names = [column.name for column in list_covered(Base.metadata.tables[MeasurementRow.__tablename__])]
     return MeasuredRuns(
         [run for part in parts for run in part.runs],
         {name: [cell for part in parts for cell in part.columns.get(name, ())] for name in names},
@@ -101,9 +112,9 @@ def measured_runs(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
     )
 
 
-def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
+def read_limited_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
     """Return the measurements with a limit by run. StoreError as for measured_runs, and if a run was altered."""
-    measured = measured_runs(engine, runs)
+    measured = read_measurements(engine, runs)
     for problem in measured.altered.values():
         raise StoreError(problem, remedy=RESTORE)
     found: dict[str, list[Measurement]] = {}
@@ -112,20 +123,20 @@ def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[M
         if limited[at]:
             values = dict(zip(names, cells, strict=True))
             where = f"analysis {values['analysis']}, measurement {values['number']},"
-            found.setdefault(measured.runs[at], []).append(stored_measurement(values, where))
+            found.setdefault(measured.runs[at], []).append(restore_measurement(values, where))
     return found
 
 
-def _unmeasured(run: str, problem: str) -> MeasuredRuns:
+def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:
     return MeasuredRuns((), {}, {run: problem})
 
 
-def _measured(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
-    verdicts = {one.run: one for one in stored_verdicts(connection, runs)}
+def _read_measurements(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
+    verdicts = {one.run: one for one in read_verdicts(connection, runs)}
     sound = [run for run, one in verdicts.items() if not one.altered]
     rows = read_rows(connection, MeasurementRow, sound)
     altered = {run: one.altered for run, one in verdicts.items() if one.altered}
-    altered |= altered_runs(connection, {run: verdicts[run].values["chain"] for run in sound}, [rows])
+    altered |= find_altered(connection, {run: verdicts[run].values["chain"] for run in sound}, [rows])
     altered |= _unknown_words(rows, altered)
     latest = {one.analysis for run, one in verdicts.items() if run not in altered}
     shown = [at for at, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
@@ -148,7 +159,7 @@ def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
     return found
 
 
-def _listed(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
+def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
     earlier, of_checks = _earlier(connection, names)
     runs: list[ListedRun] = []
     for page in verdict_pages(connection, names):  # not all at once: garbage is looked for among what is kept
@@ -156,7 +167,7 @@ def _listed(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ..
         failed: dict[str, dict[MetricKey, None]] = {}
         altered: dict[str, str] = {}
         for metrics, problems in read_apart(
-            connection, list(verdicts), partial(_failed, connection, verdicts), _not_listed
+            connection, list(verdicts), partial(_find_failures, connection, verdicts), _mark_problem
         ):
             failed |= metrics
             altered |= problems
@@ -201,7 +212,7 @@ def _run(
     )
 
 
-def _failed(
+def _find_failures(
     connection: Connection, verdicts: Mapping[str, StoredVerdict], runs: Sequence[str]
 ) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
     """Return the metrics outside their limits, by analysis, and what is wrong with runs that were altered.
@@ -212,7 +223,7 @@ def _failed(
         return {}, {}
     latest = {verdicts[run].analysis for run in runs}
     rows = read_rows(connection, MeasurementRow, runs)
-    altered = altered_runs(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
+    altered = find_altered(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
     found: dict[str, dict[MetricKey, None]] = {}
     cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
     for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
@@ -221,7 +232,7 @@ def _failed(
     return found, altered
 
 
-def _not_listed(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
+def _mark_problem(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
     return {}, {run: problem}
 
 
@@ -236,7 +247,7 @@ def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, in
         query = query.where(r.serial.in_(select(r.serial).where(r.run.in_(names))))
     rows = [tuple(row) for row in connection.execute(query)]
     named = set(connection.scalars(golden_runs()))
-    of_checks = believed_golden_runs(connection, named.intersection(row[0] for row in rows))
+    of_checks = find_golden_runs(connection, named.intersection(row[0] for row in rows))
     before: Counter[tuple[str, str]] = Counter()
     found = {}
     for run, serial, recipe, ended in rows:

@@ -15,10 +15,10 @@ from weakref import WeakKeyDictionary
 from sqlalchemy import URL, Connection, Engine, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
-from cbsr_qa.store.damage import shown, translated
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
+from cbsr_qa.store.damage import name_database, translate_errors
 from cbsr_qa.store.engine import sqlite_file
-from cbsr_qa.system import FileLock, HeldError, holder
+from cbsr_qa.system.files import FileLock, HeldError, holder
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
 
@@ -44,10 +44,10 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     StoreError
         If another process holds it; the message names it.
     """
-    release = _acquired(engine, run, who)
+    release = _acquire(engine, run, who)
     if isinstance(release, str):
         raise StoreError(
-            f"run {run} is being written by {release} ({shown(engine.url)})",
+            f"run {run} is being written by {release} ({name_database(engine.url)})",
             remedy=f"wait for it to end, or stop it, and resume the run\n{AT_COMMAND_LINE}cbsr-qa run --resume {run}",
         )
     try:
@@ -59,10 +59,10 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
 @contextmanager
 def sending_alone(engine: Engine, who: str) -> Iterator[None]:
     """Hold the right to send what waits in a database's outbox; StoreError names another process that holds it."""
-    release = _acquired(engine, "sync", who)
+    release = _acquire(engine, "sync", who)
     if isinstance(release, str):
         raise StoreError(
-            f"{release} sends from {shown(engine.url)} already", remedy="let it finish; nothing is sent twice"
+            f"{release} sends from {name_database(engine.url)} already", remedy="let it finish; nothing is sent twice"
         )
     try:
         yield
@@ -84,8 +84,11 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
         If another process still holds it after :data:`SCHEMA_WAIT_S`; the message names it.
     """
     begun_s, announced = time.monotonic(), tell is None
-    while isinstance(release := _acquired(engine, "schema", this_process("")), str):
-        waited_s, busy = time.monotonic() - begun_s, f"{shown(engine.url)} is being created or upgraded by {release}"
+    while isinstance(release := _acquire(engine, "schema", this_process("")), str):
+        waited_s, busy = (
+            time.monotonic() - begun_s,
+            f"{name_database(engine.url)} is being created or upgraded by {release}",
+        )
         if waited_s >= SCHEMA_WAIT_S:
             raise StoreError(
                 f"{busy}; waited {SCHEMA_WAIT_S:g} s for it", remedy="try again when it is done, or end that process"
@@ -101,20 +104,20 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
 
 
 def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> AbstractContextManager[str]:
-    """Claim the seed of a sensor's run; see :func:`_claimed`."""
-    return _claimed(engine, "seed", f"{serial}/{seed}", who)
+    """Claim the seed of a sensor's run; see :func:`_claim`."""
+    return _claim(engine, "seed", f"{serial}/{seed}", who)
 
 
 def sensor_claimed(engine: Engine, serial: str, recipe: str, who: str) -> AbstractContextManager[str]:
-    """Claim a sensor for a run of a recipe; see :func:`_claimed`."""
-    return _claimed(engine, "sensor", f"{serial}/{recipe}", who)
+    """Claim a sensor for a run of a recipe; see :func:`_claim`."""
+    return _claim(engine, "sensor", f"{serial}/{recipe}", who)
 
 
 @contextmanager
-def _claimed(engine: Engine, kind: str, claim: str, who: str) -> Iterator[str]:
+def _claim(engine: Engine, kind: str, claim: str, who: str) -> Iterator[str]:
     """Claim something while entered; yields the other process that has it, empty without one."""
     name = hashlib.sha256(claim.encode()).hexdigest()[:16]
-    release = _acquired(engine, f"{kind}-{name}", who)
+    release = _acquire(engine, f"{kind}-{name}", who)
     if isinstance(release, str):
         yield release
         return
@@ -129,17 +132,17 @@ def writer_of(engine: Engine, run: str) -> str:
     file = sqlite_file(engine.url)
     if file is not None:
         who = holder(_lock_file(file, run))
-        return "" if who is None else _named(who)
+        return "" if who is None else _name_process(who)
     if engine.url.get_backend_name() != "postgresql":
         return ""
-    with translated(engine.url), engine.connect() as connection:
+    with translate_errors(engine.url), engine.connect() as connection:
         return _holder(connection, _number(run))
 
 
-def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
+def _acquire(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
     """Return a function that releases the lock, or the current holder."""
     if engine.url.get_backend_name() == "postgresql":
-        return _SERVER_LOCKS.setdefault(engine, _ServerLocks(engine.url)).acquired(engine, _number(name), who)
+        return _SERVER_LOCKS.setdefault(engine, _ServerLocks(engine.url)).acquire(engine, _number(name), who)
     file = sqlite_file(engine.url)
     return (lambda: None) if file is None else _file_lock(engine, file, name, who)
 
@@ -154,15 +157,15 @@ def _file_lock(engine: Engine, database: Path, name: str, who: str) -> Callable[
     try:
         return FileLock(_lock_file(database, name), who.encode(errors="replace")).release
     except HeldError as error:
-        return _named(error.who)
+        return _name_process(error.who)
     except OSError as error:  # a full disk could not store the run either
         raise StoreError(
-            f"{shown(engine.url)}: cannot create a lock file beside it ({error.strerror})",
+            f"{name_database(engine.url)}: cannot create a lock file beside it ({error.strerror})",
             remedy="make its folder writable, free space, or name another database; everything committed is kept",
         ) from error
 
 
-def _named(who: bytes) -> str:
+def _name_process(who: bytes) -> str:
     return who.decode(errors="replace") or "another process"
 
 
@@ -176,21 +179,21 @@ class _ServerLocks:
         self._held: dict[int, str] = {}
         self._alone = Lock()
 
-    def acquired(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
+    def acquire(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
         """Return a function that releases the lock, or the current holder."""
-        with self._alone, translated(self._url):
+        with self._alone, translate_errors(self._url):
             try:
-                return self._acquired(engine, number, who)
+                return self._acquire(engine, number, who)
             except DBAPIError as error:
                 if not error.connection_invalidated:
                     raise
                 self._close()  # the server has released what this connection held
-                return self._acquired(engine, number, who)
+                return self._acquire(engine, number, who)
             finally:
                 if not self._held:
                     self._close()
 
-    def _acquired(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
+    def _acquire(self, engine: Engine, number: int, who: str) -> Callable[[], None] | str:
         if self._connection is None:
             self._connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
         connection = self._connection

@@ -5,12 +5,12 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Row
 
-from cbsr_qa.domain import fitted
+from cbsr_qa.domain.filling import fill_from_mapping
 
 T = TypeVar("T")
 
 
-def of_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
+def convert_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
     """Return a dataclass of the columns that have the names of its fields; ``others`` go first.
 
     Raises
@@ -18,7 +18,7 @@ def of_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
     KeyError, TypeError, ValueError
         If the JSON of a column does not fit the field's type.
     """
-    return fitted(kind, dict(row._mapping), **others)
+    return fill_from_mapping(kind, dict(row._mapping), **others)
 
 
 def row_of(table: Any, source: object, /, **others: Any) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from functools import cache
 from sqlalchemy import URL, Engine
 
 from cbsr_qa.store import schema
-from cbsr_qa.store.chain import KEY_OPTION, SigningKey
-from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
+from cbsr_qa.store.engine import open_engine, parse_url
 from cbsr_qa.store.repository import Repository
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
 
 
 def open_store(
@@ -26,9 +26,9 @@ def open_store(
 
     Parameters
     ----------
-    url : SQLAlchemy URL, see :func:`cbsr_qa.config.database_url`.
+    url : SQLAlchemy URL, see :func:`cbsr_qa.config.paths.database_url`.
     create : create missing tables.
-    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.open_engine`.
+    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.engine.open_engine`.
     wall : clock for identifiers and analyses; by default the computer's.
     tell : called while another program creates the tables.
 
@@ -39,19 +39,19 @@ def open_store(
     ConfigError
         If the configured signing key cannot be used, see :mod:`cbsr_qa.store.chain.links`.
     """
-    opened = _opened(url, create=create, durable=durable, wall=wall, tell=tell)
+    opened = _open(url, create=create, durable=durable, wall=wall, tell=tell)
     if opened is None:
-        engine = open_engine(parsed_url(url))
+        engine = open_engine(parse_url(url))
         raise schema.refusal(engine, schema.SchemaVersion(schema.Age.EMPTY, None))
     return opened
 
 
 def open_existing(url: str) -> Repository | None:
     """Open a database as :func:`open_store`, but create nothing; None if it does not exist."""
-    return _opened(url, create=False)
+    return _open(url, create=False)
 
 
-def _opened(
+def _open(
     url: str,
     *,
     create: bool,
@@ -62,7 +62,7 @@ def _opened(
     key = SigningKey.from_environment()
     engine = _engine(url, durable=durable).execution_options(**{KEY_OPTION: key})
     try:
-        version = schema.found_version(engine)
+        version = schema.read_version(engine)
         if version.age is schema.Age.EMPTY:
             if not create:
                 engine.dispose()
@@ -86,7 +86,7 @@ def check_usable(url: str) -> None:
     """
     engine = _engine(url)
     try:
-        version = schema.found_version(engine)
+        version = schema.read_version(engine)
         if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
             raise schema.refusal(engine, version)
         schema.check_writable(engine, version)
@@ -95,7 +95,7 @@ def check_usable(url: str) -> None:
 
 
 def _engine(url: str, *, durable: bool = True) -> Engine:
-    parsed = parsed_url(url)
+    parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite":
         return open_engine(parsed, durable=durable)
     return _engine_of_server(parsed, os.getpid())

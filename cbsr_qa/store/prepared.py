@@ -70,6 +70,6 @@ def _through(convert: Callable[[Any], Any] | None, value: Any) -> Any:
 
 
 @lru_cache(maxsize=64)
-def prepared(statement: Insert | Select[Any], dialect: Dialect, names: tuple[str, ...] = ()) -> Prepared:
+def prepare(statement: Insert | Select[Any], dialect: Dialect, names: tuple[str, ...] = ()) -> Prepared:
     """Return a statement for a driver. Statements that are kept as constants are compiled once."""
     return Prepared(statement, dialect, names)

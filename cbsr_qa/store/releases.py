@@ -4,11 +4,11 @@ from typing import Any, Literal
 
 from sqlalchemy import Engine, Row, insert, select
 
-from cbsr_qa.domain.run import Release
+from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.tables import ReleaseRow
+from cbsr_qa.store.tables.gate import ReleaseRow
 
 
 def save_release(engine: Engine, release: Release) -> None:
@@ -46,4 +46,4 @@ def all_releases(engine: Engine) -> tuple[Release, ...]:
 def _release(row: Row[Any]) -> Release:
     # An unknown word is no release.
     action: Literal["released", "withdrawn"] = "released" if row.outcome == "released" else "withdrawn"
-    return of_row(Release, row, release=row.release_id, action=action, by=row.operator, at=row.noted_at)
+    return convert_row(Release, row, release=row.release_id, action=action, by=row.operator, at=row.noted_at)

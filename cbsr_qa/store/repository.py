@@ -9,25 +9,37 @@ from typing import Concatenate, Final, ParamSpec, Self, TypeVar
 
 from sqlalchemy import Engine
 
-from cbsr_qa.domain.results import Outcome, RunResult
-from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.changes import ChangeHistory, SensorHistory, VerdictOverride
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, soundness, stations
-from cbsr_qa.store.chain import KEY_OPTION
-from cbsr_qa.store.damage import address, shown
-from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
-from cbsr_qa.store.listed import judged_measurements, listed_runs, measured_runs, run_count, run_names, runs_named
+from cbsr_qa.store.chain.links import KEY_OPTION
+from cbsr_qa.store.damage import address, name_database
+from cbsr_qa.store.engine import look_afresh, parse_url, shrink, size_bytes
+from cbsr_qa.store.listed import (
+    list_runs,
+    read_limited_measurements,
+    read_measurements,
+    run_count,
+    run_names,
+    runs_named,
+)
 from cbsr_qa.store.results import (
-    Reanalysis,
     analyses as analysed,
     calibrations as issued,
     calibrations_of_before as of_before,
     reanalyses,
 )
-from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
-from cbsr_qa.store.standing import result_state
-from cbsr_qa.store.sync import backlog
-from cbsr_qa.store.types import IdSource, made_at
+from cbsr_qa.store.results.reanalyses import Reanalysis
+from cbsr_qa.store.runs import archiving, attendance, live, outcomes, runs, sessions
+from cbsr_qa.store.runs.journal import Journal
+from cbsr_qa.store.runs.live import ChangeNotice
+from cbsr_qa.store.runs.sessions import latest_id
+from cbsr_qa.store.runs.standing import result_state
+from cbsr_qa.store.sync.queue import backlog
+from cbsr_qa.store.types import IdSource, time_of_id
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -36,7 +48,7 @@ R = TypeVar("R")
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
 
 
-def _of_engine(function: Callable[Concatenate[Engine, P], R]) -> Callable[Concatenate["Repository", P], R]:
+def _bind(function: Callable[Concatenate[Engine, P], R]) -> Callable[Concatenate["Repository", P], R]:
     """Return a function of an engine as a method of an open database."""
 
     def method(repository: "Repository", /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -68,7 +80,7 @@ class Repository:
     @property
     def shown(self) -> str:
         """The database, for people; a password is hidden."""
-        return shown(self._engine.url)
+        return name_database(self._engine.url)
 
     @property
     def address(self) -> str:
@@ -82,7 +94,7 @@ class Repository:
         return None if key is None else str(key.key_id)
 
     def is_at(self, url: str) -> bool:
-        return parsed_url(url) == self._engine.url
+        return parse_url(url) == self._engine.url
 
     def new_id(self) -> str:
         """Return a new time-ordered identifier for a run, an analysis or a calibration.
@@ -94,7 +106,7 @@ class Repository:
 
     def from_the_future(self) -> str:
         """Return a warning if the latest stored identifier lies in the clock's future; else empty."""
-        latest, now = made_at(latest_id(self._engine)), self._wall()
+        latest, now = time_of_id(latest_id(self._engine)), self._wall()
         if latest is None or latest - now < _CLOCKS_DIFFER:
             return ""
         return (
@@ -102,7 +114,7 @@ class Repository:
             f" {now:%Y-%m-%d %H:%M}: one of the clocks was wrong, or was set back; the order of runs is kept"
         )
 
-    journal = _of_engine(Journal)
+    journal = _bind(Journal)
 
     def writing_alone(self, run: str, operator: str = "") -> AbstractContextManager[None]:
         """Hold the right to write a run while entered; StoreError names another process that holds it."""
@@ -118,82 +130,82 @@ class Repository:
         """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""
         return locks.sensor_claimed(self._engine, serial, recipe, locks.this_process(operator))
 
-    seeds_of = _of_engine(outcomes.seeds_of)
-    altered_elsewhere = _of_engine(outcomes.altered_elsewhere)
-    writer_of = _of_engine(locks.writer_of)
+    seeds_of = _bind(outcomes.seeds_of)
+    find_altered_elsewhere = _bind(outcomes.find_altered_elsewhere)
+    writer_of = _bind(locks.writer_of)
 
-    load_run = _of_engine(runs.load_run)
-    whole_run = _of_engine(runs.whole_run)
-    identity = _of_engine(runs.identity)
-    configuration = _of_engine(runs.configuration_of)
-    find_runs = _of_engine(runs.find_runs)
-    resolve = _of_engine(runs.resolve)
-    check_resumable = _of_engine(runs.check_resumable)
-    finished_loads = _of_engine(runs.finished_loads)
-    ended_phases = _of_engine(runs.ended_phases)
-    state_of = _of_engine(runs.state_of)
-    result_state = _of_engine(result_state)
-    goes_on_at_s = _of_engine(runs.goes_on_at_s)
-    prompts_shown = _of_engine(attendance.prompts_shown)
-    incomplete_runs = _of_engine(sessions.incomplete_runs)
-    counts = _of_engine(sessions.counts)
+    load_run = _bind(runs.load_run)
+    whole_run = _bind(runs.whole_run)
+    identity = _bind(runs.identity)
+    configuration = _bind(runs.configuration_of)
+    find_runs = _bind(runs.find_runs)
+    resolve = _bind(runs.resolve)
+    check_resumable = _bind(runs.check_resumable)
+    list_finished_loads = _bind(runs.list_finished_loads)
+    list_ended_phases = _bind(runs.list_ended_phases)
+    state_of = _bind(runs.state_of)
+    result_state = _bind(result_state)
+    goes_on_at_s = _bind(runs.goes_on_at_s)
+    prompts_shown = _bind(attendance.prompts_shown)
+    incomplete_runs = _bind(sessions.incomplete_runs)
+    counts = _bind(sessions.counts)
 
-    archivable = _of_engine(archiving.archivable)
-    archive_folder = _of_engine(archiving.archive_folder)
-    archive_run = _of_engine(archiving.archive_run)
-    unarchive_run = _of_engine(archiving.unarchive_run)
-    size_bytes = _of_engine(size_bytes)
-    shrink = _of_engine(shrink)
+    archivable = _bind(archiving.archivable)
+    archive_folder = _bind(archiving.archive_folder)
+    archive_run = _bind(archiving.archive_run)
+    unarchive_run = _bind(archiving.unarchive_run)
+    size_bytes = _bind(size_bytes)
+    shrink = _bind(shrink)
 
-    change_notice = _of_engine(ChangeNotice)
-    links_of = _of_engine(live.links_of)
-    run_tail = _of_engine(live.run_tail)
-    frames_between = _of_engine(live.frames_between)
-    latest_run_at = _of_engine(live.latest_run_at)
-    look_at = _of_engine(live.look_at)
+    change_notice = _bind(ChangeNotice)
+    links_of = _bind(live.links_of)
+    run_tail = _bind(live.run_tail)
+    frames_between = _bind(live.frames_between)
+    latest_run_at = _bind(live.latest_run_at)
+    look_at = _bind(live.look_at)
 
-    analyses = _of_engine(analysed.analyses_of)
-    data_sha256 = _of_engine(reanalyses.data_sha256)
-    find_reanalysis = _of_engine(reanalyses.find_reanalysis)
-    reanalysis = _of_engine(reanalyses.load_reanalysis)
-    reanalyses_of = _of_engine(reanalyses.reanalyses_of)
-    adoptions = _of_engine(reanalyses.adoptions)
-    run_lines = _of_engine(fleets.run_lines)
-    fleet = _of_engine(fleets.fleet_table)
-    listed_runs = _of_engine(listed_runs)
-    run_count = _of_engine(run_count)
-    run_names = _of_engine(run_names)
-    runs_named = _of_engine(runs_named)
-    judged_measurements = _of_engine(judged_measurements)
-    measured_runs = _of_engine(measured_runs)
-    altered_records = _of_engine(changed.altered_records)
-    changes = _of_engine(changed.all_changes)
-    overrides = _of_engine(changed.overrides)
-    calibrations = _of_engine(issued.calibrations_of)
-    calibration_file = _of_engine(issued.calibration_file)
-    calibration_of_before = _of_engine(of_before.load_calibration_of_before)
+    analyses = _bind(analysed.analyses_of)
+    data_sha256 = _bind(reanalyses.data_sha256)
+    find_reanalysis = _bind(reanalyses.find_reanalysis)
+    reanalysis = _bind(reanalyses.load_reanalysis)
+    reanalyses_of = _bind(reanalyses.reanalyses_of)
+    adoptions = _bind(reanalyses.adoptions)
+    run_lines = _bind(fleets.run_lines)
+    fleet = _bind(fleets.fleet_table)
+    list_runs = _bind(list_runs)
+    run_count = _bind(run_count)
+    run_names = _bind(run_names)
+    runs_named = _bind(runs_named)
+    read_limited_measurements = _bind(read_limited_measurements)
+    read_measurements = _bind(read_measurements)
+    find_altered_records = _bind(changed.find_altered_records)
+    changes = _bind(changed.all_changes)
+    overrides = _bind(changed.overrides)
+    calibrations = _bind(issued.calibrations_of)
+    calibration_file = _bind(issued.calibration_file)
+    calibration_of_before = _bind(of_before.load_calibration_of_before)
 
-    save_chart_references = _of_engine(stations.save_references)
-    chart_references = _of_engine(stations.current_references)
-    all_chart_references = _of_engine(stations.all_references)
-    save_station_check = _of_engine(stations.save_check)
-    latest_station_check = _of_engine(stations.latest_check)
-    latest_golden_check = _of_engine(stations.latest_golden_check)
-    runs_since = _of_engine(stations.runs_since)
-    station_check_ring = _of_engine(stations.ring_of)
+    save_chart_references = _bind(stations.save_references)
+    chart_references = _bind(stations.current_references)
+    all_chart_references = _bind(stations.all_references)
+    save_station_check = _bind(stations.save_check)
+    latest_station_check = _bind(stations.latest_check)
+    latest_golden_check = _bind(stations.latest_golden_check)
+    runs_since = _bind(stations.runs_since)
+    station_check_ring = _bind(stations.ring_of)
 
-    backlog = _of_engine(backlog)
+    backlog = _bind(backlog)
 
-    file_problems = _of_engine(soundness.file_problems)
-    order_problems = _of_engine(soundness.order_problems)
-    misplaced_rows = _of_engine(soundness.misplaced_rows)
-    check_stored_run = _of_engine(soundness.check_stored_run)
-    seal_problems = _of_engine(soundness.seal_problems)
-    ring_problems = _of_engine(soundness.ring_problems)
+    file_problems = _bind(soundness.file_problems)
+    order_problems = _bind(soundness.order_problems)
+    find_misplaced_rows = _bind(soundness.find_misplaced_rows)
+    check_stored_run = _bind(soundness.check_stored_run)
+    seal_problems = _bind(soundness.seal_problems)
+    ring_problems = _bind(soundness.ring_problems)
 
-    save_release = _of_engine(releases.save_release)
-    latest_release = _of_engine(releases.latest_release)
-    all_releases = _of_engine(releases.all_releases)
+    save_release = _bind(releases.save_release)
+    latest_release = _bind(releases.latest_release)
+    all_releases = _bind(releases.all_releases)
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""

@@ -21,8 +21,8 @@ from sqlalchemy import (
     text,
 )
 
-from cbsr_qa.domain import AT_COMMAND_LINE, StoreError
-from cbsr_qa.store.damage import address, shown
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
+from cbsr_qa.store.damage import address, name_database
 from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
 from cbsr_qa.store.locks import changing_schema
 from cbsr_qa.store.views import create_views, drop_views, views_missing
@@ -59,7 +59,7 @@ class SchemaVersion:
     revision: str | None
 
 
-def found_version(engine: Engine) -> SchemaVersion:
+def read_version(engine: Engine) -> SchemaVersion:
     """Return a database's version without changing it; a missing SQLite file counts as empty and is not created.
 
     Raises
@@ -72,7 +72,7 @@ def found_version(engine: Engine) -> SchemaVersion:
         _refuse_dangling(engine, file)
         return SchemaVersion(Age.EMPTY, None)
     with reading(engine) as connection:
-        return _found(connection)
+        return _read_version(connection)
 
 
 def _refuse_dangling(engine: Engine, file: Path) -> None:
@@ -81,7 +81,7 @@ def _refuse_dangling(engine: Engine, file: Path) -> None:
         target = os.path.realpath(file)
         gone = "leads back to itself" if Path(target).is_symlink() else f"leads to {target}, which does not exist"
         raise StoreError(
-            f"{shown(engine.url)} is a link that {gone}",
+            f"{name_database(engine.url)} is a link that {gone}",
             remedy="bring that file back, or name the file of the database itself, to have it made there",
         )
 
@@ -102,12 +102,12 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
     StoreError
         If it is newer than this program, belongs to another one, or cannot be written.
     """
-    _upgradable(engine, found_version(engine))
+    _upgradable(engine, read_version(engine))
     _make_folder(engine)
     with changing_schema(engine, tell):
         use_write_ahead_log(engine)
         with writing(engine) as connection:
-            before = _upgradable(engine, _found(connection))  # again: another program may have been faster
+            before = _upgradable(engine, _read_version(connection))  # again: another program may have been faster
             if before.revision is None and target == HEAD:
                 _create(connection)
             elif before.revision != target:
@@ -151,22 +151,23 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
     match version.age:
         case Age.OLDER:
             return StoreError(
-                f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
+                f"{name_database(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
                 remedy=f"run: cbsr-qa db upgrade --database {address(engine.url)} (it copies a SQLite file first)",
             )
         case Age.NEWER:
             return StoreError(
-                f"{shown(engine.url)} has schema {version.revision}, unknown to this program ({HEAD})",
+                f"{name_database(engine.url)} has schema {version.revision}, unknown to this program ({HEAD})",
                 remedy="use the newer version of cbsr-qa that made it",
             )
         case Age.FOREIGN:
             return StoreError(
-                f"{shown(engine.url)} belongs to another program: it has tables but no schema version of cbsr-qa",
+                f"{name_database(engine.url)} belongs to another program: it has tables but no schema version of"
+                " cbsr-qa",
                 remedy="use another database",
             )
         case _:
             return StoreError(
-                f"{shown(engine.url)} does not exist or is empty",
+                f"{name_database(engine.url)} does not exist or is empty",
                 remedy="test a sensor first, or name another database with --database",
             )
 
@@ -177,7 +178,7 @@ def _upgradable(engine: Engine, version: SchemaVersion) -> SchemaVersion:
     return version
 
 
-def _found(connection: Connection) -> SchemaVersion:
+def _read_version(connection: Connection) -> SchemaVersion:
     looked_at = inspect(connection)
     if not looked_at.has_table(VERSION_TABLE):
         return SchemaVersion(Age.FOREIGN if looked_at.get_table_names() else Age.EMPTY, None)
@@ -197,7 +198,7 @@ def _make_folder(engine: Engine) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(
-            f"{shown(engine.url)}: its folder cannot be created: {error.strerror}",
+            f"{name_database(engine.url)}: its folder cannot be created: {error.strerror}",
             remedy=f"free the path, or use another database\n{AT_COMMAND_LINE}--database or CBSR_QA_DATABASE",
         ) from error
 
@@ -220,7 +221,11 @@ def _create(connection: Connection) -> None:
 
     A test compares them with those that the migrations make.
     """
-    from cbsr_qa.store.tables import AnalysisRow, Base, ChartReferenceRow, ReleaseRow, RunRow, SyncAcceptsRow
+    from cbsr_qa.store.tables.gate import ReleaseRow
+    from cbsr_qa.store.tables.records import ChartReferenceRow
+    from cbsr_qa.store.tables.results import AnalysisRow
+    from cbsr_qa.store.tables.runs import Base, RunRow
+    from cbsr_qa.store.tables.sync import SyncAcceptsRow
 
     # All files are registered.
     assert {one.metadata for one in (AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow)} == {Base.metadata}

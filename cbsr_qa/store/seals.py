@@ -6,10 +6,12 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, select
 
-from cbsr_qa.domain.run import CheckSeal
-from cbsr_qa.store.chain import covered, row_text, sha256, signing_key
+from cbsr_qa.domain.run.station import CheckSeal
+from cbsr_qa.store.chain.links import signing_key
+from cbsr_qa.store.chain.run_documents import list_covered, row_text, sha256
 from cbsr_qa.store.damage import FOREIGN_CELL
-from cbsr_qa.store.tables import Base, StationCheckFramesRow, StationCheckLineRow, StationCheckRow
+from cbsr_qa.store.tables.records import StationCheckFramesRow, StationCheckLineRow, StationCheckRow
+from cbsr_qa.store.tables.runs import Base
 
 _TABLES: Final = (StationCheckRow, StationCheckLineRow, StationCheckFramesRow)
 _PLAIN: Final = "sha256"
@@ -48,7 +50,7 @@ def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict
     digests = {
         check: digest
         for first in range(0, len(sealed), _AT_ONCE)
-        for check, digest in _stored_digests(connection, sealed[first : first + _AT_ONCE]).items()
+        for check, digest in _digest_checks(connection, sealed[first : first + _AT_ONCE]).items()
     }
     return {check: _state(connection, check, seal, digests.get(check, "")) for check, seal in seals.items()}
 
@@ -65,7 +67,7 @@ def _state(connection: Connection, check: str, seal: str | None, stored: str) ->
     key = signing_key(connection)
     if key is None or key.key_id != kind:
         return CheckSeal.NOT_CHECKED, ""
-    if not key.signed(check, digest, mac):
+    if not key.verify(check, digest, mac):
         return CheckSeal.NONE, f"station check {check} was altered: its seal was not signed with key {kind}"
     return CheckSeal.SIGNED, ""
 
@@ -74,17 +76,17 @@ def _digest(rows: CheckRows) -> str:
     return sha256(*sorted(row_text(Base.metadata.tables[kind.__tablename__], row) for kind, row in rows))
 
 
-def _stored_digests(connection: Connection, checks: Sequence[str]) -> dict[str, str]:
+def _digest_checks(connection: Connection, checks: Sequence[str]) -> dict[str, str]:
     """Return the digest of the rows of each check; empty for one of which a cell cannot be read."""
     rows: dict[str, list[tuple[type[Base], Mapping[str, Any]]]] = {check: [] for check in checks}
     try:
         for kind in _TABLES:
             table = Base.metadata.tables[kind.__tablename__]
-            query = select(*covered(table)).where(table.c.check_id.in_(checks))
+            query = select(*list_covered(table)).where(table.c.check_id.in_(checks))
             for row in connection.execute(query).mappings():
                 rows[row["check_id"]].append((kind, dict(row)))
         return {check: _digest(own) for check, own in rows.items()}
     except FOREIGN_CELL:
         if len(checks) == 1:
             return {checks[0]: ""}
-        return {check: digest for one in checks for check, digest in _stored_digests(connection, [one]).items()}
+        return {check: digest for one in checks for check, digest in _digest_checks(connection, [one]).items()}

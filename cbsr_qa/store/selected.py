@@ -7,11 +7,11 @@ from typing import Final, TypeAlias, TypeVar
 from sqlalchemy import ColumnElement, Connection, select
 from sqlalchemy.exc import OperationalError
 
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.store.chain import unreadable
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.store.chain.check import unreadable
 from cbsr_qa.store.damage import FOREIGN_CELL
 from cbsr_qa.store.golden import golden_runs
-from cbsr_qa.store.tables import RunRow
+from cbsr_qa.store.tables.runs import RunRow
 
 Conditions: TypeAlias = list[ColumnElement[bool]]
 

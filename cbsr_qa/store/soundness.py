@@ -4,23 +4,19 @@ from collections.abc import Iterator, Sequence
 
 from sqlalchemy import ColumnElement, Connection, Engine, Row, exists, func, select, text
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain import PLAIN, check_run, new_chain, signing_key
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.run import ChainState
+from cbsr_qa.store.chain.check import check_run
+from cbsr_qa.store.chain.links import PLAIN, new_chain, signing_key
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
-from cbsr_qa.store.golden import doubted_checks
+from cbsr_qa.store.golden import find_doubtful_checks
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import begun, runs
 from cbsr_qa.store.seals import check_seals
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables import (
-    Base,
-    CalibrationRow,
-    RunRow,
-    SensorRow,
-    StationCheckFramesRow,
-    StationCheckRow,
-)
+from cbsr_qa.store.tables.records import StationCheckFramesRow, StationCheckRow
+from cbsr_qa.store.tables.results import CalibrationRow
+from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -60,7 +56,7 @@ def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ..
         return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
 
 
-def misplaced_rows(engine: Engine) -> Iterator[str]:
+def find_misplaced_rows(engine: Engine) -> Iterator[str]:
     """Yield which rows, none of which a link contradicts, do not go together with others.
 
     They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and runs
@@ -134,7 +130,7 @@ def seal_problems(engine: Engine) -> Iterator[str]:
             connection.execute(select(row.check_id, row.seal).order_by(row.check_id)).all()
         )
         altered = {check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem}
-        doubted = doubted_checks(connection)
+        doubted = find_doubtful_checks(connection)
     yield from altered.values()
     for check in doubted.keys() - altered.keys():
         yield f"{doubted[check]}: the run is listed all the same"

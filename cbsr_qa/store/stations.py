@@ -9,31 +9,24 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, Row, func, insert, select
 
-from cbsr_qa.domain import StoreError, fitted
-from cbsr_qa.domain.run import (
-    ChartKind,
-    ChartReference,
-    CheckOutcome,
-    CheckResult,
-    InstrumentIdentity,
-    RingReadings,
-    StationCheck,
-)
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.results.charts import ChartKind, ChartReference
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.runs import frame_block, frame_values
+from cbsr_qa.store.runs.codec import frame_block, frame_values
 from cbsr_qa.store.seals import check_seal, new_seal
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.tables.records import (
     ChartReferenceRow,
-    FrameBlockRow,
-    InstrumentRow,
-    RunRow,
     StationCheckFramesRow,
     StationCheckLineRow,
     StationCheckRow,
 )
+from cbsr_qa.store.tables.runs import FrameBlockRow, InstrumentRow, RunRow
 
 _SETTINGS = ("subgroup", "rules", "weight", "width", "slack", "threshold")
 
@@ -89,10 +82,10 @@ def _values(one: ChartReference) -> dict[str, Any]:
 
 def _reference(row: Row[Any]) -> ChartReference:
     settings = {name: row.settings[name] for name in _SETTINGS}
-    return of_row(
+    return convert_row(
         ChartReference,
         row,
-        chart=stored(ChartKind, row.kind, "chart_references.kind", f"reference {row.reference}"),
+        chart=read_word(ChartKind, row.kind, "chart_references.kind", f"reference {row.reference}"),
         golden=row.golden or None,
         retired=bool(row.settings.get("retired", False)),
         **settings | {"rules": tuple(settings["rules"])},
@@ -191,21 +184,23 @@ def _check(connection: Connection, row: Row[Any]) -> StationCheck:
     of_check = f"check {row.check_id}"
     sealed, problem = check_seal(connection, row.check_id, row.seal)
     results = (
-        of_row(CheckResult, line, outcome=stored(CheckOutcome, line.outcome, "station_check_lines.outcome", of_check))
+        convert_row(
+            CheckResult, line, outcome=read_word(CheckOutcome, line.outcome, "station_check_lines.outcome", of_check)
+        )
         for line in connection.execute(lines.order_by(StationCheckLineRow.number))
     )
-    return of_row(
+    return convert_row(
         StationCheck,
         row,
         check=row.check_id,
-        instruments=() if problem else tuple(fitted(InstrumentIdentity, one) for one in row.instruments),
-        results=(_altered_line(problem),) if problem else tuple(results),
+        instruments=() if problem else tuple(fill_from_mapping(InstrumentIdentity, one) for one in row.instruments),
+        results=(_mark_altered(problem),) if problem else tuple(results),
         sealed=sealed,
         altered=problem,
     )
 
 
-def _altered_line(problem: str) -> CheckResult:
+def _mark_altered(problem: str) -> CheckResult:
     """Return what an altered check shows in place of its lines, also to who asks for the golden sensor."""
     return CheckResult(
         "what is stored of this check",

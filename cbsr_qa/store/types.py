@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sqlalchemy import DateTime, Dialect, Double, Integer, LargeBinary, String, Text
 from sqlalchemy.types import TypeDecorator
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 _COUNTER_BITS = 12
 #: Of zlib: no header and no checksum, the digest of a row covers what is packed.
@@ -76,7 +76,7 @@ class IdSource:
         return str(UUID(int=millisecond << 80 | 7 << 76 | counter << 64 | 2 << 62 | secrets.randbits(62)))
 
 
-def made_at(identifier: str) -> datetime | None:
+def time_of_id(identifier: str) -> datetime | None:
     """Return the creation time in an identifier, by its maker's clock; None if it has none."""
     found = _parts(identifier)
     if found is None or found[0] >= _YEAR_10000_MS:
@@ -95,17 +95,17 @@ def _parts(identifier: str) -> tuple[int, int] | None:
     return number.int >> 80, (number.int >> 64) & ((1 << _COUNTER_BITS) - 1)
 
 
-def packed(values: Array) -> bytes:
+def pack(values: Array) -> bytes:
     """Return float64 as little-endian bytes in C order."""
     return np.ascontiguousarray(values, dtype="<f8").tobytes()
 
 
-def packed_flags(values: NDArray[np.uint8]) -> bytes:
+def pack_flags(values: NDArray[np.uint8]) -> bytes:
     """Return uint8 as bytes in C order."""
     return np.ascontiguousarray(values, dtype=np.uint8).tobytes()
 
 
-def unpacked(data: bytes, shape: tuple[int, ...]) -> Array:
+def unpack(data: bytes, shape: tuple[int, ...]) -> Array:
     """Return float64 of a shape from little-endian bytes, as a writable copy.
 
     Raises
@@ -116,8 +116,8 @@ def unpacked(data: bytes, shape: tuple[int, ...]) -> Array:
     return np.frombuffer(data, dtype="<f8").reshape(shape).astype(np.float64)
 
 
-def unpacked_flags(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return uint8 of a shape from bytes; a copy. Raises ValueError as :func:`unpacked`."""
+def unpack_flags(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return uint8 of a shape from bytes; a copy. Raises ValueError as :func:`unpack`."""
     return np.frombuffer(data, dtype=np.uint8).reshape(shape).copy()
 
 
@@ -143,7 +143,7 @@ def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
     return deflated if len(deflated) < len(data) else data
 
 
-def restored(data: bytes, size: int, width: int, *, steps: bool = False) -> bytes:
+def restore(data: bytes, size: int, width: int, *, steps: bool = False) -> bytes:
     """Return the numbers that :func:`compact` was given.
 
     Parameters
@@ -157,27 +157,27 @@ def restored(data: bytes, size: int, width: int, *, steps: bool = False) -> byte
     """
     if len(data) == size:
         return data
-    numbers = _numbers([_inflated(data, size)], width)
+    numbers = _numbers([_inflate(data, size)], width)
     return (np.cumsum(numbers, dtype=numbers.dtype) if steps else numbers).tobytes()
 
 
-def restored_together(cells: Sequence[bytes], size: int, width: int, *, steps: bool = False) -> list[bytes]:
-    """Return the numbers of many cells of one size, as :func:`restored` does of each, in half the time."""
+def restore_many(cells: Sequence[bytes], size: int, width: int, *, steps: bool = False) -> list[bytes]:
+    """Return the numbers of many cells of one size, as :func:`restore` does of each, in half the time."""
     if width == 1:  # flags, which are alike in most frames
-        distinct = {cell: restored(cell, size, width) for cell in set(cells)}
+        distinct = {cell: restore(cell, size, width) for cell in set(cells)}
         return [distinct[cell] for cell in cells]
     whole = list(cells)
     places = [place for place, cell in enumerate(cells) if len(cell) != size]
     for first in range(0, len(places), _AT_ONCE):
         some = places[first : first + _AT_ONCE]
-        numbers = _numbers([_inflated(cells[place], size) for place in some], width)
+        numbers = _numbers([_inflate(cells[place], size) for place in some], width)
         data = (np.cumsum(numbers, axis=1, dtype=numbers.dtype) if steps else numbers).tobytes()
         for at, place in enumerate(some):
             whole[place] = data[at * size : (at + 1) * size]
     return whole
 
 
-def _inflated(data: bytes, size: int) -> bytes:
+def _inflate(data: bytes, size: int) -> bytes:
     inflating = zlib.decompressobj(wbits=_NO_HEADER)
     try:
         columns = inflating.decompress(data, size + 1)

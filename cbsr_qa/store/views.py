@@ -10,8 +10,8 @@ from typing import Final
 
 from sqlalchemy import Connection, inspect, text
 
-from cbsr_qa.store.standing import up_to_date_sql
-from cbsr_qa.store.tables import FEW_LINKS
+from cbsr_qa.store.runs.standing import up_to_date_sql
+from cbsr_qa.store.tables.records import FEW_LINKS
 
 _RUNS: Final = f"""
 SELECT

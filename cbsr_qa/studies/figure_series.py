@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetTable, MetricKey, RunFigure, RunLine, State
-from cbsr_qa.report import named
-from cbsr_qa.studies.selection import not_measured
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunFigure, RunLine, State
+from cbsr_qa.report.tables import list_names
+from cbsr_qa.studies.selection import missing_metric_error
 
 _T = TypeVar("_T")
 
@@ -64,7 +64,7 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
         ends = [None if isnan(end) else end for end in (low, high)]
         figure = RunFigure(run, key, unit, value, count, int(absent), int(bounds), ends[0], ends[1])
         of_key = by_key.setdefault(key, {})
-        of_key[run] = _of_several_units(of_key[run], figure) if run in of_key else figure
+        of_key[run] = _merge_units(of_key[run], figure) if run in of_key else figure
     return by_key
 
 
@@ -87,7 +87,7 @@ def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = 
     measured = {key.name for key in by_key}
     for name in names:
         if name not in measured:
-            raise not_measured(name, measured)
+            raise missing_metric_error(name, measured)
     limited = [key for key, of in by_key.items() if any(_has_limit(figure) for figure in of.values())]
     wanted = [key for key in by_key if key.name in names] if names else limited or list(by_key)
     return [_series(key, runs, by_key[key]) for key in wanted]
@@ -97,7 +97,7 @@ def _has_limit(figure: RunFigure) -> bool:
     return figure.lower is not None or figure.upper is not None
 
 
-def _of_several_units(first: RunFigure, second: RunFigure) -> RunFigure:
+def _merge_units(first: RunFigure, second: RunFigure) -> RunFigure:
     units = tuple(sorted({*(first.units or (first.unit,)), second.unit}))
     most = max(first, second, key=lambda figure: figure.places)
     return replace(most, value=None, places=first.places + second.places, units=units)
@@ -117,7 +117,7 @@ def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFi
             left.setdefault(why, []).append(run.words)
         elif figure is not None and figure.value is not None:
             kept.append((run, figure.value))
-    notes = tuple(f"left out: {why}: {named(who)}" for why, who in left.items())
+    notes = tuple(f"left out: {why}: {list_names(who)}" for why, who in left.items())
     lines, values = tuple(run for run, _ in kept), tuple(value for _, value in kept)
     return Series(key, unit, lines, values, there[-1].lower, there[-1].upper, notes)
 

@@ -9,16 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.config import Configuration, DocumentKind, var_folder
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import EndReason, Measurement, RunResult, decide
-from cbsr_qa.domain.run import (
-    NINE_LOCATIONS_MM,
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.config.paths import var_folder
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load, LoadRecord
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.run import (
     InstrumentIdentity,
-    Load,
     LoadFinished,
-    LoadRecord,
     PhaseFinished,
     PhaseStarted,
     RunEnded,
@@ -26,9 +27,11 @@ from cbsr_qa.domain.run import (
     RunIdentity,
     RunStarted,
 )
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.simulated import configuration_of, shipped
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped
 
 #: Seed of all draws; the first one, not chosen for its result.
 SEED: Final = 1
@@ -110,7 +113,7 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     path = path or fleet_demo_path()
     path.parent.mkdir(parents=True, exist_ok=True)
     _make_room(path)
-    runs = tuple(designed())
+    runs = tuple(yield_runs())
     kinds = {(run.recipe, run.station): run for run in runs}
     configurations = {kind: _configuration(run) for kind, run in kinds.items()}
     now = _BEGAN
@@ -127,7 +130,7 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     return path
 
 
-def designed() -> Iterator[_Run]:
+def yield_runs() -> Iterator[_Run]:
     """Yield the runs of all designs in order of time: batch after batch, sensor after sensor.
 
     Twelve of a batch's twenty sensors are at its own station, four at each other one. In the second design every
@@ -174,7 +177,10 @@ def _figures(run: _Run, sensor: np.ndarray, random: np.random.Generator) -> dict
 
 def _configuration(run: _Run) -> Configuration:
     """The shipped files the figures would be of, with limits on what is drawn alone."""
-    station, recipe = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.RECIPE, "nine-locations")
+    station, recipe = (
+        copy_shipped(DocumentKind.STATION, "simulated"),
+        copy_shipped(DocumentKind.RECIPE, "nine-locations"),
+    )
     station["station"]["name"] = f"station-{STATIONS[run.station]}"
     recipe["recipe"] = {"name": run.recipe, "calibrate_phases": []}
     recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] == _PHASE]
@@ -242,5 +248,5 @@ def _measurements(figures: dict[str, np.ndarray], configuration: Configuration) 
             measured = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
             if metric.place:
                 measured = replace(measured, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2)
-            measurements.append(measured.judged(limits[metric.name]))
+            measurements.append(measured.judge(limits[metric.name]))
     return tuple(measurements)

@@ -8,12 +8,13 @@ from datetime import timedelta
 from itertools import pairwise
 from typing import Any, Final
 
-from cbsr_qa.config import canonical_json
-from cbsr_qa.domain import RefusedError, did_you_mean, of_kind
-from cbsr_qa.domain.results import RunLine, RunSelection
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import named, plural
-from cbsr_qa.store import Repository
+from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import did_you_mean, prefix_kind
+from cbsr_qa.domain.results.fleet import RunLine, RunSelection
+from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.words import echo
 
 #: Reason of a failure that no limit gave: an operator decided it.
 BY_OPERATOR: Final = "decided by an operator"
@@ -36,11 +37,11 @@ _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
     """Remedy for an unknown name: the nearest one, and the known ones."""
-    every = f"{there_are}: {named(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
+    every = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
     return f"{did_you_mean(name, known)} {every}".lstrip()
 
 
-def not_measured(name: str, known: Collection[str], at: str = "") -> RefusedError:
+def missing_metric_error(name: str, known: Collection[str], at: str = "") -> RefusedError:
     """Return the refusal of a metric that no run of a study measured."""
     return RefusedError(f"{at}no run of these measured {echo(name, 64)}", remedy=nearest(name, known, "measured"))
 
@@ -93,7 +94,7 @@ def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
             back = before.started_at - after.started_at
             if back > _CLOCK_STEP:
                 notes.append(
-                    f"the clock of {of_kind('station', station)} was wrong by about {_span(back)} at one of two "
+                    f"the clock of {prefix_kind('station', station)} was wrong by about {_span(back)} at one of two "
                     f"runs: {after.words} came after {before.words}; "
                     "runs are in the order they were made in, not in that of the clock"
                 )
@@ -120,7 +121,7 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
 
 def several_recipes(recipes: Collection[str]) -> str:
     """Return a clause on runs of several recipes, of which a study needs one."""
-    return f"{len(recipes)} recipes: {named(sorted(recipes))}"
+    return f"{len(recipes)} recipes: {list_names(sorted(recipes))}"
 
 
 def measuring_digest(configuration: str, adopted: str = "") -> str:

@@ -5,23 +5,21 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from cbsr_qa.config import (
-    Configuration,
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-)
-from cbsr_qa.domain.run import RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Plugins, software_versions
-from cbsr_qa.station import Bench, MemoryJournal, Plan, execute, open_station, plan_of, station_clock
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
+from cbsr_qa.config.merging import Configuration, merge
+from cbsr_qa.domain.run.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.documents import MemoryJournal
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.plan import Plan
+from cbsr_qa.station.setup import open_station, plan_of, station_clock
 
 
-def shipped(kind: DocumentKind, name: str) -> dict[str, Any]:
+def copy_shipped(kind: DocumentKind, name: str) -> dict[str, Any]:
     """Return a modifiable copy of a shipped document."""
     return copy.deepcopy(dict(open_document(kind, name).data))
 
@@ -40,7 +38,7 @@ def configuration_of(
     return merge(at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), loaded, seed=seed)
 
 
-def simulated_run(
+def simulate_run(
     configuration: Configuration, serial: str, plugins: Plugins, change: Callable[[Plan], Plan] = lambda plan: plan
 ) -> tuple[RunRecord, Bench]:
     """Run a recipe at its simulated station; nothing is stored.

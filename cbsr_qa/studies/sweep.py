@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.report import json_document
-from cbsr_qa.system import LARGEST_FILE, heard_later, parsed_json, read_foreign, worker_pool, writing
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.report.document import json_document
+from cbsr_qa.system.files import writing
+from cbsr_qa.system.foreign import LARGEST_FILE, read_foreign
+from cbsr_qa.system.json_text import parse_json
+from cbsr_qa.system.workers import delay_interrupts, worker_pool
 
 #: Called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
@@ -31,7 +34,7 @@ class Work:
     Parameters
     ----------
     key, what : identity of the work and its inputs, the same in every process and sweep; and its description.
-    run : returns results that :func:`~cbsr_qa.report.json_document` knows; picklable.
+    run : returns results that :func:`~cbsr_qa.report.document.json_document` knows; picklable.
     """
 
     key: str
@@ -69,14 +72,14 @@ class Kept:
 
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
-            entry = parsed_json(line)
+            entry = parse_json(line)
         except ValueError as error:
-            raise _no_piece(path, number, str(error)) from error
+            raise _piece_error(path, number, str(error)) from error
         if not isinstance(entry, dict) or not isinstance(entry.get("key"), str):
-            raise _no_piece(path, number, "an object with a text 'key' is expected")
+            raise _piece_error(path, number, "an object with a text 'key' is expected")
         documents = entry.get("documents")
         if not isinstance(documents, list) or not all(isinstance(document, dict) for document in documents):
-            raise _no_piece(path, number, "'documents' must be a list of objects")
+            raise _piece_error(path, number, "'documents' must be a list of objects")
         self.found[entry["key"]] = documents
 
     def keep(self, key: str, documents: Documents) -> None:
@@ -91,11 +94,11 @@ class Kept:
         self.found[key] = documents
 
 
-def _no_piece(path: Path, number: int, why: str) -> StoreError:
+def _piece_error(path: Path, number: int, why: str) -> StoreError:
     return StoreError(f"{path}: line {number} is no finished piece of a sweep: {why}", remedy=_BEGIN_AGAIN)
 
 
-def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
+def compute_pieces(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
     """Compute all pieces that are not stored yet, in order, on the next free process; results by key.
 
     Results do not depend on the number of processes. If a piece raises, no further one is started, running ones are
@@ -104,7 +107,7 @@ def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) 
     left = [piece for piece in work if piece.key not in kept.found]
     done = len(work) - len(left)
     tell(done, len(work), "begun" if done == 0 else "resumed")
-    with closing(finished(left, _worked, processes)) as pieces:
+    with closing(run_jobs(left, _compute_piece, processes)) as pieces:
         for piece, documents in pieces:
             kept.keep(piece.key, documents)
             done += 1
@@ -112,11 +115,11 @@ def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) 
     return {piece.key: kept.found[piece.key] for piece in work}
 
 
-def _worked(piece: Work) -> Documents:
+def _compute_piece(piece: Work) -> Documents:
     return [json_document(result) for result in piece.run()]
 
 
-def finished(
+def run_jobs(
     jobs: Sequence[Job], run: Callable[[Job], Result], processes: int
 ) -> Generator[tuple[Job, Result], None, None]:
     """Run jobs in several processes, and yield each with its result as soon as it is done.
@@ -139,7 +142,7 @@ def finished(
         return
     failed: BaseException | None = None
     with worker_pool(processes) as pool:
-        with heard_later():
+        with delay_interrupts():
             futures = {pool.submit(run, job): job for job in jobs}
         left = set(futures)
         while left:

@@ -36,7 +36,7 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     found: dict[int, Result] = {}
     if 1 < len(tasks) <= _MOST and _has_room():
         with suppress(OSError):  # no process or pipe is left: all are called here
-            found = _shared(tasks)
+            found = _share_tasks(tasks)
     return [found[number] if number in found else task() for number, task in enumerate(tasks)]
 
 
@@ -45,7 +45,7 @@ def _has_room() -> bool:
     return CONTAINED and alone and len(os.sched_getaffinity(0)) > 1
 
 
-def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
+def _share_tasks(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
     waiting, given = os.pipe()
     os.write(given, b"".join(map(_NUMBER.pack, range(len(tasks)))))
     os.close(given)
@@ -55,7 +55,7 @@ def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
         os.close(outgoing)
         try:
             found: dict[int, Result] = {}
-            while (number := _next(waiting)) is not None:
+            while (number := _take_number(waiting)) is not None:
                 with suppress(Exception):  # raised when it is called again, the first of all tasks first
                     found[number] = tasks[number]()
             with suppress(EOFError, pickle.UnpicklingError):
@@ -67,7 +67,7 @@ def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
     return found
 
 
-def _next(waiting: int) -> int | None:
+def _take_number(waiting: int) -> int | None:
     number = os.read(waiting, _NUMBER.size)
     return _NUMBER.unpack(number)[0] if number else None
 
@@ -75,16 +75,16 @@ def _next(waiting: int) -> int | None:
 def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) -> int:
     def work() -> None:
         done = {}
-        while (number := _next(waiting)) is not None:
+        while (number := _take_number(waiting)) is not None:
             with suppress(Exception):
                 done[number] = pickle.dumps(tasks[number]())
         with os.fdopen(outgoing, "wb") as pipe:
             pickle.dump(done, pipe)
 
-    return _forked(work)
+    return _fork_helper(work)
 
 
-def _forked(work: Callable[[], None]) -> int:
+def _fork_helper(work: Callable[[], None]) -> int:
     """Do something in a helper, which then ends; return its process number."""
     with warnings.catch_warnings():
         # Newer Pythons warn of threads that hold locks. Ours only wait.
@@ -129,7 +129,7 @@ class Ahead(Generic[Result]):
             with os.fdopen(kept, "wb") as file:
                 pickle.dump(self._task(), file)
 
-        helper = _forked(work)
+        helper = _fork_helper(work)
         os.close(working)  # closed everywhere once the helper has ended
         self._kept, self._working = kept, ended
         self._ended = weakref.finalize(self, _end, os.getpid(), helper, kept, ended)  # nobody may ask for the result
@@ -137,10 +137,10 @@ class Ahead(Generic[Result]):
     def result(self) -> Result:
         """Wait for the result; the same object every time. Raises what the function raises."""
         if not self._result:
-            self._result.append(self._task() if self._ended is None else self._returned(self._ended))
+            self._result.append(self._task() if self._ended is None else self._read_result(self._ended))
         return self._result[0]
 
-    def _returned(self, end: Callable[[], object]) -> Result:
+    def _read_result(self, end: Callable[[], object]) -> Result:
         try:
             os.read(self._working, 1)
             # Not read: where a file is read is shared with the helper's other readers.

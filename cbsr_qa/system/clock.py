@@ -18,7 +18,7 @@ TICK_S: Final = 2.0**-20
 _CATCH_UP_S: Final = 1.0
 
 
-def in_ticks(duration_s: float) -> float:
+def round_to_ticks(duration_s: float) -> float:
     """Return the multiple of a tick nearest to a duration, at least one tick if it is positive [s]."""
     ticks = round(duration_s / TICK_S)
     return TICK_S * (1 if ticks == 0 and duration_s > 0 else ticks)
@@ -71,7 +71,7 @@ class WallWatch:
     def __init__(self) -> None:
         self._wall, self._since_s = datetime.now(UTC), time.monotonic()
 
-    def moved(self) -> timedelta:
+    def clock_change(self) -> timedelta:
         """Return how far date and time were set since this was made; positive: forward.
 
         A computer that slept looks as if its clock had been set forward.
@@ -110,7 +110,7 @@ class VirtualClock:
         self._keep_pace(slept_s)
 
     def _advance(self, duration_s: float) -> float:
-        slept_s = in_ticks(max(duration_s, 0.0))
+        slept_s = round_to_ticks(max(duration_s, 0.0))
         self._now += slept_s
         return slept_s
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.foreign import check_status
 
 if sys.platform == "win32":  # untested
@@ -84,7 +84,7 @@ class FileLock:
         begun_s = time.monotonic()
         for _ in range(_TRIES):
             try:
-                self._file = _locked(path, shared=shared)
+                self._file = _open_locked(path, shared=shared)
             except HeldError as error:
                 if error.who or time.monotonic() - begun_s > _NAMELESS_S:
                     raise
@@ -136,7 +136,7 @@ def holder(path: Path) -> bytes | None:
         if _is(file, path):
             path.unlink()
     except BlockingIOError:
-        return _said(file)
+        return _read_holder(file)
     except OSError:
         return None
     finally:
@@ -148,10 +148,10 @@ def holder(path: Path) -> bytes | None:
 _SAFE: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
-def _locked(path: Path, *, shared: bool) -> int | None:
+def _open_locked(path: Path, *, shared: bool) -> int | None:
     """Open and lock the file; None if its holder removed it in between."""
     try:
-        file = _opened(path, shared=shared)
+        file = _open_or_create(path, shared=shared)
     except FileNotFoundError:
         if not path.parent.is_dir():
             raise
@@ -164,7 +164,7 @@ def _locked(path: Path, *, shared: bool) -> int | None:
     try:
         _lock(file)
     except OSError as error:
-        who = _said(file)
+        who = _read_holder(file)
         os.close(file)
         raise HeldError(who) from error
     if _is(file, path):
@@ -173,7 +173,7 @@ def _locked(path: Path, *, shared: bool) -> int | None:
     return None
 
 
-def _opened(path: Path, *, shared: bool) -> int:
+def _open_or_create(path: Path, *, shared: bool) -> int:
     # In two steps: Linux refuses to "create" an existing file of another user.
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
@@ -184,7 +184,7 @@ def _opened(path: Path, *, shared: bool) -> int:
     return file
 
 
-def _said(file: int) -> bytes:
+def _read_holder(file: int) -> bytes:
     os.lseek(file, 0, os.SEEK_SET)
     return os.read(file, _LONGEST).strip()
 
@@ -215,7 +215,7 @@ def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: s
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[BinaryIO]:
+def write_atomically(path: Path) -> Iterator[BinaryIO]:
     """Write to a temporary file in the same folder; it replaces ``path`` when the block ends without an error.
 
     The mode is 0666 less the umask, which the kernel applies as it creates the file: asking for the umask means

@@ -15,7 +15,7 @@ _MOST_DIGITS: Final = 40
 _LONGEST_QUOTE: Final = 60
 
 
-def parsed_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text (RFC 8259); bytes are UTF-8.
 
     ValueError, in words for its reader, if it is not JSON, an object has a key twice, a number is NaN, infinite or
@@ -25,7 +25,7 @@ def parsed_json(text: str | bytes) -> Any:
     if _depth(read) > _DEEPEST:
         raise ValueError(f"lists and objects are nested more than {_DEEPEST} deep")
     return json.loads(
-        read, object_pairs_hook=_object, parse_constant=_no_constant, parse_float=_finite, parse_int=_whole
+        read, object_pairs_hook=_object, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole
     )
 
 
@@ -45,7 +45,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def _no_constant(name: str) -> NoReturn:
+def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a number in JSON")
 
 

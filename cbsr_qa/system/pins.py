@@ -23,14 +23,14 @@ def pin_allowed(pin: str) -> bool:
     return SHORTEST_PIN <= len(pin) <= LONGEST_PIN and pin.isprintable() and pin == pin.strip()
 
 
-def hashed_pin(pin: str) -> str:
+def hash_pin(pin: str) -> str:
     """Return the hash of a PIN with a new salt."""
     salt = os.urandom(16)
     return ":".join(("scrypt", *map(str, _COST), salt.hex(), _key(pin, salt, *_COST).hex()))
 
 
 def pin_hash_readable(text: object) -> bool:
-    """Whether a value is a hash of :func:`hashed_pin`, of a cost that this station can pay."""
+    """Whether a value is a hash of :func:`hash_pin`, of a cost that this station can pay."""
     found = _FORM.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         return False

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.system.foreign import read_foreign
 
 _LARGEST_BYTES: Final = 2**16

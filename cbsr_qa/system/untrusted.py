@@ -30,7 +30,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-from cbsr_qa.domain import RefusedError, errors
+from cbsr_qa.domain import errors
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 
@@ -104,7 +105,9 @@ class Limits:
         return _CLOCK * self.seconds
 
     @classmethod
-    def of(cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES) -> "Limits":
+    def from_size(
+        cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES
+    ) -> "Limits":
         """Limits for a file size; larger files may take more of both."""
         half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
@@ -145,14 +148,14 @@ def read_untrusted(
             return read()
         except RefusedError as error:
             problems = tuple(getattr(error, "problems", ()))
-            raise _refused(type(error).__name__, error.reason, error.remedy, problems) from error
+            raise _restore_error(type(error).__name__, error.reason, error.remedy, problems) from error
     for codec in _CODECS:
         codecs.lookup(codec)
-    limits = Limits.of(size_bytes, seconds_per_mb, open_files)
+    limits = Limits.from_size(size_bytes, seconds_per_mb, open_files)
     deadline = time.monotonic() + limits.clock_s
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
-        child = _forked(read, outgoing, limits)
+        child = _fork_reader(read, outgoing, limits)
         os.close(outgoing)
         try:
             received = _parts_of(pipe, deadline, limits)
@@ -167,7 +170,7 @@ def read_untrusted(
     return cast(Result, _result(path, received, limits, refusal))
 
 
-def shortened(reason: str) -> str:
+def shorten(reason: str) -> str:
     """Return a message with quotes from the file cut: a name or unit may be a megabyte long."""
     cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
     return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
@@ -183,7 +186,7 @@ def _size(path: Path, refusal: type[RefusedError]) -> int:
         return 0  # the reader reports what is wrong
 
 
-def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
+def _fork_reader(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
     with warnings.catch_warnings():
         # Newer Pythons warn of threads that hold locks. Readers take none that another thread of ours could hold.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -191,7 +194,7 @@ def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
     if child:
         return child
     try:
-        outgoing = _confined(outgoing, limits)
+        outgoing = _confine(outgoing, limits)
         with os.fdopen(outgoing, "wb", closefd=False) as pipe:
             for part in _message(read, limits):
                 pipe.write(_LENGTH.pack(memoryview(part).nbytes))
@@ -200,7 +203,7 @@ def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
         os._exit(0)
 
 
-def _confined(outgoing: int, limits: Limits) -> int:
+def _confine(outgoing: int, limits: Limits) -> int:
     """Release in the child what reading does not need; return the pipe's new descriptor."""
     import resource
 
@@ -239,7 +242,7 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
     except MemoryError:
         outcome = ("memory",)
     except Exception as error:  # noqa: BLE001 - the parent says it
-        outcome = _failed(error)
+        outcome = _encode_failure(error)
     try:
         head = pickle.dumps(outcome, protocol=5, buffer_callback=arrays.append)
         return [head, *(array.raw() for array in arrays)]
@@ -249,7 +252,7 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
         return [pickle.dumps(("strange", str(error)))]
 
 
-def _failed(error: Exception) -> tuple[Any, ...]:
+def _encode_failure(error: Exception) -> tuple[Any, ...]:
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
@@ -265,19 +268,19 @@ def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearra
     """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left = limits.memory_bytes
-    while length := _received(pipe, _LENGTH.size, deadline):
+    while length := _receive(pipe, _LENGTH.size, deadline):
         (count,) = _LENGTH.unpack(length)
         if count > left:
             return None
         left -= count
-        part = _received(pipe, count, deadline)
+        part = _receive(pipe, count, deadline)
         if part is None:
             return None
         parts.append(part)
     return parts if length is not None and parts else None
 
 
-def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
+def _receive(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
     """Read so many bytes; empty at the end of the stream, None on timeout or if it ends within them."""
     data = bytearray(count)
     view, got = memoryview(data), 0
@@ -316,7 +319,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
     if kind == "read":
         return content[0]
     if kind == "refused":
-        raise _refused(*content)
+        raise _restore_error(*content)
     if kind == "memory":
         raise refusal(
             f"reading {path.name} needs more than {limits.memory_bytes / 2**30:.1f} GiB of memory, the limit for a"
@@ -324,7 +327,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
             remedy=_TOO_MUCH,
         )
     if kind == "second":
-        other = "another file" if content[0] is None else f"the file {shortened(content[0])}"
+        other = "another file" if content[0] is None else f"the file {shorten(content[0])}"
         raise refusal(
             f"reading {path.name} opens {other} beside it, which no recording or calibration needs",
             remedy="the file is damaged or links to other files; a plugin must import its modules beforehand",
@@ -337,9 +340,9 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
     raise RuntimeError(f"reading {path.name}: {content[0]}")
 
 
-def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
+def _restore_error(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
     """The error a child raised; a plugin's own type becomes its base in this package."""
-    named, reason = getattr(errors, kind, RefusedError), shortened(reason)
+    named, reason = getattr(errors, kind, RefusedError), shorten(reason)
     if named is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
     return cast(RefusedError, named(reason, remedy=remedy))

@@ -29,7 +29,7 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def heard_later() -> Iterator[None]:
+def delay_interrupts() -> Iterator[None]:
     """Block Ctrl-C while processes start: they inherit that, and ignore it while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -10,15 +10,17 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.config import load_material, load_sensor_type, load_station
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import InstrumentSpec, Role, Step
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
-from cbsr_qa.domain.sensor import SensorIdentity, SensorType
-from cbsr_qa.plugin import SequenceContext
-from cbsr_qa.station import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted, Plan, PlannedPhase
-from cbsr_qa.system import Clock
+from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import Role, Step
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity, SensorType
+from cbsr_qa.plugin.interfaces import SequenceContext
+from cbsr_qa.station.bench import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted
+from cbsr_qa.station.plan import Plan, PlannedPhase
+from cbsr_qa.system.clock import Clock
 
 #: Role of the scripted bench's load cell.
 LOAD_CELL = "load_cell"
@@ -64,7 +66,7 @@ class Script:
         """Do something inside the n-th call (from 1) of a method: raise, block, advance the clock."""
         self._by_name[name, call] = action
 
-    def at(self, number: int, action: Action) -> None:
+    def do_at(self, number: int, action: Action) -> None:
         """Do something inside the n-th call (from 0) of all."""
         self._by_number[number] = action
 
@@ -74,7 +76,7 @@ class Script:
     def count(self, name: str) -> int:
         return self.names().count(name)
 
-    def called(self, name: str, *arguments: object) -> None:
+    def record_call(self, name: str, *arguments: object) -> None:
         """Write a call down, let its time pass, and do what was scripted for it."""
         number = len(self.calls)
         self.calls.append(Call(name, arguments, self.clock.now()))
@@ -107,14 +109,14 @@ class ScriptedInstrument:
         self.simulated = simulated
 
     def identity(self) -> InstrumentIdentity:
-        self.script.called(f"{self.role}.identity")
+        self.script.record_call(f"{self.role}.identity")
         return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=self.simulated)
 
     def safe_state(self) -> None:
-        self.script.called(f"{self.role}.safe_state")
+        self.script.record_call(f"{self.role}.safe_state")
 
     def close(self) -> None:
-        self.script.called(f"{self.role}.close")
+        self.script.record_call(f"{self.role}.close")
 
 
 class ScriptedFrames(ScriptedInstrument):
@@ -126,7 +128,7 @@ class ScriptedFrames(ScriptedInstrument):
         self._shape = shape
 
     def acquire(self, count: int) -> FrameBlock:
-        self.script.called(f"{self.role}.acquire", count)
+        self.script.record_call(f"{self.role}.acquire", count)
         if count < 1:
             raise InstrumentError(self.role, "the script", f"{count} frames were asked for; at least 1 is needed")
         times_s = self.script.clock.now() + self.frame_period_s * (np.arange(count, dtype=np.float64) + 0.5)
@@ -143,23 +145,23 @@ class ScriptedApplicator(ScriptedInstrument):
         self.down = False
 
     def home(self) -> None:
-        self.script.called(f"{self.role}.home")
+        self.script.record_call(f"{self.role}.home")
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
         """Find it 20 mm below the hover height."""
-        self.script.called(f"{self.role}.find_surface", x_mm, y_mm)
+        self.script.record_call(f"{self.role}.find_surface", x_mm, y_mm)
         return 20.0
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        self.script.called(f"{self.role}.move_to", x_mm, y_mm)
+        self.script.record_call(f"{self.role}.move_to", x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Be down, also when the call fails: a real head may be anywhere then."""
         self.down = True
-        self.script.called(f"{self.role}.press", depth_mm, speed_mm_s)
+        self.script.record_call(f"{self.role}.press", depth_mm, speed_mm_s)
 
     def release(self) -> None:
-        self.script.called(f"{self.role}.release")
+        self.script.record_call(f"{self.role}.release")
         self.down = False
 
     def safe_state(self) -> None:
@@ -179,7 +181,7 @@ class ScriptedLoadCell(ScriptedInstrument):
         self._applicator = applicator
 
     def samples_since(self, time_s: float) -> SampleBlock:
-        self.script.called(f"{self.role}.samples_since", time_s)
+        self.script.record_call(f"{self.role}.samples_since", time_s)
         first = int(np.floor(time_s * self.rate_hz + 1e-6)) + 1
         last = int(np.floor(self.script.clock.now() * self.rate_hz + 1e-6))
         times_s = [number / self.rate_hz for number in range(first, last + 1)]
@@ -189,7 +191,7 @@ class ScriptedLoadCell(ScriptedInstrument):
         return SampleBlock(self.channel, self.unit, times, forces)
 
 
-def scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: float = 2.5) -> Bench:
+def make_scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: float = 2.5) -> Bench:
     """Return a bench of three scripted instruments: frame source, force applicator, load cell."""
     applicator = ScriptedApplicator(script)
     frames = ScriptedFrames(script, sensor_type.pattern.shape, frame_period_s)

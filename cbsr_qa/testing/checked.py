@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import LinearReconstruction, PreparedReconstruction
+from cbsr_qa.domain.imaging import LinearReconstruction, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,9 @@ def relative(a: Array, b: Array) -> float:
 def demand(subject: object, holds: bool, otherwise: str) -> None:
     """Raise AssertionError naming the method or driver and what it did, unless a promise holds."""
     if not holds:
-        raise AssertionError(blamed(subject, otherwise))
+        raise AssertionError(describe_failure(subject, otherwise))
 
 
-def blamed(subject: object, what: str) -> str:
+def describe_failure(subject: object, what: str) -> str:
     """Describe a failure of a method (by its name) or a driver (by its type)."""
     return f"{getattr(subject, 'method', '') or type(subject).__name__} {what}"

@@ -12,14 +12,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import Motion, steps as kinematics
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit, join_frames
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import ForceApplicator, FrameSource, Instrument, Sampler
-from cbsr_qa.system import Clock, RealClock
-from cbsr_qa.testing.checked import Checked, blamed, demand
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan import steps as kinematics
+from cbsr_qa.domain.plan.plan import Motion
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit, join_frames
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.instruments import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.system.clock import Clock, RealClock
+from cbsr_qa.testing.checked import Checked, demand, describe_failure
 
 #: Safe states are reached within this time, besides the head's travel [s, real time].
 SAFE_WITHIN_S: Final = 1.0
@@ -166,7 +167,9 @@ def check_closing(instrument: Instrument, use: Callable[[], object]) -> Checked:
     except InstrumentError as error:
         return Checked("closing", f"then: {error.reason}")
     except Exception as error:
-        raise AssertionError(blamed(instrument, f"raises {type(error).__name__} when it is used closed")) from error
+        raise AssertionError(
+            describe_failure(instrument, f"raises {type(error).__name__} when it is used closed")
+        ) from error
     return Checked("closing", "twice; it can still be used")
 
 
@@ -183,7 +186,7 @@ class _Seen:
                 self._head, height_mm > 0.9 * self._hover_mm, f"is {height_mm:.3g} mm above the sheet after {after}"
             )
 
-    def at(self, depth_mm: float) -> None:
+    def demand_depth(self, depth_mm: float) -> None:
         """Demand that it is at a depth, to a tenth of a millimetre: surfaces are found to about that."""
         if self._depth_now_mm is not None:
             found_mm = self._depth_now_mm()
@@ -202,7 +205,7 @@ def _check_strokes(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm
         before_s = clock.now()
         head.press(depth, speed)
         took_s.append(clock.now() - before_s)
-        seen.at(depth)
+        seen.demand_depth(depth)
     before_s = clock.now()
     head.release()
     took_s.append(clock.now() - before_s)
@@ -293,7 +296,9 @@ def safe_state_s(instrument: Instrument) -> float:
     took_s = clock.now() - before_s
     demand(instrument, not thread.is_alive(), f"is not safe within {SAFE_WITHIN_S:g} s")
     if raised:
-        raise AssertionError(blamed(instrument, f"does not reach its safe state: {raised[0]}")) from raised[0]
+        raise AssertionError(describe_failure(instrument, f"does not reach its safe state: {raised[0]}")) from raised[
+            0
+        ]
     return took_s
 
 
@@ -303,5 +308,5 @@ def _refuses(instrument: Instrument, call: Callable[[], object], what: str) -> N
     except InstrumentError:
         return
     except Exception as error:
-        raise AssertionError(blamed(instrument, f"raises {type(error).__name__} for {what}")) from error
-    raise AssertionError(blamed(instrument, f"takes {what} without a word"))
+        raise AssertionError(describe_failure(instrument, f"raises {type(error).__name__} for {what}")) from error
+    raise AssertionError(describe_failure(instrument, f"takes {what} without a word"))

@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cbsr_qa.analysis import ask
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import Measurement, RunObservation
-from cbsr_qa.plugin import LoadMetric, RunMetric
+from cbsr_qa.analysis.evaluate import ask
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.plugin.interfaces import LoadMetric, RunMetric
 
 
 def convergence_order(errors: Sequence[float], sizes: Sequence[float]) -> float:

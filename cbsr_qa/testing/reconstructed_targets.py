@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.results import LinearReconstruction, PreparedReconstruction
-from cbsr_qa.eit.inverse import changes, scale_of
-from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.domain.imaging import LinearReconstruction, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.eit.inverse.scaling import changes, scale_of
+from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.testing.checked import COMMON, Checked, demand, is_linear, relative
 from cbsr_qa.testing.targets import (
     CONTRAST,
@@ -16,7 +16,7 @@ from cbsr_qa.testing.targets import (
     SymmetricProblem,
     blob_centre,
     example_problem,
-    found_at,
+    locate_target,
     noise_deviation,
     signal,
     symmetric_problem,
@@ -41,7 +41,7 @@ def check_places_and_signs(prepared: PreparedReconstruction, *, tolerance: float
     problem = prepared.problem
     radius, worst = problem.sensor_type.radius_mm, 0.0
     for sign in (1, -1):
-        centres = [found_at(prepared, at, sign * CONTRAST) for at in PLACES]
+        centres = [locate_target(prepared, at, sign * CONTRAST) for at in PLACES]
         wanted = [radius * np.array(at) for at in PLACES]
         for centre, place in zip(centres, wanted, strict=True):
             distance = float(np.hypot(*(centre - place))) / radius
@@ -109,7 +109,7 @@ def check_masked_electrodes(factory: Factory, *, tolerance: float = COMMON.maske
     radius, worst = sensor.radius_mm, 0.0
     for place in PLACES[:2]:
         worst = max(
-            worst, float(np.hypot(*(found_at(prepared, place, CONTRAST) - radius * np.array(place)))) / radius
+            worst, float(np.hypot(*(locate_target(prepared, place, CONTRAST) - radius * np.array(place)))) / radius
         )
     demand(
         prepared,

@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from cbsr_qa.domain import Array, CbsrError
-from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
-from cbsr_qa.testing.checked import COMMON, Checked, Tolerances, blamed, demand, is_linear, relative
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.imaging import ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.testing.checked import COMMON, Checked, Tolerances, demand, describe_failure, is_linear, relative
 from cbsr_qa.testing.reconstructed_targets import (
     Factory,
     check_masked_electrodes,
@@ -163,7 +164,9 @@ def check_refusals(prepared: PreparedReconstruction) -> Checked:
         except CbsrError as error:
             demand(prepared, bool(error.reason), f"refuses {name} without saying why")
         except Exception as error:
-            raise AssertionError(blamed(prepared, f"meets {name} with {type(error).__name__}: {error}")) from error
+            raise AssertionError(
+                describe_failure(prepared, f"meets {name} with {type(error).__name__}: {error}")
+            ) from error
         else:
             demand(prepared, False, f"makes an image of {name}")
     return Checked("refusals", ", ".join(wrong))

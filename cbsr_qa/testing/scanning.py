@@ -6,10 +6,10 @@ Conformance of self-tests: what ``cbsr-qa station check`` prints and stores of a
 import math
 from typing import Final
 
-from cbsr_qa.domain.run import CheckOutcome, CheckResult
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.plugin import Multiplexer, SelfTesting, SourceMeter
-from cbsr_qa.system import Clock
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.plugin.instruments import Multiplexer, SelfTesting, SourceMeter
+from cbsr_qa.system.clock import Clock
 from cbsr_qa.testing.checked import Checked, demand
 from cbsr_qa.testing.instruments import check_instrument, safe_state_s
 

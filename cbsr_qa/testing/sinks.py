@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-from cbsr_qa.domain.run import PhaseStarted, RunEvent, RunStarted, StepRetried, event_document, event_message
-from cbsr_qa.plugin import EventSink
+from cbsr_qa.domain.run.event_documents import event_document, event_message
+from cbsr_qa.domain.run.run import PhaseStarted, RunEvent, RunStarted, StepRetried
+from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.testing.bench import example_identity
 from cbsr_qa.testing.checked import demand
 
@@ -45,10 +46,12 @@ def check_sink(sink: EventSink, received: Callable[[], Sequence[Mapping[str, Any
         sink.deliver(batch)
     sink.close()
     sink.close()
-    demand(sink, _arrived(received, messages), f"delivered {list(received())} instead of {messages}")
+    demand(sink, _wait_for_messages(received, messages), f"delivered {list(received())} instead of {messages}")
 
 
-def _arrived(received: Callable[[], Sequence[Mapping[str, Any]]], messages: Sequence[Mapping[str, Any]]) -> bool:
+def _wait_for_messages(
+    received: Callable[[], Sequence[Mapping[str, Any]]], messages: Sequence[Mapping[str, Any]]
+) -> bool:
     deadline = time.monotonic() + _ARRIVAL_S
     while list(received()) != messages:
         if time.monotonic() > deadline:

@@ -17,13 +17,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import Array, Indices, Mask, RefusedError
-from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import imaging_problem, target_signal
-from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.imaging import ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
+from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.testing.checked import demand
 
 Factory = Callable[[], Reconstruction]
@@ -117,7 +121,7 @@ def symmetric_problem() -> SymmetricProblem:
     used = sensor.pattern.usable()
     reference = model.voltages()[used]
     problem = ImagingProblem(sensor, mesh, model.jacobian()[used], reference, used, measured=reference)
-    return SymmetricProblem(problem, _turned(mesh))
+    return SymmetricProblem(problem, _rotate_elements(mesh))
 
 
 def _mesh() -> Mesh:
@@ -160,7 +164,7 @@ def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Indice
     return np.vstack([outward, np.column_stack([near[~second], outer + middle + 1, next_near[~second]])])
 
 
-def _turned(mesh: Mesh) -> Indices:
+def _rotate_elements(mesh: Mesh) -> Indices:
     angle = 2 * np.pi / _ELECTRODES
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     nearest = cKDTree(mesh.centroids_mm).query(mesh.centroids_mm @ turn.T)
@@ -204,7 +208,7 @@ def signal(problem: ImagingProblem, at: tuple[float, float], contrast: float) ->
     )
 
 
-def found_at(prepared: PreparedReconstruction, at: tuple[float, float], contrast: float) -> Array:
+def locate_target(prepared: PreparedReconstruction, at: tuple[float, float], contrast: float) -> Array:
     """Centre [mm] of the blob a target makes, (2,).
 
     Raises

@@ -11,8 +11,8 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
-from cbsr_qa.config import validate_operator, validate_reason
-from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.web.gate import check_pin, gate_view, has_pin
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
@@ -42,37 +42,37 @@ class Actions:
         self._beginning = {station: asyncio.Lock() for station in line.stations}
         self._pins = Guesses()
 
-    def by_name(self) -> dict[str, Action]:
+    def list_actions(self) -> dict[str, Action]:
         """Return the actions of a station by the last part of their address."""
-        asked = {do: self._told(do) for do in _DONE}
+        asked = {do: self._make_request(do) for do in _DONE}
         own = {"check": self.check, "start": self.start, "resume": self.resume, "answer": self.answer}
-        return {name: self._worded(action) for name, action in (asked | own).items()}
+        return {name: self._word_refusals(action) for name, action in (asked | own).items()}
 
     async def check(self, station: str, form: dict[str, str]) -> Response:
         """Say whether a sensor may be tested, and offer to start."""
         watch = self._line.stations[station]
         if not form.get("serial"):
             raise RefusedError(text("station.no_sensor_asked"))
-        wanted = StartForm.of(watch.served, form)
+        wanted = StartForm.from_form(watch.served, form)
         view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database)
         gate = ["gate", self._pages.gate(station, wanted, view)]
         # What was interrupted stays on the page, with its warning, until it is resumed or another run begins.
         stays = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
-        return _said(parts=[gate] if stays else [gate, ["verdict", ""]])
+        return _json_answer(parts=[gate] if stays else [gate, ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
-        wanted = StartForm.of(watch.served, form)
+        wanted = StartForm.from_form(watch.served, form)
         guesser = await self.count_pin(station, wanted.operator, wanted.pin)
         view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database, with_pin=True)
         if view.pin_is_right:
             self._pins.accept(guesser)
         if not view.may:
-            return _said(parts=[["gate", self._pages.gate(station, wanted, view)]])
+            return _json_answer(parts=[["gate", self._pages.gate(station, wanted, view)]])
         arguments = wanted.arguments(watch.served, self._line.database)
         await self._begin(station, arguments, wanted.serial, wanted.pin)
-        return _said(words=text("station.started", serial=wanted.serial))
+        return _json_answer(words=text("station.started", serial=wanted.serial))
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
@@ -87,7 +87,7 @@ class Actions:
         self._pins.accept(guesser)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
         await self._begin(station, arguments, look.serial, pin)
-        return _said(words=text("station.resumed"))
+        return _json_answer(words=text("station.resumed"))
 
     async def count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
         """Return whose PIN this is a guess of. TooManyGuessesError if it is not compared yet.
@@ -117,30 +117,32 @@ class Actions:
             raise RefusedError(text("prompt.other"))
         answer = validate_reason(form.get("text", ""))
         why = await channel.ask("answer", by=text("control.at_the_page"), prompt=int(number), text=answer)
-        return _said(words=why or text("control.answered"))
+        return _json_answer(words=why or text("control.answered"))
 
-    def _told(self, do: str) -> Action:
+    def _make_request(self, do: str) -> Action:
         async def tell(station: str, form: dict[str, str]) -> Response:
             why = await self._line.stations[station].channel.ask(do, by=text("control.at_the_page"))
             LOG.info("%s: %s asked for%s", station, do, f", refused: {why}" if why else "")
-            return _said(words=why or text(_DONE[do]))
+            return _json_answer(words=why or text(_DONE[do]))
 
         return tell
 
-    def _worded(self, action: Action) -> Action:
-        async def worded(station: str, form: dict[str, str]) -> Response:
+    def _word_refusals(self, action: Action) -> Action:
+        async def answer_in_words(station: str, form: dict[str, str]) -> Response:
             try:
                 return await action(station, form)
             except TooManyGuessesError as wait:
                 LOG.warning("%s: too many wrong PINs", station)
-                return _said(words=text("refused.pins", operator=form.get("operator", ""), seconds=wait.wait_s))
+                return _json_answer(
+                    words=text("refused.pins", operator=form.get("operator", ""), seconds=wait.wait_s)
+                )
             except CbsrError as error:
                 LOG.warning("%s: %s", station, error.reason)
                 words = refusal_words(error)
-                return _said(words=words, parts=[["gate", ""]])
+                return _json_answer(words=words, parts=[["gate", ""]])
 
-        return worded
+        return answer_in_words
 
 
-def _said(**what: Any) -> Response:
+def _json_answer(**what: Any) -> Response:
     return JSONResponse(what)

@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.files import calibration_response, prompt_picture, report_response
 from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right, client_of
@@ -65,10 +65,13 @@ def make_application(line: Line, access: Access) -> Guard:
         ("/sensors/{serial}", site.sensor),
     ]
     routes = [
-        *(Route(path, site.guarded(endpoint)) for path, endpoint in look),
+        *(Route(path, site.guard_page(endpoint)) for path, endpoint in look),
         Route("/static/{name}", site.static),
         Route("/sign-in", site.sign_in, methods=["GET", "POST"]),
-        *(post(f"{station}/{name}", site.of_station(action)) for name, action in actions.by_name().items()),
+        *(
+            post(f"{station}/{name}", site.route_to_station(action))
+            for name, action in actions.list_actions().items()
+        ),
     ]
     failed: dict[type[Exception] | int, Callable[[Request, Exception], Awaitable[Response]]] = {
         HTTPException: site.problem,
@@ -86,23 +89,23 @@ class Site:
         folder = files(__package__).joinpath("static")
         self._static = {name: folder.joinpath(name).read_bytes() for name in _STATIC}
 
-    def guarded(self, endpoint: Endpoint) -> Endpoint:
+    def guard_page(self, endpoint: Endpoint) -> Endpoint:
         """Return an endpoint that asks who may not look to sign in; a token in the address signs in."""
 
         async def endpoint_for_viewers(request: Request) -> Response:
             if "token" in request.query_params:
-                return self._signed_in(request, request.query_params["token"], request.url.path)
+                return self._sign_in(request, request.query_params["token"], request.url.path)
             if request.scope["cbsr_right"] < Right.LOOK:
                 return self._sign_in_page(HTTPStatus.UNAUTHORIZED)
             return await endpoint(request)
 
         return endpoint_for_viewers
 
-    def of_station(self, action: Callable[[str, dict[str, str]], Awaitable[Response]]) -> Endpoint:
+    def route_to_station(self, action: Callable[[str, dict[str, str]], Awaitable[Response]]) -> Endpoint:
         """Return an endpoint for an action, which gets the station and the fields of the form."""
 
         async def endpoint_for_action(request: Request) -> Response:
-            return await action(self._known(request), await _form(request))
+            return await action(self._check_station(request), await _form(request))
 
         return endpoint_for_action
 
@@ -110,13 +113,13 @@ class Site:
         return HTMLResponse(self._pages.overview(control=_controls(request)))
 
     async def station(self, request: Request) -> Response:
-        return HTMLResponse(self._pages.station(self._known(request), control=_controls(request)))
+        return HTMLResponse(self._pages.station(self._check_station(request), control=_controls(request)))
 
     async def overview_events(self, request: Request) -> Response:
         return self._events(Viewer(None, _controls(request)), self._pages.overview_parts, lambda: "")
 
     async def station_events(self, request: Request) -> Response:
-        name = self._known(request)
+        name = self._check_station(request)
         watch = self._line.stations[name]
 
         def picture() -> str:
@@ -133,13 +136,13 @@ class Site:
         return EventStream(self._line, viewer, parts, picture)
 
     async def image(self, request: Request) -> Response:
-        live = self._line.stations[self._known(request)].live
+        live = self._line.stations[self._check_station(request)].live
         if live is None or live.run != request.path_params["run"] or not live.picture:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         return Response(live.picture, media_type="image/png")
 
     async def prompt(self, request: Request) -> Response:
-        channel = self._line.stations[self._known(request)].channel
+        channel = self._line.stations[self._check_station(request)].channel
         return await run_in_threadpool(prompt_picture, channel, request.path_params["number"])
 
     async def report(self, request: Request) -> Response:
@@ -171,9 +174,9 @@ class Site:
     async def sign_in(self, request: Request) -> Response:
         if request.method == "GET":
             return self._sign_in_page(HTTPStatus.OK)
-        return self._signed_in(request, (await _form(request)).get("token", ""), "/")
+        return self._sign_in(request, (await _form(request)).get("token", ""), "/")
 
-    def _signed_in(self, request: Request, token: str, path: str) -> Response:
+    def _sign_in(self, request: Request, token: str, path: str) -> Response:
         try:
             if self._access.check_token(token, client_of(request.scope)):
                 return RedirectResponse(path, HTTPStatus.SEE_OTHER, {"set-cookie": self._access.set_cookie()})
@@ -186,7 +189,7 @@ class Site:
     def _sign_in_page(self, status: int, why: str = "", headers: dict[str, str] | None = None) -> Response:
         return HTMLResponse(self._pages.page("sign_in", control=True, why=why), status, headers)
 
-    def _known(self, request: Request) -> str:
+    def _check_station(self, request: Request) -> str:
         name = str(request.path_params["station"])
         if name not in self._line.stations:
             known = ", ".join(self._line.stations)

@@ -7,8 +7,9 @@ from contextlib import suppress
 from itertools import count
 from typing import Any, Final
 
-from cbsr_qa.station.control import LONGEST_LINE, control_socket
-from cbsr_qa.system import parsed_json
+from cbsr_qa.station.control.lock import control_socket
+from cbsr_qa.station.control.server import LONGEST_LINE
+from cbsr_qa.system.json_text import parse_json
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.state import Control, control_of
 from cbsr_qa.web.texts import text
@@ -72,7 +73,7 @@ class ChannelClient:
     async def _read(self, reader: asyncio.StreamReader) -> None:
         while line := await reader.readline():
             try:
-                document = parsed_json(line)
+                document = parse_json(line)
                 self._take(document)
             except (AttributeError, KeyError, TypeError, ValueError) as error:
                 LOG.warning("%s: the run's channel sent something else: %r", self._station, error)

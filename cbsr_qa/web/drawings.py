@@ -10,9 +10,10 @@ from typing import Any, Final, Self
 import numpy as np
 from matplotlib.colors import to_hex
 
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report.draw import CHANGE_MAP, sheet_path
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.report.draw.sheet import sheet_path
+from cbsr_qa.report.draw.style import CHANGE_MAP
 
 #: Size of a trace's drawing, in its own units.
 WIDTH: Final = 480.0
@@ -75,7 +76,7 @@ def trace(points: Sequence[tuple[float, float]], span_s: float, least: float) ->
     if not points:
         return Trace("", 0.0, least, None, None)
     values = [value for _, value in points]
-    low, high = _rounded(min(0.0, *values), max(least, *values))
+    low, high = _widen_range(min(0.0, *values), max(least, *values))
     end_s = points[-1][0]
 
     def y(value: float) -> float:
@@ -85,7 +86,7 @@ def trace(points: Sequence[tuple[float, float]], span_s: float, least: float) ->
     return Trace(line, low, high, values[-1], y(0.0) if low <= 0 <= high else None)
 
 
-def _rounded(low: float, high: float) -> tuple[float, float]:
+def _widen_range(low: float, high: float) -> tuple[float, float]:
     """Widen a range to round numbers, so that the scale rarely changes."""
     step = 10.0 ** floor(log10(max(high - low, 1e-9)))
     step = step if (high - low) / step >= 4 else step / 2
@@ -113,7 +114,7 @@ class SheetDrawing:
     head_r: float
 
     @classmethod
-    def of(cls, sensor_type: SensorType, indenter: Indenter) -> Self:
+    def from_sensor_type(cls, sensor_type: SensorType, indenter: Indenter) -> Self:
         low_x, high_x, low_y, high_y = sensor_type.outline.extent_mm
         width, height = high_x - low_x, high_y - low_y
         margin = 0.04 * max(width, height)

@@ -7,11 +7,13 @@ from typing import Final
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from cbsr_qa.config import PICTURES, database_url, reports_folder
-from cbsr_qa.report import report_name
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.store.runs import RunLook
-from cbsr_qa.system import read_foreign
+from cbsr_qa.config.paths import database_url, reports_folder
+from cbsr_qa.config.recipe import PICTURES
+from cbsr_qa.report.render import report_name
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.runs.live import RunLook
+from cbsr_qa.system.foreign import read_foreign
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import REPORT_POLICY
 from cbsr_qa.web.texts import text

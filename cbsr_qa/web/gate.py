@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from cbsr_qa.app.gate import asks_pin, is_pin_of
-from cbsr_qa.app.run import RunRequest, preview_gate
-from cbsr_qa.config import load_station
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import GateCheck
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.app.gate.people import asks_pin, is_pin_of
+from cbsr_qa.app.run.run import RunRequest, preview_gate
+from cbsr_qa.config.loader import load_station
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import text

@@ -154,15 +154,15 @@ class Guard:
             await self._inner(scope, receive, send)
             return
         try:
-            scope["cbsr_right"] = self._checked(scope)
+            scope["cbsr_right"] = self._check_request(scope)
             body = await _body(receive) if scope["method"] not in ("GET", "HEAD") else b""
         except RefusedRequestError as refusal:
             LOG.warning("refused %s %s: %s", scope["method"], quote(scope["path"])[:120], refusal.words)
             await _answer(refusal, send)
             return
-        await self._inner(scope, _replayed(body, receive), _with_headers(send))
+        await self._inner(scope, _replay_body(body, receive), _with_headers(send))
 
-    def _checked(self, scope: Scope) -> Right:
+    def _check_request(self, scope: Scope) -> Right:
         headers = _headers(scope)
         if headers.get(b"host", b"").decode("latin-1").lower() not in self._access.hosts:
             raise RefusedRequestError(421, text("refused.host"))
@@ -248,7 +248,7 @@ async def _body(receive: Receive) -> bytes:
         raise RefusedRequestError(408, text("refused.slow")) from None
 
 
-def _replayed(body: bytes, receive: Receive) -> Receive:
+def _replay_body(body: bytes, receive: Receive) -> Receive:
     waiting = [body]
 
     async def replay() -> MutableMapping[str, Any]:
@@ -260,13 +260,13 @@ def _replayed(body: bytes, receive: Receive) -> Receive:
 
 
 def _with_headers(send: Send) -> Send:
-    async def sent(message: MutableMapping[str, Any]) -> None:
+    async def send_with_headers(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
             own = {name.lower() for name, _ in message["headers"]}
             message["headers"] = [*message["headers"], *(one for one in _HEADERS.items() if one[0] not in own)]
         await send(message)
 
-    return sent
+    return send_with_headers
 
 
 async def _answer(refusal: RefusedRequestError, send: Send) -> None:

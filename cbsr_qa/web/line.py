@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from cbsr_qa.config import database_url
+from cbsr_qa.config.paths import database_url
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
@@ -54,7 +54,7 @@ class Line:
         """Why the store cannot be read; empty if it can."""
         return self._watcher.trouble
 
-    def in_progress(self) -> frozenset[str]:
+    def runs_in_progress(self) -> frozenset[str]:
         """Return the runs in progress."""
         shown = (one.snapshot for one in self.stations.values())
         return frozenset(one.look.run for one in shown if one is not None and one.look is not None and one.mode.live)

@@ -9,17 +9,19 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import LivePreview, PlacePreview
-from cbsr_qa.config import Configuration, restore
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.domain.plan import Press, Role
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
-from cbsr_qa.domain.run import Load, LoadRecord
-from cbsr_qa.plugin import Kind, Plugins, create_plugin
-from cbsr_qa.report.draw import Raster
-from cbsr_qa.station import ScheduledPhase, plan_of, schedule
-from cbsr_qa.store import Repository
-from cbsr_qa.store.runs import LivePhase, RunTail
+from cbsr_qa.analysis.run.live import LivePreview, PlacePreview
+from cbsr_qa.config.merging import Configuration, restore
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.plan.steps import Press, Role
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.draw.sheet import Raster
+from cbsr_qa.station.plan import ScheduledPhase, schedule
+from cbsr_qa.station.setup import plan_of
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.runs.live import LivePhase, RunTail
 from cbsr_qa.web.drawings import SheetDrawing, png
 
 #: Length of the traces [s of the run].
@@ -88,7 +90,9 @@ class LiveRun:
         self._store, self._plugins = store, plugins
         self.configuration: Configuration = restore(store.configuration(run))
         self._schedule: tuple[ScheduledPhase, ...] = schedule(plan_of(self.configuration, plugins))
-        self._sheet = SheetDrawing.of(self.configuration.sensor_type, self.configuration.station.indenter)
+        self._sheet = SheetDrawing.from_sensor_type(
+            self.configuration.sensor_type, self.configuration.station.indenter
+        )
         self._tail: RunTail | None = None
         self._preview: LivePreview | None = None
         self._raster: Raster | None = None
@@ -135,8 +139,8 @@ class LiveRun:
             places=tuple(self._places(current, pressed)),
             frame=self._frames if self.picture else 0,
             change_percent=100 * self._change,
-            force_N=thinned(self._force),
-            conductance_percent=thinned(self._conductance),
+            force_N=thin_trace(self._force),
+            conductance_percent=thin_trace(self._conductance),
             silent_s=None if self._frame_at is None else monotonic() - self._frame_at,
             no_image=self._no_image,
         )
@@ -194,7 +198,7 @@ class LiveRun:
         try:
             choice = self.configuration.recipe.reconstruction
             reconstruction = create_plugin(self._plugins, Kind.RECONSTRUCTION, choice, "[reconstruction]")
-            self._preview = LivePreview.of(sensor_type, station.indenter, settings, reconstruction, unloaded)
+            self._preview = LivePreview.prepare(sensor_type, station.indenter, settings, reconstruction, unloaded)
         except CbsrError as error:
             self._no_image = error.reason
             return
@@ -237,7 +241,7 @@ def _forget(trace: deque[tuple[float, float]]) -> None:
         trace.popleft()
 
 
-def thinned(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[tuple[float, float], ...]:
+def thin_trace(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[tuple[float, float], ...]:
     """Return a trace of at most this many points: of each stretch its lowest and its highest, in order."""
     points = list(trace)
     if len(points) <= most:

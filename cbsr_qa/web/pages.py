@@ -10,8 +10,9 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cbsr_qa.domain.results import ALTERED, EndReason, ListedRun
-from cbsr_qa.store.runs import RunLook
+from cbsr_qa.domain.results.listed import ALTERED, ListedRun
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
 from cbsr_qa.web.line import Line
@@ -67,7 +68,7 @@ class Part:
     key: str
 
     @classmethod
-    def of(cls, place: str, html: str, layout: str | None = None) -> Self:
+    def from_html(cls, place: str, html: str, layout: str | None = None) -> Self:
         """Return a part that changes with its HTML, or with the layout given."""
         content = html if layout is None else layout
         return cls(place, html, hashlib.blake2b(content.encode(), digest_size=6).hexdigest())
@@ -87,7 +88,7 @@ def verdict_kind(snapshot: Snapshot) -> str:
     return "none" if look.verdict is None else str(look.verdict).replace(" ", "_")
 
 
-def listed_kind(run: ListedRun, in_progress: frozenset[str]) -> str:
+def kind_of_result(run: ListedRun, in_progress: frozenset[str]) -> str:
     """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
     if run.run in in_progress:
         return "running"
@@ -103,10 +104,12 @@ def reason_words(snapshot: Snapshot) -> str:
     look = snapshot.look
     if look is None:
         return ""
-    return look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else decided_words(look)
+    return (
+        look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else describe_decision(look)
+    )
 
 
-def decided_words(run: RunLook | ListedRun) -> str:
+def describe_decision(run: RunLook | ListedRun) -> str:
     """Return what decided the verdict that counts."""
     if run.decision is None:
         return run.reason
@@ -206,9 +209,9 @@ def _environment() -> Environment:
         "trace_minutes": f"{TRACE_S / 60:g}",
         "scale_colours": scale_colours(),
         "verdict_kind": verdict_kind,
-        "listed_kind": listed_kind,
+        "listed_kind": kind_of_result,
         "reason_words": reason_words,
-        "decided_words": decided_words,
+        "decided_words": describe_decision,
         "minutes_left": minutes_left,
         "step_words": step_words,
         "phase_words": phase_words,
@@ -239,7 +242,7 @@ class Pages:
         common = {
             "stations": list(self._line.stations),
             "trouble": self._line.trouble,
-            "in_progress": self._line.in_progress(),
+            "in_progress": self._line.runs_in_progress(),
         }
         return self._environment.get_template(f"{template}.html.j2").render(
             common | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names
@@ -275,7 +278,7 @@ class Pages:
         snapshot = self._line.stations[name].snapshot
         kept = self._cards.get(name)
         if kept is None or kept[0] is not snapshot:
-            kept = snapshot, Part.of(place, self.fragment("card", s=snapshot, name=name))
+            kept = snapshot, Part.from_html(place, self.fragment("card", s=snapshot, name=name))
             self._cards[name] = kept
         return kept[1]
 
@@ -290,7 +293,7 @@ class Pages:
 
     def _station_parts(self, name: str, snapshot: Snapshot | None, trouble: str) -> list[Part]:
         own = self._names(name)
-        parts = [Part.of("body", self.fragment("body", **own), _layout(snapshot))]
+        parts = [Part.from_html("body", self.fragment("body", **own), _layout(snapshot))]
         parts += [self._part("state", **own), self._part("trouble", trouble=trouble or _trouble(snapshot))]
         if snapshot is None:
             return parts
@@ -300,7 +303,7 @@ class Pages:
 
     def _part(self, place: str, **names: Any) -> Part:
         html = self.fragment(place, **names)
-        return Part.of(place, html)
+        return Part.from_html(place, html)
 
     def _names(self, name: str) -> dict[str, Any]:
         watch = self._line.stations[name]
@@ -311,7 +314,7 @@ class Pages:
             "base": _base(name),
             "recipes": recipes,
             "asks_operator": watch.served.asks_operator,
-            "chosen_recipe": lambda snapshot: _chosen(recipes, snapshot),
+            "chosen_recipe": lambda snapshot: _choose_recipe(recipes, snapshot),
         }
 
 
@@ -331,7 +334,7 @@ def _trouble(snapshot: Snapshot | None) -> str:
     return "" if snapshot is None else snapshot.trouble
 
 
-def _chosen(recipes: Sequence[OfferedRecipe], snapshot: Snapshot | None) -> str:
+def _choose_recipe(recipes: Sequence[OfferedRecipe], snapshot: Snapshot | None) -> str:
     names = [recipe.name for recipe in recipes]
     last = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
     return last if last in names else names[0]

@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app import own_command
-from cbsr_qa.config import var_folder, writable_folder
-from cbsr_qa.domain import ConfigError, off_command_line
+from cbsr_qa.app.command_hints import own_command
+from cbsr_qa.config.paths import var_folder, writable_folder
+from cbsr_qa.domain.errors import ConfigError, off_command_line
 from cbsr_qa.web.guard import LOG
 
 _LOG_NAME: Final = "%Y%m%dT%H%M%S%f"
@@ -44,7 +44,7 @@ class Started:
         """Exit code once it has ended; None also for a process of before."""
         return None if self.process is None else self.process.poll()
 
-    def refused(self) -> str:
+    def describe_refusal(self) -> str:
         """Return why it has ended without a run; empty if it has not, as far as is known."""
         if self.process is not None and not self.ended:
             return ""

@@ -17,15 +17,15 @@ from typing import Final
 
 import uvicorn
 
-from cbsr_qa.config import var_folder, writable_folder
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.system import read_foreign
+from cbsr_qa.config.paths import var_folder, writable_folder
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.system.foreign import read_foreign
 from cbsr_qa.web.application import make_application
 from cbsr_qa.web.connections import connection_settings
 from cbsr_qa.web.guard import LOG, Access
 from cbsr_qa.web.handshakes import ListeningSocket, ServerLoop
 from cbsr_qa.web.line import Line
-from cbsr_qa.web.stations import served_stations
+from cbsr_qa.web.stations import load_stations
 
 #: Shortest token that somebody may choose.
 _SHORTEST: Final = 16
@@ -67,7 +67,7 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
     """
     _log_to_stderr()
     _raise_file_limit()
-    served = served_stations(request.stations, request.recipes)
+    served = load_stations(request.stations, request.recipes)
     loopback = _is_loopback(request.host)
     tls = _certificate(request, loopback=loopback)
     token = _token(request)

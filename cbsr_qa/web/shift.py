@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from starlette.exceptions import HTTPException
 
-from cbsr_qa.config import database_url, validate_serial
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.domain.results import Banner, Figure, RunSelection, Section
-from cbsr_qa.store import open_store
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.serials import validate_serial
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.report import Banner, Figure, Section
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.texts import text
 
 if TYPE_CHECKING:
-    from cbsr_qa.studies.charts import MetricChart
+    from cbsr_qa.studies.charts.charting import MetricChart
 
 #: Charts that are drawn of a station, recipe and golden sensor, those that signal first.
 _MOST_DRAWN: Final = 6
@@ -53,13 +55,13 @@ class StationChartsView:
 
 def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any]:
     """Return what the shift view shows: today's runs of the served stations."""
-    from cbsr_qa.studies.shift import local_day, shift_summary  # with all of statistics behind it
+    from cbsr_qa.app.shift.summary import local_day, shift_summary  # with all of statistics behind it
 
     since, until = local_day()
     selection = RunSelection(stations=stations, from_moment=since, before_moment=until, checks=False)
     with open_store(database_url(database)) as store:
         summary = shift_summary(store, selection)
-        runs = store.listed_runs(selection)
+        runs = store.list_runs(selection)
         references = {name: store.chart_references(name) for name in stations}
     groups = dict.fromkeys((name, one.recipe, one.golden or "") for name, held in references.items() for one in held)
     charts = tuple(_charts(database, *group) for group in groups)
@@ -67,7 +69,9 @@ def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any
 
 
 def _charts(database: str | None, station: str, recipe: str, golden: str) -> StationChartsView:
-    from cbsr_qa.studies.charts import ChartsRequest, charts_outcome, control_charts
+    from cbsr_qa.studies.charts.charts import control_charts
+    from cbsr_qa.studies.charts.report import charts_outcome
+    from cbsr_qa.studies.charts.request import ChartsRequest
 
     try:
         charts = control_charts(ChartsRequest(station, recipe, golden or None), database=database)
@@ -98,7 +102,7 @@ def _pictures(chart: "MetricChart", section: Section) -> Iterator[ChartPicture]:
 
 def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
     """Return what the view of a sensor shows."""
-    from cbsr_qa.studies.shift import sensor_runs
+    from cbsr_qa.app.shift.lists import sensor_runs
 
     validate_serial(serial)
     with open_store(database_url(database)) as store:

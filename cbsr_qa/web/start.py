@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
-from cbsr_qa.app.gate import Override
-from cbsr_qa.config import validate_batch, validate_operator, validate_serial
+from cbsr_qa.app.gate.request import Override
+from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 
@@ -21,7 +21,7 @@ class StartForm:
     pin: str = field(default="", repr=False)
 
     @classmethod
-    def of(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
+    def from_form(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
         """Check the fields of a form. RefusedError names the first that is not allowed."""
         return cls(
             serial=validate_serial(form.get("serial", "")),
@@ -32,7 +32,7 @@ class StartForm:
                 tuple(filter(None, form.get("override", "").split())),
                 form.get("override_by", ""),
                 form.get("override_why", ""),
-            ).checked(),
+            ).validate(),
             pin=form.get("pin", ""),
         )
 

@@ -6,8 +6,8 @@ from enum import StrEnum
 from time import monotonic
 from typing import Any
 
-from cbsr_qa.domain.results import EndReason, ResultState
-from cbsr_qa.store.runs import RunLook
+from cbsr_qa.domain.run.states import EndReason, ResultState
+from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.live_run import LiveView
 
 
@@ -131,7 +131,7 @@ def mode_of(
     starting : whether a process that this page started is alive.
     begun : whether ``look`` is of that process.
     """
-    if control is not None and not _ended(control, look):
+    if control is not None and not _has_ended(control, look):
         if control.prompt is not None:
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
@@ -143,7 +143,7 @@ def mode_of(
     return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE
 
 
-def _ended(control: Control, look: RunLook | None) -> bool:
+def _has_ended(control: Control, look: RunLook | None) -> bool:
     return look is not None and look.run == control.run and look.end is not EndReason.RUNNING
 
 

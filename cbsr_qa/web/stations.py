@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.config import DocumentKind, load_recipe, load_station, shipped_names
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, Station
-from cbsr_qa.plugin import Plugins, discover
+from cbsr_qa.config.documents import DocumentKind, list_shipped
+from cbsr_qa.config.loader import load_recipe, load_station
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.plan.plan import Station
+from cbsr_qa.plugin.discovery import Plugins, discover
 
 #: A station's name is part of addresses.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]*")
@@ -51,7 +53,7 @@ class ServedStation:
         raise RefusedError(f"recipe {name[:64]!r} is not offered here", remedy=f"offered: {offered}")
 
 
-def served_stations(stations: Sequence[str], recipes: Sequence[str]) -> tuple[ServedStation, ...]:
+def load_stations(stations: Sequence[str], recipes: Sequence[str]) -> tuple[ServedStation, ...]:
     """Load stations and recipes.
 
     Parameters
@@ -64,13 +66,13 @@ def served_stations(stations: Sequence[str], recipes: Sequence[str]) -> tuple[Se
         If a file is missing or wrong, a name cannot be part of an address, or two have the same name.
     """
     plugins = discover()
-    offered = _offered(recipes, plugins)
-    served = tuple(_served(source, offered, plugins) for source in stations)
+    offered = _load_recipes(recipes, plugins)
+    served = tuple(_load_station(source, offered, plugins) for source in stations)
     _check_unique("station", [(one.name, one.source) for one in served])
     return served
 
 
-def _served(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plugins) -> ServedStation:
+def _load_station(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plugins) -> ServedStation:
     station = load_station(source, plugins).value
     if not _NAME.fullmatch(station.name):
         raise ConfigError(
@@ -80,16 +82,16 @@ def _served(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plugins) -
     return ServedStation(station.name, source, station, offered)
 
 
-def _offered(recipes: Sequence[str], plugins: Plugins) -> tuple[OfferedRecipe, ...]:
-    sources = tuple(recipes) or _shipped_recipes()
+def _load_recipes(recipes: Sequence[str], plugins: Plugins) -> tuple[OfferedRecipe, ...]:
+    sources = tuple(recipes) or _list_shipped_recipes()
     offered = tuple(OfferedRecipe(load_recipe(source, plugins).value.name, source) for source in sources)
     _check_unique("recipe", [(one.name, one.source) for one in offered])
     return offered
 
 
-def _shipped_recipes() -> tuple[str, ...]:
+def _list_shipped_recipes() -> tuple[str, ...]:
     """The shipped recipes for a line, the shortest production test first."""
-    names = shipped_names(DocumentKind.RECIPE)
+    names = list_shipped(DocumentKind.RECIPE)
     return tuple(sorted(names, key=lambda name: (name != "nine-locations", name)))
 
 

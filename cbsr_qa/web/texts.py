@@ -6,7 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Final
 
-from cbsr_qa.domain import CbsrError, off_command_line
+from cbsr_qa.domain.errors import CbsrError, off_command_line
 
 _FILE: Final = "texts.toml"
 

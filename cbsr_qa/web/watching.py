@@ -6,12 +6,13 @@ from contextlib import closing
 from time import monotonic
 from typing import Final
 
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.domain.run import CheckOutcome
-from cbsr_qa.plugin import Plugins, discover
-from cbsr_qa.station.control import station_holder
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.store.runs import ChangeNotice, RunLook
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.run.station import CheckOutcome
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.station.control.lock import station_holder
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.runs.live import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import LiveRun, LiveView
@@ -87,7 +88,7 @@ class StationWatch:
         """Have a look soon."""
         self._due = True
 
-    def written(self, store: Repository) -> None:
+    def look_soon(self, store: Repository) -> None:
         """Have a look soon if what was written is of the run in progress."""
         if self._due or self.live is None:
             self._due = self._due or self.busy
@@ -120,7 +121,7 @@ class StationWatch:
             look=self.look,
             live=live,
             starting=started.what if started is not None else "",
-            refused=self._refused(),
+            refused=self._describe_refusal(),
             trouble=trouble or _silence(mode, live),
             health=self._health,
             healthy=self._healthy,
@@ -161,10 +162,10 @@ class StationWatch:
         self._said = words
         return words
 
-    def _refused(self) -> str:
+    def _describe_refusal(self) -> str:
         """Return why the run that was started last never began."""
         started = self.started
-        words = "" if started is None or self._begun else started.refused()
+        words = "" if started is None or self._begun else started.describe_refusal()
         if not words or started is None or started.process is not None:
             return words
         return f"{text('station.refused_at', when=f'{started.at:%Y-%m-%d %H:%M}')}\n{words}"
@@ -235,9 +236,9 @@ class Watcher(threading.Thread):
             while not self._stopped:
                 self._woken.wait(_LOOK_S)
                 self._woken.clear()
-                if notice.changed():
+                if notice.has_changed():
                     for station in self._stations:
-                        station.written(store)
+                        station.look_soon(store)
                 fresh = [one.served.name for one in self._stations if one.refresh(store, plugins)]
                 if fresh:
                     self._publish(fresh)

@@ -16,9 +16,10 @@ from simulation_figures import worlds
 from simulation_figures.look import CLOSED, Draw, as_file, disc_map, key, panels, say
 from simulation_figures.worlds import Array
 
-from cbsr_qa.calibration.sheet import ResponseMap, learn_response, response_map
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.report.draw import BLUE, VERMILION
+from cbsr_qa.calibration.sheet import response_map
+from cbsr_qa.calibration.sheet.response_map import ResponseMap, learn_response
+from cbsr_qa.plugin import NINE_LOCATIONS_MM
+from cbsr_qa.report.draw.style import BLUE, VERMILION
 
 FOLDER: Final = Path(__file__).resolve().parents[1] / "explanation" / "figures" / "force"
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.studies.frontier import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses import presses_figure
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
+from cbsr_qa.studies.frontier.presses.figures import presses_figure
 
 TABLE: Final = Path(__file__).resolve().parents[1] / "explanation" / "place.md"
 FIGURE: Final = TABLE.parent / "figures" / "frontier" / "presses.svg"

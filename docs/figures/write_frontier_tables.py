@@ -13,17 +13,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.studies.frontier import (
-    Accuracy,
-    Point,
-    Recommendation,
-    TimeBasis,
-    station_svg,
-    stored,
-    table_of,
-    worth_the_station,
-)
-from cbsr_qa.studies.frontier.computer import computer_work, worth_their_time
+from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
+from cbsr_qa.studies.frontier.figures import station_svg
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.recommend import Recommendation
+from cbsr_qa.studies.frontier.report import table_of
+from cbsr_qa.studies.frontier.station import worth_the_station
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"
@@ -135,7 +130,7 @@ def main(arguments: Sequence[str]) -> None:
     """Take points from a file, or measure them, and write the page."""
     if arguments:
         documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
-        points = [stored(Point, document) for document in documents]
+        points = [restore(Point, document) for document in documents]
     else:
         points = []
         for work in computer_work():

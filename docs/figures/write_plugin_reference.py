@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from cbsr_qa.plugin import discover, reference_page
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.reference import reference_page
 
 PAGE = Path(__file__).parents[1] / "reference" / "plugins.md"
 

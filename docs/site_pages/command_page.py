@@ -9,7 +9,8 @@ from typing import Any
 
 from typer.main import get_command
 
-from cbsr_qa.cli import app, commands, documents
+from cbsr_qa.cli.command import commands, documents
+from cbsr_qa.cli.main import app
 
 _BEGIN = """\
 # Commands

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-from cbsr_qa.cli import documents
+from cbsr_qa.cli.command import documents
 from cbsr_qa.plugin import hooks as hook_module
-from cbsr_qa.report import json_schema
+from cbsr_qa.report.document import json_schema
 
 #: Doors that a plugin author takes names from.
 DOORS = (

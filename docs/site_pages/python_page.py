@@ -12,8 +12,8 @@ from typing import Any
 import interface_pages
 
 import cbsr_qa
-from cbsr_qa.cli import documents
-from cbsr_qa.interface import Result
+from cbsr_qa.cli.command import documents
+from cbsr_qa.interface.result import Result
 
 _SECTION = re.compile(r"^### `(\w+)`\n\n(.*?)(?=^##|\Z)", re.M | re.S)
 _ARRAY_LIKE = re.compile(r"Union\[numpy\._typing\._array_like\._Buffer.*?\[complex \| bytes \| str\](, NoneType)?\]")

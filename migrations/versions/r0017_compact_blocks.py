@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from alembic import op
 
-from cbsr_qa.store import compact, restored
+from cbsr_qa.store.types import compact, restore
 
 revision = "0017"
 down_revision = "0016"
@@ -167,7 +167,7 @@ def _compact(cell: bytes, size: int, width: int, steps: bool) -> bytes:
 
 def _restored(cell: bytes, size: int, width: int, steps: bool) -> bytes:
     try:
-        return restored(cell, size, width, steps=steps)
+        return restore(cell, size, width, steps=steps)
     except ValueError:
         return cell
 

@@ -3,7 +3,7 @@
 import sqlalchemy as sa
 from alembic import op
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.errors import StoreError
 
 revision = "0018"
 down_revision = "0017"

@@ -7,7 +7,7 @@ sensor says when it was first seen.
 import sqlalchemy as sa
 from alembic import op
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.errors import StoreError
 
 revision = "0022"
 down_revision = "0021"

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis.evaluate import Conclusion, calibrated
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.domain.results import Outcome, Verdict
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import Parameter
+from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.sensor.sensor_type import Parameter
 
 _RECIPE = replace(load_recipe("nine-locations").value, calibrate_phases=("grid",))
 _DEAD = 5
@@ -31,7 +33,7 @@ def whole(record):
 def _calibrated(record):
     observation = observed_run(record, over_time=False, calibrate_phases=("grid",))
     conclusion = Conclusion(observation, (), Verdict(Outcome.PASS, "all limits are met"), ())
-    return calibrated(conclusion, _RECIPE, calibration="0193-c", issued_at="2026-01-01T00:00:00+00:00")
+    return calibrate_run(conclusion, _RECIPE, calibration="0193-c", issued_at="2026-01-01T00:00:00+00:00")
 
 
 def _changed(record, **changes):
@@ -69,7 +71,10 @@ def test_missing_places_are_a_reason_and_too_few_give_no_force(record, whole):
 
 def test_a_load_cell_flat_at_its_limit_calibrates_nothing(record):
     (force,) = record.phases[0].samples
-    held = [force.between(load.hold_start_s, load.release_start_s).values.mean() for load in record.phases[0].loads]
+    held = [
+        force.select_interval(load.hold_start_s, load.release_start_s).values.mean()
+        for load in record.phases[0].loads
+    ]
     issued, why = _calibrated(_with_force(record, lambda block: np.minimum(block.values, 0.5 * min(held))))
     assert issued is None
     assert "no load gives a baseline conductance: the load cell read" in why
@@ -105,11 +110,11 @@ def test_readings_of_a_dead_electrode_are_left_out_and_force_is_still_told(recor
     assert any(reason.startswith(f"electrode {_DEAD} is dead") for reason in issued.validity.reduced)
     assert issued.force.merging.shape[1] < whole.force.merging.shape[1]
     load = record.phases[0].loads[0]
-    hold = frames.between(load.release_start_s - 8, load.release_start_s).voltages
+    hold = frames.select_interval(load.release_start_s - 8, load.release_start_s).voltages
     hold[:, touching] = np.nan
     seen = Calibration(issued).force(hold, place_mm=(load.load.x_mm, load.load.y_mm))
     assert not (seen.flags & Flag.UNREADABLE).any()
-    both = Calibration(whole).force(frames.between(load.release_start_s - 8, load.release_start_s).voltages)
+    both = Calibration(whole).force(frames.select_interval(load.release_start_s - 8, load.release_start_s).voltages)
     assert seen.force_N.mean() == pytest.approx(both.force_N.mean(), rel=0.05)
 
 

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from cbsr_qa.analysis.evaluate import evaluate_run
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.plugin import discover
-from cbsr_qa.system import Stages
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.system.clock import Stages
 
 _RECIPE = load_recipe("nine-locations").value
 
@@ -36,7 +37,7 @@ def test_whatever_a_reconstruction_raises_the_run_is_not_measured_and_says_why(m
 
 def test_the_overlap_threshold_is_the_main_masks_where_the_sensor_is_calibrated():
     from cbsr_qa.analysis.evaluate import _overlap_threshold
-    from cbsr_qa.domain.results import Limit
+    from cbsr_qa.domain.plan.limits import Limit
 
     def limit(lower, phase="", qualifier=""):
         return Limit("area_overlap", "%", lower, None, phase=phase, qualifier=qualifier)

@@ -7,8 +7,9 @@ from copied import come_back, fork, fork_and_leave
 from hypothesis import given, strategies as st
 
 from cbsr_qa.analysis.evaluate import judge, judge_again, measure_run
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, decide, explained
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, decide, explain_verdict
 
 numbers = st.floats(-1e6, 1e6)
 
@@ -44,7 +45,7 @@ def test_a_limit_in_another_unit_judges_nothing_and_never_passes():
     assert [m.outcome for m in judged] == [Outcome.NOT_JUDGED, Outcome.NOT_MEASURED]
     assert "the limit is in mm, the measurement in µm" in decide(judged).reason
     with pytest.raises(RefusedError, match="limit of error is in mm, the measurement in µm"):
-        Measurement("error", 1.0, "µm").judged(_limit())
+        Measurement("error", 1.0, "µm").judge(_limit())
 
 
 def test_a_limit_judges_only_its_phase_and_qualifier():
@@ -77,7 +78,7 @@ def test_of_two_limits_the_stricter_outcome_counts_in_either_order():
 )
 def test_a_lower_bound_never_meets_an_upper_limit(value, lower, upper, outcome):
     measurement = Measurement("settling", value, "s", bound=Bound.LOWER)
-    judged = measurement.judged(Limit("settling", "s", lower, upper))
+    judged = measurement.judge(Limit("settling", "s", lower, upper))
     assert judged.outcome is outcome
 
 
@@ -135,12 +136,12 @@ def test_a_copy_that_a_metric_forks_does_not_come_back(code):
 def test_a_failed_run_says_how_many_limits_fail():
     limits = (Limit("force", "N", None, 3.0), Limit("drift", "1", None, 0.1))
     force, other = Measurement("force", 3.8, "N"), Measurement("drift", 0.2, "1")
-    both = (force.judged(limits[0]), other.judged(limits[1]))
-    assert explained(decide(both), both).startswith("2 of 2 limits fail; worst: drift is 0.2")
-    one = (force.judged(limits[0]), Measurement("drift", 0.05, "1").judged(limits[1]))
-    assert explained(decide(one), one) == "1 of 2 limits fails: force is 3.8 N (allowed: at most 3 N)"
-    alone = (force.judged(limits[0]), Measurement("area", 5.0, "mm²"))
-    assert explained(decide(alone), alone) == decide(alone).reason
+    both = (force.judge(limits[0]), other.judge(limits[1]))
+    assert explain_verdict(decide(both), both).startswith("2 of 2 limits fail; worst: drift is 0.2")
+    one = (force.judge(limits[0]), Measurement("drift", 0.05, "1").judge(limits[1]))
+    assert explain_verdict(decide(one), one) == "1 of 2 limits fails: force is 3.8 N (allowed: at most 3 N)"
+    alone = (force.judge(limits[0]), Measurement("area", 5.0, "mm²"))
+    assert explain_verdict(decide(alone), alone) == decide(alone).reason
 
 
 LIMITS = (

@@ -10,9 +10,10 @@ from observation_samples import sample_run
 
 from cbsr_qa.analysis.answers import LONGEST_TEXT, MOST_ANSWERS
 from cbsr_qa.analysis.evaluate import judge, measure_run
-from cbsr_qa.domain import PluginError
-from cbsr_qa.domain.results import Limit, Measurement, Outcome, decide
-from cbsr_qa.testing import check_metric
+from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.testing.numerics import check_metric
 
 _GOOD = Measurement("good", 1.0, "mm")
 _RUN = sample_run()

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cbsr_qa.analysis import recording_files
-from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import SCHEMA_VERSION, read_recording, write_recording
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.run import Load, LoadRecord
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 
 

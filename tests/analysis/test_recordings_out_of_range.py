@@ -9,8 +9,8 @@ import scipy.io
 from test_recording_file import sample
 
 from cbsr_qa.analysis import recording_files
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
 
 
 def written(tmp_path, change):
@@ -71,7 +71,7 @@ def current(value):
 )
 def test_a_recording_is_refused_by_file_and_place(tmp_path, capsys, change, said):
     path = written(tmp_path, change)
-    assert guarded(["analyse", str(path), "--json", "--no-report"]) == 2
+    assert run_guarded(["analyse", str(path), "--json", "--no-report"]) == 2
     refused = json.loads(capsys.readouterr().out)["refused"]
     assert refused["reason"].startswith("run.h5: ")
     assert said in refused["reason"]
@@ -93,7 +93,7 @@ def test_a_recording_is_refused_by_file_and_place(tmp_path, capsys, change, said
 )
 def test_a_matlab_file_is_refused_by_file_and_data_set(tmp_path, capsys, content, asked, said):
     scipy.io.savemat(tmp_path / "a.mat", content)
-    assert guarded(["analyse", str(tmp_path / "a.mat"), *asked, "--json", "--no-report"]) == 2
+    assert run_guarded(["analyse", str(tmp_path / "a.mat"), *asked, "--json", "--no-report"]) == 2
     assert json.loads(capsys.readouterr().out)["refused"]["reason"].startswith(said)
 
 

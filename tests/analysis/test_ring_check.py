@@ -7,13 +7,13 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.analysis.ring import check_ring, exchanged, fit_ring
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.run import CheckOutcome, RingReadings
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
-from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
+from cbsr_qa.analysis.ring import check_ring, find_exchanged_electrodes, fit_ring
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.plan.plan import ReferenceRing
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.run.station import CheckOutcome, RingReadings
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, list_pairs
+from cbsr_qa.eit.forward.closed_forms import lead_readings, ring_impedance, ring_readings
 
 PATTERN = adjacent_pattern(16)
 ALLOWED = ReferenceRing((1e4,), 0.001, 16, 0.01, 0.01, 1e-3, 1e-3, 100.0)
@@ -91,7 +91,7 @@ def test_exchanged_electrodes_are_found(pair):
     found = lines(readings)
     assert found["worst reading"].outcome is FAILED
     assert f"electrodes {pair[0]} and {pair[1]} are exchanged" in found["worst reading"].remedy
-    assert exchanged(ring(), PATTERN, within=1e-12) is None
+    assert find_exchanged_electrodes(ring(), PATTERN, within=1e-12) is None
 
 
 def test_noise_is_the_rms_of_a_reading_over_its_size():
@@ -155,8 +155,8 @@ def test_one_resistance_is_meant_for_all_and_another_number_than_electrodes_is_r
 
 PATTERNS = {
     "adjacent": PATTERN,
-    "opposite driven": DrivePattern(16, named_pairs("opposite", 16), named_pairs("adjacent", 16)),
-    "skipping": DrivePattern(16, named_pairs("skip-2", 16), named_pairs("skip-1", 16)),
+    "opposite driven": DrivePattern(16, list_pairs("opposite", 16), list_pairs("adjacent", 16)),
+    "skipping": DrivePattern(16, list_pairs("skip-2", 16), list_pairs("skip-1", 16)),
 }
 
 

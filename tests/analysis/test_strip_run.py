@@ -8,12 +8,13 @@ from strip_bench import strip_run
 
 from cbsr_qa.analysis.strip_cycles import characterise_run, strip_force
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
-from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings
-from cbsr_qa.domain.sensor import Response
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import ReadingFlag, SampleBlock
+from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
+from cbsr_qa.domain.sensor.sensor_type import Response
 
 SETTINGS = CharacterisationSettings()
 

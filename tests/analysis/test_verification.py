@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis.evaluate import Conclusion, calibrated
-from cbsr_qa.analysis.run import run_force
+from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
+from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.verification import verify_calibration
-from cbsr_qa.app.run import RunRequest, plan_run
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.calibration.runtime import Calibration
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import CalibrationError, ConfigError
-from cbsr_qa.domain.results import Outcome, Verdict
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.app.run.run import RunRequest, plan_run
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import CalibrationError, ConfigError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa_plugins.metrics.force import CalibrationCheck
 
 PLACES = ((0.0, 0.0), (25.0, 10.0), (-20.0, 18.0), (-8.0, -28.0))
@@ -30,7 +31,7 @@ def observed(record, *phases):
 def calibration():
     run, recipe = observed(simulated_run(NINE_LOCATIONS_MM, seed=3), "grid")
     conclusion = Conclusion(run, (), Verdict(Outcome.PASS, "a test"), ())
-    issued, why = calibrated(
+    issued, why = calibrate_run(
         conclusion,
         replace(recipe, calibrate_phases=("grid",)),
         calibration="c",

@@ -9,20 +9,23 @@ from calibration_samples import assert_same, sample_calibration, sample_force, s
 from matplotlib.figure import Figure
 from simulated_setting import HEAD, context, scene
 
-from cbsr_qa.analysis import read_recording, write_recording
-from cbsr_qa.analysis.recording import nominal_disc
-from cbsr_qa.calibration.file import decode, encode
-from cbsr_qa.domain import InstrumentError, RefusedError
-from cbsr_qa.domain.geometry import Disc, Polygon
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import ElectrodeKind, PlacedElectrodes, SensorType, adjacent_pattern, polygon_sensor
-from cbsr_qa.eit.mesh import image_mesh, mesh_sensor, sheet_mesh
-from cbsr_qa.report.draw import Raster, draw_electrodes, draw_sheet, fit_sheet, sheet_path
-from cbsr_qa.simulate import SimulatedSheet
-from cbsr_qa.station import place_violations
-from cbsr_qa.store.runs import decoded_sensor_type, encoded
-from cbsr_qa.testing import example_plan
+from cbsr_qa.analysis.recording.imaging import nominal_disc
+from cbsr_qa.analysis.recording_files import read_recording, write_recording
+from cbsr_qa.calibration.file.entries import decode, encode
+from cbsr_qa.domain.errors import InstrumentError, RefusedError
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType, polygon_sensor
+from cbsr_qa.eit.mesh.files import mesh_sensor
+from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
+from cbsr_qa.report.draw.sheet import Raster, draw_electrodes, draw_sheet, fit_sheet, sheet_path
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.station.limits import place_violations
+from cbsr_qa.store.runs.codec import decode_sensor_type, encode_setting
+from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 
 ELBOW = ((-30.0, -30.0), (50.0, -30.0), (50.0, 0.0), (0.0, 0.0), (0.0, 50.0), (-30.0, 50.0))
@@ -42,12 +45,12 @@ def elbow_on_a_mesh():
 @pytest.mark.parametrize("make", [elbow, lambda: elbow(3.0), elbow_on_a_mesh], ids=["sharp", "rounded", "mesh"])
 def test_a_stored_sensor_type_comes_back_as_it_was(make):
     sensor = make()
-    stored = json.loads(json.dumps(encoded(sensor, HEAD)))
-    assert decoded_sensor_type(stored) == sensor
+    stored = json.loads(json.dumps(encode_setting(sensor, HEAD)))
+    assert decode_sensor_type(stored) == sensor
 
 
 def test_a_stored_disc_holds_what_it_always_held():
-    stored = encoded(example_plan().sensor_type, HEAD)["sensor_type"]
+    stored = encode_setting(example_plan().sensor_type, HEAD)["sensor_type"]
     assert set(stored) == {"name", "radius_mm", "thickness_mm", "electrodes", "pattern", "response"}
 
 

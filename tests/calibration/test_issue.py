@@ -7,9 +7,11 @@ import pytest
 from observation_samples import sample_load, sample_relaxation, sample_run
 
 from cbsr_qa.calibration.issue import issue_calibration
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import EndReason, Outcome, Verdict
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.run.states import EndReason
 
 PASSED = Verdict(Outcome.PASS, "all limits are met")
 

@@ -8,11 +8,13 @@ from calibration_samples import sample_force
 from observation_samples import sample_load, sample_run
 from test_issue import _issue
 
-from cbsr_qa.analysis.defects import stood_at_limit
-from cbsr_qa.calibration.force import LearnedForce, reading_reductions
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, adjacent_pattern
+from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.force.validity import reading_reductions
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 _PLACES = [(0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0), (15.0, 15.0), (36.0, 0.0)]
 _LINE = QuasiStatic(Parameter(4.5e-3, 1e-5, "a test"), Parameter(-2e-3, 1e-4, "fitted"), -5e-10)
@@ -125,10 +127,10 @@ _RECORD = sample_load().record
 
 
 def test_a_cell_that_stands_at_its_highest_reading_all_through_a_hold_is_saturated():
-    said = stood_at_limit(_force(lambda t, _: np.full(len(t), 5.0)), _RECORD)
+    said = describe_cell_limit(_force(lambda t, _: np.full(len(t), 5.0)), _RECORD)
     assert said == "the load cell read 5 N, its highest reading, throughout the hold: it is saturated"
     clipped = _force(lambda t, random: np.minimum(6.0 + 0.3 * random.standard_normal(len(t)), 5.0))
-    assert "saturated" in stood_at_limit(clipped, _RECORD)
+    assert "saturated" in describe_cell_limit(clipped, _RECORD)
 
 
 @pytest.mark.parametrize(
@@ -141,14 +143,14 @@ def test_a_cell_that_stands_at_its_highest_reading_all_through_a_hold_is_saturat
     ],
 )
 def test_a_cell_that_relaxes_or_is_noisy_is_not(held):
-    assert stood_at_limit(_force(held), _RECORD) == ""
+    assert describe_cell_limit(_force(held), _RECORD) == ""
 
 
 def test_where_nothing_has_noise_nothing_can_be_told():
-    assert stood_at_limit(_force(lambda t, _: np.full(len(t), 5.0), noise=0.0), _RECORD) == ""
-    assert stood_at_limit(None, _RECORD) == ""
+    assert describe_cell_limit(_force(lambda t, _: np.full(len(t), 5.0), noise=0.0), _RECORD) == ""
+    assert describe_cell_limit(None, _RECORD) == ""
     few = _force(lambda t, _: np.full(len(t), 5.0))
-    assert stood_at_limit(SampleBlock("force", "N", few.time_s[::40], few.values[::40]), _RECORD) == ""
+    assert describe_cell_limit(SampleBlock("force", "N", few.time_s[::40], few.values[::40]), _RECORD) == ""
 
 
 def test_a_load_whose_cell_was_saturated_says_so_where_its_force_is_missed():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.cli import main
-from cbsr_qa.domain import AbortedError, ConfigError, InstrumentError
+from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError
 
 
 def _raising(error):
@@ -32,7 +32,7 @@ def _raising(error):
 )
 def test_an_error_never_looks_like_a_failed_sensor(monkeypatch, capsys, error, code):
     monkeypatch.setattr(main, "app", _raising(error))
-    assert main.guarded(["run"]) == code
+    assert main.run_guarded(["run"]) == code
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.startswith("cbsr-qa: ")
@@ -41,23 +41,23 @@ def test_an_error_never_looks_like_a_failed_sensor(monkeypatch, capsys, error, c
 
 def test_with_json_a_refusal_and_an_internal_error_are_documents(monkeypatch, capsys):
     monkeypatch.setattr(main, "app", _raising(ConfigError("no such key", remedy="use another")))
-    main.guarded(["run", "--json"])
+    main.run_guarded(["run", "--json"])
     assert json.loads(capsys.readouterr().out) == {"refused": {"reason": "no such key", "remedy": "use another"}}
     monkeypatch.setattr(main, "app", _raising(ZeroDivisionError("division by zero")))
-    main.guarded(["run", "--json"])
+    main.run_guarded(["run", "--json"])
     assert "ZeroDivisionError: division by zero" in json.loads(capsys.readouterr().out)["broken"]["reason"]
 
 
 def test_a_traceback_can_be_asked_for(monkeypatch, capsys):
     monkeypatch.setattr(main, "app", _raising(ZeroDivisionError("division by zero")))
     monkeypatch.setenv("CBSR_QA_TRACEBACK", "1")
-    main.guarded(["run"])
+    main.run_guarded(["run"])
     assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [[], ["run"], ["run", "--nonsense"], ["nonsense"], ["calibration"]])
 def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, arguments):
-    assert main.guarded(arguments) == 2
+    assert main.run_guarded(arguments) == 2
     said = capsys.readouterr()
     # Help that nobody asked for by --help is shown by typer itself where it likes; a mistake goes to stderr.
     assert said.err.strip() or "Usage" in said.out
@@ -76,13 +76,13 @@ def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, argume
     ],
 )
 def test_a_value_that_an_option_cannot_take_is_refused_in_words(capsys, arguments, said):
-    assert main.guarded(arguments) == 2
+    assert main.run_guarded(arguments) == 2
     assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
 
 
 @pytest.mark.parametrize("command", ["run", "analyse", "report", "export", "scene", "calibration", "plugins", "db"])
 def test_every_command_has_help(capsys, command):
-    assert main.guarded([command, "--help"]) == 0
+    assert main.run_guarded([command, "--help"]) == 0
     assert "Usage" in capsys.readouterr().out
 
 
@@ -90,7 +90,7 @@ def test_every_command_has_help(capsys, command):
 def test_ctrl_c_in_any_command_is_said(monkeypatch, capsys, as_json):
     """typer makes an exit code of it, without a word."""
     monkeypatch.setattr(main, "app", lambda *_, **__: 130)
-    assert main.guarded(["analyse", "x.csv", *["--json"] * as_json]) == 3
+    assert main.run_guarded(["analyse", "x.csv", *["--json"] * as_json]) == 3
     out, err = capsys.readouterr()
     assert err == "cbsr-qa: aborted\n"
     assert bool(out) == as_json
@@ -110,7 +110,7 @@ def ended(command, **streams):
     def app(arguments, **options):
         {command}
     main.app = app
-    sys.exit(main.guarded(["run", *sys.argv[1:]]))
+    sys.exit(main.run_guarded(["run", *sys.argv[1:]]))
     """
     program = [sys.executable, "-c", textwrap.dedent(code)]
     return subprocess.run(program, check=False, text=True, timeout=60, **streams)
@@ -166,7 +166,7 @@ def test_a_reader_that_has_gone_changes_no_exit_code(code):
 
 def test_a_broken_pipe_of_an_instrument_is_not_a_reader_that_has_gone(monkeypatch, capsys):
     monkeypatch.setattr(main, "app", _raising(BrokenPipeError(32, "Broken pipe")))
-    assert main.guarded(["run"]) == 3
+    assert main.run_guarded(["run"]) == 3
     assert "Broken pipe" in capsys.readouterr().err
 
 

@@ -8,11 +8,13 @@ import pytest
 from calibration_samples import sample_calibration
 from test_recording_file import sample
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.calibration.file import new_key, write_calibration
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.system import FileLock, holder, secret_of
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.file.keys import new_key
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.system.files import FileLock, holder
+from cbsr_qa.system.secret import secret_of
 
 _PATIENCE_S = 30
 
@@ -94,7 +96,7 @@ def test_what_is_no_file_is_refused_at_once(line, what, given, tmp_path, monkeyp
     for word in words:
         if word.startswith(names["FILE"]) and not Path(word).is_symlink() and not Path(word).exists():
             _KINDS[what](word)
-    assert guarded(words) == 2
+    assert run_guarded(words) == 2
     assert what in capfd.readouterr().err
 
 
@@ -108,7 +110,7 @@ def _named(word, names):
 def test_a_link_to_no_database_makes_none(command, tmp_path, capfd):
     (tmp_path / "runs.db").symlink_to(tmp_path / "away" / "target.db")
     (tmp_path / "away").mkdir()
-    assert guarded([*command.split(), "--database", str(tmp_path / "runs.db")]) == 2
+    assert run_guarded([*command.split(), "--database", str(tmp_path / "runs.db")]) == 2
     said = " ".join(capfd.readouterr().err.split())
     assert f"runs.db is a link that leads to {tmp_path / 'away' / 'target.db'}, which does not exist" in said
     assert not list((tmp_path / "away").iterdir())
@@ -116,13 +118,13 @@ def test_a_link_to_no_database_makes_none(command, tmp_path, capfd):
 
 @pytest.mark.parametrize("command", ["db status", "runs"])
 def test_a_database_without_a_name_is_not_the_default(command, capfd):
-    assert guarded([*command.split(), "--database", ""]) == 2
+    assert run_guarded([*command.split(), "--database", ""]) == 2
     assert "--database is empty" in capfd.readouterr().err
 
 
 def test_a_link_in_a_circle_is_no_database(tmp_path, capfd):
     (tmp_path / "runs.db").symlink_to("runs.db")
-    assert guarded(["runs", "--database", str(tmp_path / "runs.db")]) == 2
+    assert run_guarded(["runs", "--database", str(tmp_path / "runs.db")]) == 2
     assert "runs.db is a link that leads back to itself" in capfd.readouterr().err
 
 
@@ -130,7 +132,7 @@ def test_a_link_in_a_circle_is_no_database(tmp_path, capfd):
 def test_a_database_is_below_folders(make, tmp_path, monkeypatch, capfd):
     make(tmp_path / "var")
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
-    assert guarded(["db", "status"]) == 2
+    assert run_guarded(["db", "status"]) == 2
     assert f"{tmp_path / 'var'} is not a folder" in capfd.readouterr().err
 
 
@@ -139,7 +141,7 @@ def test_a_database_is_below_folders(make, tmp_path, monkeypatch, capfd):
 def test_a_database_with_a_pipe_for_a_log_is_refused(suffix, tmp_path, capfd):
     (tmp_path / "runs.db").touch()
     os.mkfifo(tmp_path / f"runs.db{suffix}")
-    assert guarded(["db", "check", "--database", str(tmp_path / "runs.db")]) == 2
+    assert run_guarded(["db", "check", "--database", str(tmp_path / "runs.db")]) == 2
     assert f"runs.db{suffix}: it is a named pipe, not a file" in capfd.readouterr().err
 
 

@@ -6,22 +6,22 @@ import sys
 
 import pytest
 
-from cbsr_qa.cli import guarded
 from cbsr_qa.cli.command import commands
+from cbsr_qa.cli.main import run_guarded
 
 WORDS = [command.words for command in commands()]
 
 
 @pytest.mark.parametrize("words", ["", *sorted({words.partition(" ")[0] for words in WORDS} | set(WORDS))])
 def test_help_shows_no_types_of_python_and_no_markup(capsys, words):
-    assert guarded([*words.split(), "--help"]) == 0
+    assert run_guarded([*words.split(), "--help"]) == 0
     out = capsys.readouterr().out
     assert "Usage" in out
     assert not re.search(r"<\w+(\[\w+\])?>|<class|\bstr\b|\bfloat\b|list\[|range\b.*\[|%Y|x>=|<=x|`", out), out
 
 
 def test_help_lists_run_first_and_then_what_follows_a_run(capsys):
-    assert guarded(["--help"]) == 0
+    assert run_guarded(["--help"]) == 0
     listed = re.findall(r"^│ (run|report|export|analyse|schema) ", capsys.readouterr().out, re.MULTILINE)
     assert listed == ["run", "report", "export", "analyse", "schema"]
 
@@ -30,14 +30,14 @@ def test_a_shell_completes_words(capsys, monkeypatch):
     monkeypatch.setenv("_CBSR_QA_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", "cbsr-qa calibration a")
     monkeypatch.setenv("COMP_CWORD", "2")
-    assert guarded([]) == 0
+    assert run_guarded([]) == 0
     assert capsys.readouterr() == ("apply\n", "")
 
 
 def test_every_option_and_argument_has_a_description():
     from typer import main as typer_main
 
-    from cbsr_qa.cli import app
+    from cbsr_qa.cli.main import app
 
     def all_of(command):
         for below in getattr(command, "commands", {}).values():
@@ -51,11 +51,11 @@ def test_every_option_and_argument_has_a_description():
 
 def test_a_run_and_a_check_name_their_station_alike(capsys):
     for named in (("--station", "nowhere"), ("nowhere",)):
-        assert guarded(["station", "check", *named]) == 2
+        assert run_guarded(["station", "check", *named]) == 2
         assert "no station named 'nowhere'" in capsys.readouterr().err
-    assert guarded(["station", "check", "simulated", "--station", "simulated"]) == 2
+    assert run_guarded(["station", "check", "simulated", "--station", "simulated"]) == 2
     assert "named twice" in capsys.readouterr().err
-    assert guarded(["station", "check"]) == 2
+    assert run_guarded(["station", "check"]) == 2
     assert "Missing option '--station'" in capsys.readouterr().err
 
 

@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from cbsr_qa.cli.main import guarded
-from cbsr_qa.domain import LONGEST_PROBLEM, BrokenRunError, RowProblem
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import LONGEST_PROBLEM, BrokenRunError, RowProblem
 
 
 def refused(capsys, *more):
     arguments = ["verdict", "override", "nothing", "--outcome", "pass", "--by", "Ada"]
-    assert guarded([*arguments, "--database", "gone.db", *more]) == 2
+    assert run_guarded([*arguments, "--database", "gone.db", *more]) == 2
     return capsys.readouterr()
 
 
@@ -27,12 +27,12 @@ def test_the_option_itself_asks_for_one_also_behind_such_a_reason(capsys, tmp_pa
 
 
 def test_a_misused_command_line_has_its_document_too(capsys):
-    assert guarded(["report", "--jsno", "--json"]) == 2
+    assert run_guarded(["report", "--jsno", "--json"]) == 2
     assert "--jsno" in json.loads(capsys.readouterr().out)["refused"]["reason"]
 
 
 def test_a_refused_calibration_has_its_document_too(capsys, tmp_path):
-    assert guarded(["calibration", "show", str(tmp_path / "gone.h5"), "--json"]) == 2
+    assert run_guarded(["calibration", "show", str(tmp_path / "gone.h5"), "--json"]) == 2
     assert "gone.h5" in json.loads(capsys.readouterr().out)["refused"]["reason"]
 
 

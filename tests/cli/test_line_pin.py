@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from cbsr_qa.cli.line import line
-from cbsr_qa.config import DocumentKind, open_document
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.system.pins import hash_pin
 
 _GATE = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "Ada"\npin = "{pin}"\n\n[indenter]'
 
@@ -17,7 +17,7 @@ _GATE = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "Ada"\npin = "{
 def test_a_wrong_pin_is_refused_before_the_first_scan(tmp_path, monkeypatch, pin):
     station = open_document(DocumentKind.STATION, "simulated").text
     file = tmp_path / "station.toml"
-    file.write_text(station.replace("[indenter]", _GATE.format(pin=hashed_pin("4711")), 1))
+    file.write_text(station.replace("[indenter]", _GATE.format(pin=hash_pin("4711")), 1))
     monkeypatch.setattr(sys, "stdin", io.StringIO(f"{pin}\nS-1\n"))
     with pytest.raises(RefusedError, match="the PIN given is not that of Ada"):
         line(str(file), "nine-locations", operator="Ada")

@@ -3,12 +3,12 @@
 import json
 from inspect import signature
 
-from cbsr_qa.cli import guarded
 from cbsr_qa.cli.command import commands
+from cbsr_qa.cli.main import run_guarded
 
 
 def printed(capsys, *arguments):
-    assert guarded(["schema", *arguments]) == 0
+    assert run_guarded(["schema", *arguments]) == 0
     return capsys.readouterr().out
 
 
@@ -37,11 +37,11 @@ def test_what_is_for_drawing_alone_is_in_no_schema(capsys):
 
 
 def test_a_command_without_schema_is_refused_with_those_that_have_one(capsys):
-    assert guarded(["schema", "gage"]) == 2
+    assert run_guarded(["schema", "gage"]) == 2
     assert "choose one of: analyse, calibrate, calibration apply," in capsys.readouterr().err
 
 
 def test_a_group_of_one_command_needs_no_second_word(capsys):
     assert json.loads(printed(capsys, "limits")) == json.loads(printed(capsys, "limits", "propose"))
-    assert guarded(["schema", "calibration"]) == 2
+    assert run_guarded(["schema", "calibration"]) == 2
     assert "choose one of: calibration apply, calibration export," in capsys.readouterr().err

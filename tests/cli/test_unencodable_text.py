@@ -8,12 +8,13 @@ import sys
 import numpy as np
 import pytest
 
-from cbsr_qa.cli.main import guarded
+from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.cli.output import emit_json, say
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.store import PlainText, open_store
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.types import PlainText
 
 HALF = "a\udcffb"
 
@@ -47,7 +48,7 @@ def test_what_an_instrument_says_is_stored_without_them():
 
 @pytest.mark.parametrize("where", [f"/tmp/{HALF}.db", f"sqlite:////tmp/{HALF}.db", f"postgresql://u:{HALF}@h/d"])
 def test_a_database_of_such_a_name_is_refused(where, capsys):
-    assert guarded(["db", "upgrade", "--database", where, "--json"]) == 2
+    assert run_guarded(["db", "upgrade", "--database", where, "--json"]) == 2
     assert "the database URL cannot be read" in json.loads(capsys.readouterr().out)["refused"]["reason"]
 
 

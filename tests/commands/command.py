@@ -56,14 +56,14 @@ def cbsr_qa(folder, *arguments, check=True, fresh=False, limit_s=300, **environm
 
 
 def _inside(folder, arguments, environment, limit_s):
-    from cbsr_qa.cli import guarded
+    from cbsr_qa.cli.main import run_guarded
 
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.chdir(folder)
         for name, value in environment.items():
             patch.setenv(name, value)
-        code = guarded(arguments)
+        code = run_guarded(arguments)
     return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
@@ -120,7 +120,7 @@ def short_recipe(folder, name="short.toml", *, metrics=None, **replacements):
     With all of its metrics and a whole report, or with the metrics that are named and a report without figures,
     which take half the time of a short run.
     """
-    from cbsr_qa.config import DocumentKind, open_document
+    from cbsr_qa.config.documents import DocumentKind, open_document
 
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
     head, rest = shipped.split("[[phases]]", 1)

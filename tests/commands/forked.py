@@ -6,7 +6,7 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from cbsr_qa.cli import ended
+from cbsr_qa.cli.main import run_and_supervise
 
 
 def run(folder: Path, arguments: list[str], environment: dict[str, str], out: Path, err: Path) -> None:
@@ -19,7 +19,7 @@ def run(folder: Path, arguments: list[str], environment: dict[str, str], out: Pa
             target = stack.enter_context(path.open("w"))
             stream.flush()
             os.dup2(target.fileno(), stream.fileno())
-        code = ended(arguments)
+        code = run_and_supervise(arguments)
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)

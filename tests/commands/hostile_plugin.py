@@ -2,8 +2,8 @@
 
 import os
 
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.plugin import Kind, hookimpl
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.plugin.hooks import Kind, hookimpl
 
 
 def _act(place):

@@ -16,8 +16,9 @@ import command
 import forked
 import numpy as np
 
-from cbsr_qa.store import open_store, restored
-from cbsr_qa.store.runs import Journal
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.runs.journal import Journal
+from cbsr_qa.store.types import restore
 
 #: A run of seven loads in two phases, analysed with what is quick to work out.
 RECIPE = """
@@ -78,7 +79,7 @@ STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise"
 
 def write_files(folder, *, memory=False, recipe=RECIPE):
     """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
-    from cbsr_qa.config import DocumentKind, open_document
+    from cbsr_qa.config.documents import DocumentKind, open_document
 
     scene, *effects = open_document(DocumentKind.SCENE, "base").text.split("[[effects]]")
     kept = [one for one in effects if memory or any(f'"{name}"' in one for name in STILL)]
@@ -150,8 +151,8 @@ WRITTEN = ("save_result", "write_calibration", "write_report")
 
 def _with_a_striker(folder, arguments, out, at, number, after_s):
     from cbsr_qa.app.run import outputs
-    from cbsr_qa.store import Repository
-    from cbsr_qa.system import Stages
+    from cbsr_qa.store.repository import Repository
+    from cbsr_qa.system.clock import Stages
 
     passed, told = 0, os.open(f"{folder}/moments", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
 
@@ -237,10 +238,10 @@ def frames_of_loads(record):
     """Yield (phase, load, its frames and samples) with times from the press on."""
     for phase in record.phases:
         for load in phase.loads:
-            frames = phase.frames.between(load.press_start_s, load.rest_end_s)
-            force = phase.channel("force").between(np.nextafter(load.press_start_s, np.inf), load.rest_end_s)
+            frames = phase.frames.select_interval(load.press_start_s, load.rest_end_s)
+            force = phase.channel("force").select_interval(np.nextafter(load.press_start_s, np.inf), load.rest_end_s)
             times = frames.time_s - load.press_start_s, force.time_s - load.press_start_s
-            before = phase.frames.between(phase.started_s, load.press_start_s).voltages[-4:]
+            before = phase.frames.select_interval(phase.started_s, load.press_start_s).voltages[-4:]
             yield (phase.name, load.index, load.load), (frames.voltages, *times, force.values, before)
 
 
@@ -264,7 +265,7 @@ def assert_nothing_lost(folder, run):
         row = "select voltages, frames * drives * measures * 8, sha256 from frame_blocks where run = ?"
         rows = database.execute(row, (run,)).fetchall()
         loads = database.execute("select phase, load_index from loads where run = ?", (run,)).fetchall()
-    stored = [restored(voltages, size, 8)[:8] for voltages, size, _ in rows]
+    stored = [restore(voltages, size, 8)[:8] for voltages, size, _ in rows]
     assert len(stored) - len(said) in (0, 1, 2, 3), (len(stored), len(said))  # a kill between commit and saying so
     for one in set(said):
         assert stored.count(one) >= said.count(one)

@@ -4,7 +4,7 @@ import pytest
 from command import cbsr_qa, document, refused
 from pages import HOW_TO, commands, typed, write_files
 
-from cbsr_qa.config import load_material
+from cbsr_qa.config.loader import load_material
 
 pytestmark = pytest.mark.rest
 

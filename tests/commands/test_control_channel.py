@@ -14,10 +14,12 @@ from command import cbsr_qa, refused
 from killing import BEGIN, assert_same, came_of, latest_run, write_files
 from pydantic import TypeAdapter
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.report import json_document
-from cbsr_qa.station.control import ChannelLine, RunChannel, control_socket, station_held, station_holder
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.document import json_document
+from cbsr_qa.station.control.client import RunChannel
+from cbsr_qa.station.control.lock import control_socket, station_held, station_holder
+from cbsr_qa.station.control.messages import ChannelLine
 
 STATION = "simulated"
 

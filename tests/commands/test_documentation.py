@@ -16,10 +16,10 @@ from pages import HOW_TO, SHORTENED, TOP, TYPED, assert_printed, blocks, command
 
 import cbsr_qa as qa
 from cbsr_qa import cli
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.sensor import adjacent_pattern
-from cbsr_qa.eit.forward import ring_readings
-from cbsr_qa.studies import SAID
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.closed_forms import ring_readings
+from cbsr_qa.studies.fleet_demo import SAID
 from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
 
 _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])

@@ -8,11 +8,14 @@ from force_samples import setting
 from pages import TOP, marked_tables
 from strip_samples import models
 
-from cbsr_qa.eit.inverse import reading_noise
-from cbsr_qa.stats import count_needed, one_sided_factor, worst_of
-from cbsr_qa.studies.frontier import EVEN, PAPER, Setting, station_seconds
+from cbsr_qa.eit.inverse.readings import reading_noise
+from cbsr_qa.stats.intervals import count_needed, one_sided_factor
+from cbsr_qa.stats.worst_value import worst_of
 from cbsr_qa.studies.frontier.computer import forward as computer_forward
-from cbsr_qa.studies.hard_cases import examine_cases
+from cbsr_qa.studies.frontier.sensors import station_seconds
+from cbsr_qa.studies.frontier.setting import Setting
+from cbsr_qa.studies.frontier.station import EVEN, PAPER
+from cbsr_qa.studies.hard_cases.stability import examine_cases
 
 EXPLAINED = TOP / "docs" / "explanation"
 COSTS = (EXPLAINED / "what-accuracy-costs.md").read_text(encoding="utf-8")

@@ -6,9 +6,11 @@ import sys
 import pytest
 from command import cbsr_qa, document, short_recipe
 
-from cbsr_qa.config import DocumentKind, open_document
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store import check_usable, open_engine, open_store, parsed_url, schema
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store import schema
+from cbsr_qa.store.engine import open_engine, parse_url
+from cbsr_qa.store.opening import check_usable, open_store
 
 
 def station(folder, old, new):
@@ -52,7 +54,7 @@ def no_folder_for_reports(folder):
 
 
 def older_database(folder):
-    engine = open_engine(parsed_url(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}"))
+    engine = open_engine(parse_url(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}"))
     schema.upgrade(engine, schema.REVISIONS[-2])
     engine.dispose()
 

@@ -14,7 +14,7 @@ from command import PROGRAM, cbsr_qa, document
 from hostile import arguments_of, install, run_hostile, start, until, verdicts
 from streamed import write_sensor
 
-from cbsr_qa.system import COPY_ENDED
+from cbsr_qa.system.copies import COPY_ENDED
 
 pytestmark = pytest.mark.rest
 

@@ -5,14 +5,14 @@ from command import cbsr_qa, document, refused, short_recipe
 from killing import BEGIN, killed, latest_run, write_files
 from stored_lots import judged, store_run
 
-from cbsr_qa.app.gate import ask_before, gate_refusal
-from cbsr_qa.app.run import RunRequest, run_sensor
-from cbsr_qa.config import DocumentKind, open_document
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import GateCheck
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.store import open_store
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.app.gate.gate import ask_before, gate_refusal
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.pins import hash_pin
 
 GATE = """[gate]
 disk = "refuse"
@@ -41,7 +41,7 @@ def write_station(folder, gate, name="mine.toml"):
 def tested(tmp_path_factory):
     """A folder with a run whose full disk was overridden, the options it was made with, and its document."""
     folder = tmp_path_factory.mktemp("gate")
-    write_station(folder, GATE.format(pin=hashed_pin("4711")))
+    write_station(folder, GATE.format(pin=hash_pin("4711")))
     recipe = short_recipe(folder, metrics=["centre-of-mass-error"])
     options = ["--station", "mine.toml", "--recipe", recipe, "--serial", "S-1"]
     before = sorted(folder.rglob("*"))
@@ -112,7 +112,7 @@ def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(t
 
 def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
-    gate = GATE.format(pin=hashed_pin("4711")).replace('disk = "refuse"\ndisk_GB = 1e6\n', "")
+    gate = GATE.format(pin=hash_pin("4711")).replace('disk = "refuse"\ndisk_GB = 1e6\n', "")
     station = write_station(tmp_path, gate)
     recipe = tmp_path / short_recipe(tmp_path, metrics=["centre-of-mass-error"])
 
@@ -149,4 +149,4 @@ def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(
         with pytest.raises(RefusedError, match=f"S-1 already passed {name}"):
             run_sensor(request, tell=asked.append)
         assert "running the station" not in asked
-        assert len(store.listed_runs()) == 1
+        assert len(store.list_runs()) == 1

@@ -212,7 +212,8 @@ def test_a_thread_of_a_plugin_holds_no_command(bench, tmp_path):
 
 def test_help_needs_no_second_process():
     for arguments in (["--version"], ["run", "--help"], ["plugins", "list", "--help"]):
-        code = f"import os; os.fork = None; from cbsr_qa.cli.main import ended; raise SystemExit(ended({arguments}))"
+        start = "import os; os.fork = None; from cbsr_qa.cli.main import run_and_supervise"
+        code = f"{start}; raise SystemExit(run_and_supervise({arguments}))"
         done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=60)
         assert (done.returncode, bool(done.stdout)) == (0, True), done.stderr
 
@@ -233,7 +234,8 @@ def test_a_plugin_that_lowers_the_limit_of_open_files_is_no_damaged_database(pla
 
 def test_a_run_killed_before_it_is_stored_is_started_again_not_continued(bench, tmp_path):
     kill = (
-        "import: from cbsr_qa.store import Repository; Repository.writing_alone = lambda *_: os.kill(os.getpid(), 9)"
+        "import: from cbsr_qa.store.repository import Repository;"
+        " Repository.writing_alone = lambda *_: os.kill(os.getpid(), 9)"
     )
     done = run_hostile(bench, tmp_path, kill)
     assert done.returncode == 3

@@ -9,7 +9,8 @@ from filled_databases import filled
 from pages import HOW_TO, blocks, commands, typed
 from stored_lots import lot_runs
 
-from cbsr_qa.config import limits_digest, load_recipe
+from cbsr_qa.config.limits import limits_digest
+from cbsr_qa.config.loader import load_recipe
 
 pytestmark = pytest.mark.rest
 

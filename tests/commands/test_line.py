@@ -8,7 +8,7 @@ import pytest
 from command import PROGRAM
 from killing import write_files
 
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.system.pins import hash_pin
 
 _GATE = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "Ada"\npin = "{pin}"\n\n[indenter]'
 _ASKS = '\n[[phases]]\nname = "questions"\nsequence = "operator-prompt"\ntext = "Is it <dry>?"\n\n[[phases]]'
@@ -21,7 +21,7 @@ def folder(tmp_path):
     write_files(tmp_path)
     station, recipe = tmp_path / "station.toml", tmp_path / "recipe.toml"
     paced = station.read_text().replace('clock = "virtual"', 'clock = "virtual"\nclock_speed = 40', 1)
-    station.write_text(paced.replace("[indenter]", _GATE.format(pin=hashed_pin("4711")), 1))
+    station.write_text(paced.replace("[indenter]", _GATE.format(pin=hash_pin("4711")), 1))
     recipe.write_text(recipe.read_text().replace("\n[[phases]]", _ASKS, 1))
     return tmp_path
 

@@ -11,9 +11,12 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from stored_runs import journalled, short_run
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store import Repository, open_engine, parsed_url, reading, schema, views, writing
-from cbsr_qa.store.tables import AttendanceRow, Base, records
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store import schema, views
+from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.tables import records
+from cbsr_qa.store.tables.runs import AttendanceRow, Base
 
 pytestmark = pytest.mark.rest
 
@@ -37,7 +40,7 @@ def at_once(monkeypatch):
 
 @pytest.fixture
 def engine(database_url):
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
     yield engine
     engine.dispose()
 
@@ -132,7 +135,7 @@ def test_data_survive_every_step_up_and_down(engine):
 
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()
-    assert schema.found_version(engine).age is schema.Age.EMPTY
+    assert schema.read_version(engine).age is schema.Age.EMPTY
     schema.upgrade(engine)
     assert table_names(engine) == measured | concluded
 
@@ -338,7 +341,7 @@ def test_a_new_database_has_the_tables_that_the_migrations_make(engine, monkeypa
             connection.execute(sa.text(f"DROP TABLE {table.name}"))
     monkeypatch.setattr(schema, "_create", at_once)
     schema.upgrade(engine)
-    assert schema.found_version(engine) == schema.SchemaVersion(schema.Age.CURRENT, schema.HEAD)
+    assert schema.read_version(engine) == schema.SchemaVersion(schema.Age.CURRENT, schema.HEAD)
     assert described(engine) == migrated
 
 
@@ -351,7 +354,7 @@ def test_a_new_database_can_be_taken_back_to_every_schema(engine, monkeypatch, a
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()
     schema.upgrade(engine)  # Alembic leaves an empty table of versions
-    assert schema.found_version(engine).age is schema.Age.CURRENT
+    assert schema.read_version(engine).age is schema.Age.CURRENT
 
 
 def test_the_migrations_make_what_the_program_uses(engine):
@@ -376,7 +379,7 @@ def test_a_migration_that_fails_half_way_leaves_no_trace(engine):
     with pytest.raises(StoreError, match="calibration_settling"):
         schema.upgrade(engine)
     assert table_names(engine) == before
-    assert schema.found_version(engine).revision == "0001"
+    assert schema.read_version(engine).revision == "0001"
 
 
 def test_the_programs_list_of_revisions_is_the_scripts():
@@ -396,7 +399,7 @@ def test_references_between_tables_hold(engine):
 
 
 def test_sqlite_is_set_up_to_lose_nothing_that_was_committed(tmp_path):
-    engine = open_engine(parsed_url(f"sqlite:///{tmp_path / 'runs.db'}"))
+    engine = open_engine(parse_url(f"sqlite:///{tmp_path / 'runs.db'}"))
     schema.upgrade(engine)
     with reading(engine) as connection:
         found = {p: connection.exec_driver_sql(f"PRAGMA {p}").scalar() for p in ("journal_mode", "synchronous")}

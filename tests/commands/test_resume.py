@@ -33,9 +33,10 @@ from made_once import made_once
 from pages import HOW_TO, commands, typed
 
 import cbsr_qa as qa
-from cbsr_qa.app.run import RunRequest, conclusion, run_sensor
-from cbsr_qa.domain import UnconcludedError
-from cbsr_qa.store import open_store
+from cbsr_qa.app.run import conclusion
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.domain.errors import UnconcludedError
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture(scope="module")
@@ -282,8 +283,8 @@ def counted(self, event):
     if count == 90:
         os.kill(os.getpid(), signal.SIGTERM)
 Journal.__call__ = counted
-from cbsr_qa.cli.main import guarded
-sys.exit(guarded(sys.argv[1:]))
+from cbsr_qa.cli.main import run_guarded
+sys.exit(run_guarded(sys.argv[1:]))
 """
     done = subprocess.run(
         [sys.executable, "-c", script, *BEGIN, "--serial", "S-1"],
@@ -316,11 +317,13 @@ def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
             assert killed(tmp_path, arguments, documents=cut, after_s=0.0)
             cbsr_qa(tmp_path, "run", "--resume", latest_run(tmp_path, serial))
         runs.append(came_of(tmp_path, latest_run(tmp_path, serial)).record)
-    sigma = np.std(runs[0].phases[0].frames.between(0.0, runs[0].phases[0].loads[0].press_start_s).voltages, axis=0)
+    sigma = np.std(
+        runs[0].phases[0].frames.select_interval(0.0, runs[0].phases[0].loads[0].press_start_s).voltages, axis=0
+    )
     for phase, other in zip(*(run.phases for run in runs), strict=True):
         for load, again in zip(phase.loads, other.loads, strict=True):
             steady = [
-                of.frames.between(one.hold_start_s, one.release_start_s).voltages[-4:].mean(axis=0)
+                of.frames.select_interval(one.hold_start_s, one.release_start_s).voltages[-4:].mean(axis=0)
                 for of, one in ((phase, load), (other, again))
             ]
             assert np.abs(steady[0] - steady[1]).max() < 2 * 5 * np.sqrt(2 / 4) * sigma.mean()

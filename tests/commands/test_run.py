@@ -10,8 +10,10 @@ import pytest
 from command import QUICK, cbsr_qa, document, refused, short_recipe
 from made_once import copy_of, made_once
 
-from cbsr_qa.config import DocumentKind, load_recipe, open_document
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 
 def _run(folder, *more, check=True, serial="S-1", fresh=False, metrics=None, **environment):
@@ -267,8 +269,8 @@ def evaluate_run(*arguments):
     Path({str(blocked)!r}).write_text("in the way")
     return real(*arguments)
 conclusion.evaluate_run = evaluate_run
-from cbsr_qa.cli.main import guarded
-sys.exit(guarded(sys.argv[1:]))
+from cbsr_qa.cli.main import run_guarded
+sys.exit(run_guarded(sys.argv[1:]))
 """
     recipe = short_recipe(tmp_path, metrics=QUICK)
     files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--seed", "11", "--json"]
@@ -296,7 +298,7 @@ def test_a_dry_run_writes_nothing(tmp_path):
 
 def test_version_imports_nothing_heavy(tmp_path):
     script = (
-        "import sys; from cbsr_qa.cli.main import guarded; guarded(['--version']);"
+        "import sys; from cbsr_qa.cli.main import run_guarded; run_guarded(['--version']);"
         "print(sorted({'numpy', 'scipy', 'sqlalchemy', 'matplotlib', 'cbsr_qa_plugins', 'rich'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)

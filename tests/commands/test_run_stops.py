@@ -8,7 +8,7 @@ import subprocess
 import pytest
 from command import PROGRAM, cbsr_qa, document
 
-from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.config.documents import DocumentKind, open_document
 
 
 def _stopped(folder, *signals, at="nine locations (2 of 4)"):

@@ -16,15 +16,17 @@ from command import PROGRAM, cbsr_qa, document, refused
 from made_once import copy_of, made_once
 from scene_samples import HEAD, load_table
 
-from cbsr_qa.analysis import read_recording
-from cbsr_qa.config import DocumentKind, load_scene_plan, open_document, shipped_names
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.analysis.recording_files import read_recording
+from cbsr_qa.config.documents import DocumentKind, list_shipped, open_document
+from cbsr_qa.config.loader import load_scene_plan
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa_plugins.registry import BUILT_IN
 
 #: Shipped scenes; one of them is in ``make test``.
 SCENES = [
-    pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in shipped_names(DocumentKind.SCENE)
+    pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in list_shipped(DocumentKind.SCENE)
 ]
 _EFFECTS = """[[effects]]
 name = "sheet-seat"
@@ -188,7 +190,7 @@ def test_only_effects_that_are_on_are_imported(folder):
     code = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from cbsr_qa.studies.scenes import SceneRunRequest, run_scene\n"
+        "from cbsr_qa.studies.scenes.run import SceneRunRequest, run_scene\n"
         "run_scene(SceneRunRequest('short.toml', Path('x.h5')))\n"
         "found = [m for m in sys.modules if m.startswith('cbsr_qa_plugins.effects.')]\n"
         "print(*sorted(m.rpartition('.')[2] for m in found if not m.rpartition('.')[2].startswith('_')))"

@@ -3,7 +3,7 @@
 import pytest
 from command import cbsr_qa, document, short_recipe
 
-from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.config.documents import DocumentKind, open_document
 
 pytestmark = pytest.mark.rest
 

@@ -11,9 +11,10 @@ from pages import HOW_TO, blocks, commands, typed
 from streamed import write_sensor
 
 import cbsr_qa as qa
-from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
-from cbsr_qa.calibration.file import new_key
-from cbsr_qa.domain import BrokenRunError
+from cbsr_qa.app.run.resume import resume_run
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.calibration.file.keys import new_key
+from cbsr_qa.domain.errors import BrokenRunError
 
 pytestmark = pytest.mark.rest
 

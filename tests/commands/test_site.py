@@ -13,7 +13,7 @@ import pytest
 from pages import TOP
 
 import cbsr_qa
-from cbsr_qa.cli import commands, documents
+from cbsr_qa.cli.command import commands, documents
 from cbsr_qa.plugin import hooks
 
 pytestmark = pytest.mark.rest

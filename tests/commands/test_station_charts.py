@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 import pytest
 from command import cbsr_qa
 
-from cbsr_qa.domain.run import ChartReference
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.store.opening import open_store
 
 pytestmark = pytest.mark.rest
 

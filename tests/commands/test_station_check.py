@@ -9,14 +9,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.app.station_check import BenchFindings, CheckRequest, check as station_check, check_station, outcome
-from cbsr_qa.cli import guarded
-from cbsr_qa.config import load_scene, load_station
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.report import terminal_lines
-from cbsr_qa.store import open_store
+from cbsr_qa.app.station_check import check as station_check, outcome
+from cbsr_qa.app.station_check.bench import BenchFindings
+from cbsr_qa.app.station_check.check import CheckRequest, check_station
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.config.loader import load_scene, load_station
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.terminal import terminal_lines
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +35,7 @@ def check(capsys):
     """Run the command with ``--json``; returns its exit code and its document."""
 
     def run(*arguments):
-        code = guarded(["station", "check", "--json", *arguments])
+        code = run_guarded(["station", "check", "--json", *arguments])
         return code, json.loads(capsys.readouterr().out)
 
     return run
@@ -103,7 +106,7 @@ def test_what_is_wrong_with_a_station_fails_and_is_in_the_reports_it_writes(
     assert failed[name]["remedy"]
     assert len(stored("wrong")[1].frames) == 6
 
-    assert guarded(["run", "--station", station, "--recipe", "golden-check", "--serial", "S-1", "--json"]) == 0
+    assert run_guarded(["run", "--station", station, "--recipe", "golden-check", "--serial", "S-1", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)["report"]
     page = (tmp_path / report).read_text()
     said = re.search(r"Station wrong was last checked less than a minute before this run began[^<]*", page)[0]
@@ -114,13 +117,13 @@ def test_what_is_wrong_with_a_station_fails_and_is_in_the_reports_it_writes(
 @pytest.mark.rest
 def test_reports_of_a_station_that_was_never_checked_say_so_also_when_they_are_written_again(tmp_path, capsys, check):
     arguments = ["--station", "simulated", "--recipe", "golden-check", "--serial", "S-1", "--json"]
-    assert guarded(["run", *arguments]) == 0
+    assert run_guarded(["run", *arguments]) == 0
     first = json.loads(capsys.readouterr().out)
     words = "Station simulated had never been checked when this run began"
     assert words in (tmp_path / first["report"]).read_text()
     assert check("simulated", "--no-ring")[0] == 0
     # A check of after the run says nothing of how the station stood when it was made.
-    assert guarded(["report", first["run"], "--json"]) == 0
+    assert run_guarded(["report", first["run"], "--json"]) == 0
     capsys.readouterr()
     assert words in (tmp_path / first["report"]).read_text()
 
@@ -151,7 +154,7 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
 
 
 def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
-    assert guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
+    assert run_guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "✗ FAILED: reference ring: offset"
     assert any("What to do: zero the meter" in line for line in said)
@@ -245,7 +248,7 @@ def test_the_first_signal_ends_a_check_and_a_second_waits_until_the_bench_is_saf
 
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(station_check, "look_at_bench", stopped)
-    assert guarded(["station", "check", "simulated"]) == 3
+    assert run_guarded(["station", "check", "simulated"]) == 3
     assert safe == [name]
     assert signal.getsignal(signal.SIGTERM) is before
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:

@@ -11,11 +11,13 @@ import pytest
 from killing import frames_of_loads, write_files
 from made_once import made_once
 
-from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
-from cbsr_qa.domain import BrokenRunError, StoreError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.store import engine as engines, open_store
-from cbsr_qa.store.runs import Journal
+from cbsr_qa.app.run.resume import resume_run
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.domain.errors import BrokenRunError, StoreError
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store import engine as engines
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.runs.journal import Journal
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
 
 pytestmark = pytest.mark.rest

@@ -16,10 +16,12 @@ from pydantic import TypeAdapter
 from streamed import Board, loaded, messages, port_of, streaming, write_sensor
 
 import cbsr_qa as qa
-from cbsr_qa.app.stream import FramesFrom, StreamMessage, StreamRequest, json_line, stream_messages
-from cbsr_qa.calibration.file import new_key
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.app.stream.messages import StreamMessage, json_line
+from cbsr_qa.app.stream.source import FramesFrom
+from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
+from cbsr_qa.calibration.file.keys import new_key
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa_plugins.hardware import replayed_recording
 
 _PAGE = HOW_TO / "stream-forces.md"

@@ -10,8 +10,8 @@ import synced
 from command import PROGRAM, cbsr_qa
 from pages import HOW_TO, blocks, commands, typed
 
-from cbsr_qa.config import DocumentKind, open_document
-from cbsr_qa.store import open_store
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from tempfile import TemporaryDirectory
 
 import matplotlib.figure  # noqa: F401 - loaded here so that no fork has to
 
-from cbsr_qa.app.run import run_sensor  # noqa: F401
+from cbsr_qa.app.run.run import run_sensor  # noqa: F401
 from cbsr_qa.calibration.force import templates
-from cbsr_qa.cli import ended  # noqa: F401
-from cbsr_qa.config import load_sensor_type, load_station
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.store import open_store
+from cbsr_qa.cli.main import run_and_supervise  # noqa: F401
+from cbsr_qa.config.loader import load_sensor_type, load_station
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.store.opening import open_store
 
 _SENSOR_TYPE = load_sensor_type("disc-100mm").value
 imaging_problem(_SENSOR_TYPE)

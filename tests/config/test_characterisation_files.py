@@ -6,26 +6,19 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.app.run import check_cycles, check_recipe
+from cbsr_qa.app.run.preflight import check_cycles, check_recipe
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.material import material_text
 from cbsr_qa.config.merging import Configuration
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.plan import (
-    NO_RECONSTRUCTION,
-    AcquireFrames,
-    FindSurface,
-    Hold,
-    MarkUnloaded,
-    PhaseSpec,
-    Press,
-    Release,
-    Role,
-)
-from cbsr_qa.domain.results import CharacterisationSettings
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
-from cbsr_qa.plugin import SequenceContext, discover
-from cbsr_qa.station import place_violations, plan_of
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.plan.plan import NO_RECONSTRUCTION, PhaseSpec
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Relaxation
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.interfaces import SequenceContext
+from cbsr_qa.station.limits import place_violations
+from cbsr_qa.station.setup import plan_of
 from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
 HEAD = '[recipe]\nname = "r"\ncalibrate_phases = []\n[[phases]]\nname = "p"\nsequence = "characterisation"\n'

@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from cbsr_qa.config.documents import DocumentKind, shipped_names
+from cbsr_qa.config.documents import DocumentKind, list_shipped
 from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import AnalysisTable, RecipeFile
 from cbsr_qa.config.scene import SceneFile
@@ -64,5 +64,5 @@ def test_the_defaults_of_the_analysis_are_the_documented_ones():
 
 @pytest.mark.parametrize("kind", DocumentKind)
 def test_every_shipped_name_is_documented(kind):
-    for name in shipped_names(kind):
+    for name in list_shipped(kind):
         assert f"`{name}`" in PAGE, name

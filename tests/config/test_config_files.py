@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
+from cbsr_qa.config.documents import DocumentKind, list_shipped, open_document
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.plugin.discovery import discover
 
 LOADERS = {
     DocumentKind.STATION: load_station,
@@ -19,7 +19,7 @@ LOADERS = {
     DocumentKind.MATERIAL: load_material,
     DocumentKind.SCENE: load_scene,
 }
-SHIPPED = [(kind, name) for kind in DocumentKind for name in shipped_names(kind)]
+SHIPPED = [(kind, name) for kind in DocumentKind for name in list_shipped(kind)]
 
 
 def shipped_text(kind, name):
@@ -58,15 +58,15 @@ def test_every_shipped_file_loads_under_its_own_name(kind, name):
 
 
 def test_what_is_promised_is_shipped():
-    assert {"cbsr-8wt", "cbsr-9wt"} <= set(shipped_names(DocumentKind.MATERIAL))
-    assert {"disc-100mm", "disc-150mm"} <= set(shipped_names(DocumentKind.SENSOR_TYPE))
-    assert {"none", "base"} <= set(shipped_names(DocumentKind.SCENE))
-    assert "simulated" in shipped_names(DocumentKind.STATION)
-    assert "nine-locations" in shipped_names(DocumentKind.RECIPE)
+    assert {"cbsr-8wt", "cbsr-9wt"} <= set(list_shipped(DocumentKind.MATERIAL))
+    assert {"disc-100mm", "disc-150mm"} <= set(list_shipped(DocumentKind.SENSOR_TYPE))
+    assert {"none", "base"} <= set(list_shipped(DocumentKind.SCENE))
+    assert "simulated" in list_shipped(DocumentKind.STATION)
+    assert "nine-locations" in list_shipped(DocumentKind.RECIPE)
 
 
 def test_shipped_references_are_shipped():
-    for name in shipped_names(DocumentKind.STATION):
+    for name in list_shipped(DocumentKind.STATION):
         station = load_station(name).value
         load_sensor_type(station.sensor_type)
         load_material(station.material)

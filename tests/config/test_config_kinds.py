@@ -4,15 +4,16 @@ from itertools import permutations
 
 import pytest
 
-from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
+from cbsr_qa.config.documents import DocumentKind, list_shipped, open_document
 from cbsr_qa.config.limits import LimitsFile
 from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile
 from cbsr_qa.config.scene import SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
 from cbsr_qa.config.station import StationFile
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.studies.gauge import StudyFile, references
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.studies.gauge import references
+from cbsr_qa.studies.gauge.request import StudyFile
 
 MODELS = {
     DocumentKind.STATION: StationFile,
@@ -32,7 +33,7 @@ OWN = {
 
 
 def text_of(kind):
-    return OWN[kind] if kind in OWN else open_document(kind, shipped_names(kind)[0]).text
+    return OWN[kind] if kind in OWN else open_document(kind, list_shipped(kind)[0]).text
 
 
 @pytest.mark.parametrize("kind", DocumentKind)

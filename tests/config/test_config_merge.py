@@ -8,8 +8,8 @@ import pytest
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.config.merging import canonical_json, merge, restore
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import Station
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import Station
 
 
 def merged(station="simulated", recipe="nine-locations", seed=5):

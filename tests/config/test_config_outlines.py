@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cbsr_qa.config.loader import load_sensor_type
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.geometry import Disc
-from cbsr_qa.domain.sensor import PlacedElectrodes
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.geometry.outlines import Disc
+from cbsr_qa.domain.sensor.electrodes import PlacedElectrodes
 
 OUTLINE = "outline_mm = [[-60, -40], [60, -40], [60, 40], [-60, 40]]"
 PINS = """kind = "pin"

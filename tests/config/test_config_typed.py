@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, var_folder, writable_folder
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 
 HOSTILE = [
     "",

@@ -7,7 +7,7 @@ from scene_samples import HEAD, PIEZORESISTIVE, checked, load_table, written
 
 from cbsr_qa.config.loader import load_scene_plan
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 
 
 def refused(path):

@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 from report_samples import sample_run
 
-from cbsr_qa.app.run import with_versions
+from cbsr_qa.app.run.render import with_versions
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.config.limits import limits_digest
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.merging import merge, restore
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.results import Limit, LimitsVersion
-from cbsr_qa.report import render_run
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.limits import Limit, LimitsVersion
+from cbsr_qa.report.render import render_run
 from cbsr_qa_plugins.sections.limits import Limits
 
 LIMIT = """

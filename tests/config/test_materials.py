@@ -12,12 +12,14 @@ from effect_setting import last_outside
 from simulated_setting import truth
 
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import PluginChoice, SimulatedPress, StrainRamp
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.imaging import noise_floor
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.eit.imaging.blobs import noise_floor
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.world import SimulatedWorld
 
 HEAD = Indenter(13.0)
 MATERIALS = ("cbsr-8wt", "cbsr-9wt")

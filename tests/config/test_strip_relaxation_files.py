@@ -10,10 +10,10 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.config.material import material_text
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import MeasuredKernel, StripRelaxation
-from cbsr_qa.store.runs import decoded_material, encoded
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import MeasuredKernel, StripRelaxation
+from cbsr_qa.store.runs.codec import decode_material, encode_setting
 
 TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), min_size=1, max_size=40)
 
@@ -44,17 +44,17 @@ def test_a_strips_relaxation_is_read_back_as_it_was(tmp_path_factory, strip):
     path.write_text(material_text(material), encoding="utf-8")
     assert load_material(path).value == material
     sensor = load_sensor_type("strip-40x20mm").value
-    kept = json.loads(json.dumps(encoded(sensor, Indenter(13.0), material)))
-    assert decoded_material(kept) == material
+    kept = json.loads(json.dumps(encode_setting(sensor, Indenter(13.0), material)))
+    assert decode_material(kept) == material
 
 
 def test_materials_without_one_are_read_and_kept_as_before():
     material = load_material("cbsr-8wt").value
     assert material.strip_relaxation is None
     assert "strip_relaxation" not in material_text(material)
-    kept = encoded(load_sensor_type("strip-40x20mm").value, Indenter(13.0), material)
+    kept = encode_setting(load_sensor_type("strip-40x20mm").value, Indenter(13.0), material)
     assert "strip_relaxation" not in kept["material"]
-    assert decoded_material(kept) == material
+    assert decode_material(kept) == material
 
 
 def _changed(**changes):

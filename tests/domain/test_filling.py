@@ -5,7 +5,7 @@ from enum import StrEnum
 
 import pytest
 
-from cbsr_qa.domain import filled, fitted
+from cbsr_qa.domain.filling import fill_from_mapping, fill_from_object
 
 
 class Word(StrEnum):
@@ -41,8 +41,8 @@ class Kept:
     ],
 )  # fmt: skip
 def test_values_become_the_fields_types(values, kept):
-    assert fitted(Kept, values) == kept
-    assert filled(Kept, kept, range=(0.0, 2.0)) == Kept(kept.word, kept.at, (0.0, 2.0))
+    assert fill_from_mapping(Kept, values) == kept
+    assert fill_from_object(Kept, kept, range=(0.0, 2.0)) == Kept(kept.word, kept.at, (0.0, 2.0))
 
 
 @pytest.mark.parametrize(
@@ -60,4 +60,4 @@ def test_values_become_the_fields_types(values, kept):
 )
 def test_values_that_do_not_fit_are_refused(change):
     with pytest.raises((KeyError, TypeError, ValueError)):
-        fitted(Kept, {"word": "one", "at": {"x_mm": 1.0}} | change)
+        fill_from_mapping(Kept, {"word": "one", "at": {"x_mm": 1.0}} | change)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from short_run import HELD_FRAMES, NINE_PLACES, UNLOADED_FRAMES, configuration
 
-from cbsr_qa.domain.plan import stroke_s
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import RunEnded, RunRecord
-from cbsr_qa.simulate.instruments import EmulatedRig
+from cbsr_qa.domain.plan.steps import stroke_s
+from cbsr_qa.domain.run.run import RunEnded, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.simulate.instruments.rig import EmulatedRig
 
 Array = NDArray[np.float64]
 
@@ -143,8 +143,11 @@ def measured(record: RunRecord) -> Measured:
     assert phase.unloaded_from_s is not None
     usable = record.sensor_type.pattern.usable()
     first_s = phase.loads[0].press_start_s if phase.loads else math.inf
-    resting = phase.frames.between(phase.unloaded_from_s, first_s).voltages[:, usable]
+    resting = phase.frames.select_interval(phase.unloaded_from_s, first_s).voltages[:, usable]
     unloaded = resting.mean(axis=0)
-    held = [phase.frames.between(load.hold_start_s, load.release_start_s).voltages[:, usable] for load in phase.loads]
+    held = [
+        phase.frames.select_interval(load.hold_start_s, load.release_start_s).voltages[:, usable]
+        for load in phase.loads
+    ]
     noise = float(np.sqrt(resting.var(axis=0, ddof=1).mean()))
     return Measured(unloaded, np.array([frames.mean(axis=0) - unloaded for frames in held]), noise)

@@ -5,10 +5,12 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
-from cbsr_qa.plugin import Plugins, Sequence, SequenceContext, discover
-from cbsr_qa.station import Plan, ScheduledStep, configure, plan_of, schedule
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.interfaces import Sequence, SequenceContext
+from cbsr_qa.station.plan import Plan, ScheduledStep, schedule
+from cbsr_qa.station.setup import configure, plan_of
 
 #: Of the campaign: nine places; and of its sample: two of them.
 NINE_PLACES, TWO_PLACES = (Path(__file__).with_name(name) for name in ("two-frames.toml", "two-places.toml"))

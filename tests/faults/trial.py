@@ -21,15 +21,19 @@ from judgement import (
 )
 from short_run import NINE_PLACES, configuration, plan_for, plugins
 
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, RunEnded, RunEvent, RunIdentity, StepStarted
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.simulate.instruments import Emulation, Fault
-from cbsr_qa.station import Bench, execute, open_station, station_clock
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.system import RealClock
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.run.run import FramesTaken, RunEnded, RunEvent, RunIdentity, StepStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.simulate.instruments.rig import Emulation
+from cbsr_qa.simulate.instruments.streams import Fault
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.setup import open_station, station_clock
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import RealClock
 
 #: Roles of the station that faults strike, and which.
 OF_INSTRUMENTS = {

@@ -9,10 +9,10 @@ from force_calibration import force_calibration
 from stored_runs import journalled, short_run
 
 import cbsr_qa as qa
-from cbsr_qa.app.export import ExportRequest, export_data
+from cbsr_qa.app.export.export import ExportRequest, export_data
 from cbsr_qa.interface import tables
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.scenes import SceneRunRequest, run_scene
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.scenes.run import SceneRunRequest, run_scene
 
 pytest.importorskip("pandas")
 xr = pytest.importorskip("xarray")
@@ -37,7 +37,7 @@ def scene():
 def test_importing_it_loads_nothing_else():
     code = "import sys, cbsr_qa; print([m for m in sys.modules if m.startswith(('cbsr_qa.', 'numpy', 'scipy'))])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['cbsr_qa.lazy']"
+    assert done.stdout.strip() == "[]"
 
 
 def test_a_calibration_is_loaded_without_what_a_robot_lacks():

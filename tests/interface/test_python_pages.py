@@ -8,7 +8,7 @@ import pytest
 from pages import TOP, blocks
 
 import cbsr_qa as qa
-from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.config.documents import DocumentKind, open_document
 
 pytest.importorskip("pandas")
 pytest.importorskip("xarray")

@@ -7,6 +7,7 @@ import enum
 import importlib
 import inspect
 import json
+import pkgutil
 import re
 import tempfile
 import typing
@@ -19,14 +20,18 @@ from sqlalchemy import create_engine, text
 from typer.main import get_command
 
 import cbsr_qa
-from cbsr_qa.cli import app, commands, documents
-from cbsr_qa.config import DocumentKind, FileModel, shipped_names
-from cbsr_qa.domain import tabulated
+from cbsr_qa import config
+from cbsr_qa.cli.command import commands, documents
+from cbsr_qa.cli.main import app
+from cbsr_qa.config.documents import DocumentKind, list_shipped
+from cbsr_qa.config.tables import FileModel
+from cbsr_qa.domain.kept import walk_fields
 from cbsr_qa.domain.plan import steps
-from cbsr_qa.domain.results import Calibration
+from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.plugin import hooks, instruments, interfaces
-from cbsr_qa.report import json_schema
-from cbsr_qa.store import upgrade
+from cbsr_qa.report.document import json_schema
+from cbsr_qa.store.schema import upgrade
+from cbsr_qa.studies import gauge
 from cbsr_qa_plugins.registry import BUILT_IN
 
 FOLDER = Path(__file__).parent
@@ -75,7 +80,7 @@ def _without_words(schema: Any) -> Any:
 
 def read_calibration_file() -> Any:
     """Return the datasets of a calibration file, and how each is kept."""
-    return {path: _describe_kept(field) for path, field in tabulated(Calibration)}
+    return {path: _describe_kept(field) for path, field in walk_fields(Calibration)}
 
 
 def _describe_kept(field: Any) -> dict[str, Any]:
@@ -96,6 +101,9 @@ def read_database() -> Any:
 
 def read_configuration() -> Any:
     """Return the keys of configuration files: the JSON Schema of each kind of file, without descriptions."""
+    for package in (config, gauge):  # the latter reads two kinds of file
+        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
     files = {model.__name__: model for model in _subclasses(FileModel) if "[" not in model.__name__}
     assert len(files) == len(DocumentKind)
     return {name: _model_schema(model) for name, model in sorted(files.items())}
@@ -183,7 +191,7 @@ def read_names() -> Any:
     return {
         "hard cases": sorted(case.name for case in cases),
         "steps": [step.__name__ for step in typing.get_args(steps.Step)],
-        "shipped files": {kind.noun: shipped_names(kind) for kind in DocumentKind},
+        "shipped files": {kind.noun: list_shipped(kind) for kind in DocumentKind},
     }
 
 

@@ -18,12 +18,14 @@ from test_recording_file import sample
 from test_smu_rig_csv import HEADER, frames, lines_of
 from test_tank_formats import ds_file, vectors
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.app.calibration import read_any, verify_file
-from cbsr_qa.calibration.file import json_document, write_calibration
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.plugin import discover
+from cbsr_qa.analysis.recording.reading import read_recording_file
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.app.calibration.file import read_any
+from cbsr_qa.app.calibration.signing import verify_file
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.file.json import json_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.plugin.discovery import discover
 
 #: A file is read or refused within this processor time, which other work does not lengthen [s].
 LONGEST_S = 10.0

@@ -12,13 +12,17 @@ import scipy.io
 from calibration_samples import edited, plain_digest, sample_calibration
 from test_recording_file import sample
 
-from cbsr_qa.analysis import recording_files, write_recording
-from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.app.analyse import AnalyseRequest, analyse
-from cbsr_qa.app.calibration import read_any, show_calibration, verify_file
-from cbsr_qa.calibration.file import read_calibration, write_calibration
-from cbsr_qa.domain import CalibrationError, RecordingError
-from cbsr_qa.plugin import discover
+from cbsr_qa.analysis import recording_files
+from cbsr_qa.analysis.recording.reading import read_recording_file
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.app.analyse import analyse
+from cbsr_qa.app.analyse.analyse import AnalyseRequest
+from cbsr_qa.app.calibration.file import read_any
+from cbsr_qa.app.calibration.page import show_calibration
+from cbsr_qa.app.calibration.signing import verify_file
+from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
+from cbsr_qa.domain.errors import CalibrationError, RecordingError
+from cbsr_qa.plugin.discovery import discover
 
 
 def _read(path):

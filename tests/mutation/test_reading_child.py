@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import CalibrationError, RecordingError, RefusedError, RowProblem
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.system import CONTAINED, read_untrusted, untrusted
+from cbsr_qa.domain.errors import CalibrationError, RecordingError, RefusedError, RowProblem
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.system import untrusted
+from cbsr_qa.system.untrusted import CONTAINED, read_untrusted
 
 pytestmark = pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
 
@@ -168,6 +169,6 @@ def test_where_no_child_can_be_made_files_are_read_directly(file, monkeypatch):
 
 
 def test_large_files_may_take_longer_and_more_memory():
-    small, large = untrusted.Limits.of(0), untrusted.Limits.of(100 * 2**20)
+    small, large = untrusted.Limits.from_size(0), untrusted.Limits.from_size(100 * 2**20)
     assert (small.seconds, small.clock_s, small.memory_bytes) == (8, 48, 2**30)
     assert (large.seconds, large.memory_bytes) == (1008, 2**30 + 1600 * 2**20)

@@ -6,17 +6,22 @@ from types import SimpleNamespace
 import pytest
 from simulated_setting import HEAD, material, scene, sensor_type
 
-from cbsr_qa.domain import PluginError, RefusedError
-from cbsr_qa.domain.plan import Moment, PluginChoice, Press, Release, SceneSetting
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import Load
+from cbsr_qa.domain.errors import PluginError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.plan.steps import Press, Release
+from cbsr_qa.domain.plan.world import Moment, SceneSetting
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
-from cbsr_qa.plugin.failures import contained, said
+from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.simulate import build_chain
-from cbsr_qa.station import Bench, execute, schedule
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.simulate.chain import build_chain
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.plan import schedule
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.system.words import describe_error
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench, raising
 
 
 class _Escape(BaseException):
@@ -49,7 +54,7 @@ def _effect(act):
 
 
 def _identity(act):
-    bench = scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
+    bench = make_scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
     bench.mounted[0].instrument.identity = act
     Bench.identities(bench)
 
@@ -79,27 +84,27 @@ def test_ctrl_c_in_a_plugins_code_is_the_users(place):
 @pytest.mark.parametrize("error", [SystemExit(0), _Escape("gone")], ids=repr)
 def test_a_driver_that_leaves_breaks_the_run_by_its_name(error):
     script = Script(VirtualClock())
-    script.at(8, raising(error))
+    script.do_at(8, raising(error))
     plan = example_plan((Press(Load("L0", 0.0, 0.0, 0.2, 0)), Release()))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None], tell=lambda line: None)
     assert ended.end is EndReason.BROKEN
     assert f"failed: {type(error).__name__}: {error}, while" in ended.detail
 
 
 def test_what_plugins_print_of_themselves_is_made_plain_and_short():
-    assert said(ValueError("a\0\x1b[2J" + "x" * 1000)) == "ValueError: a\ufffd\ufffd[2J" + "x" * 482 + "…"
+    assert describe_error(ValueError("a\0\x1b[2J" + "x" * 1000)) == "ValueError: a\ufffd\ufffd[2J" + "x" * 482 + "…"
 
     class Mute(Exception):
         def __str__(self):
             raise SystemExit
 
-    with pytest.raises(PluginError, match="theirs failed: Mute"), contained("theirs"):
+    with pytest.raises(PluginError, match="theirs failed: Mute"), blame_plugin("theirs"):
         raise Mute
 
 
 def test_errors_on_purpose_pass_as_they_are():
-    with pytest.raises(RefusedError, match=r"^no$") as raised, contained("theirs"):
+    with pytest.raises(RefusedError, match=r"^no$") as raised, blame_plugin("theirs"):
         raise RefusedError("no")
     assert type(raised.value) is RefusedError
 

@@ -11,15 +11,20 @@ from copied import come_back, fork, fork_and_leave
 from simulated_setting import HEAD, material, scene, sensor_type
 from stored_runs import journalled, short_run
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.plan import Moment, PluginChoice, SceneSetting
-from cbsr_qa.plugin import Kind, Plugins, hookimpl
-from cbsr_qa.plugin.discovery import create_plugin
-from cbsr_qa.simulate import build_chain
-from cbsr_qa.station import Bench, Delivery, schedule, stop_all
-from cbsr_qa.store import open_engine, open_store, parsed_url, reading
-from cbsr_qa.system import FileLock, VirtualClock, holder
-from cbsr_qa.testing import Script, example_plan, scripted_bench
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.plan.world import Moment, SceneSetting
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind, hookimpl
+from cbsr_qa.simulate.chain import build_chain
+from cbsr_qa.station.bench import Bench, stop_all
+from cbsr_qa.station.event_sinks import Delivery
+from cbsr_qa.station.plan import schedule
+from cbsr_qa.store.engine import open_engine, parse_url, reading
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.system.files import FileLock, holder
+from cbsr_qa.testing.bench import Script, example_plan, make_scripted_bench
 
 
 class _Plugin:
@@ -78,7 +83,7 @@ def _effect(code):
 
 
 def _identity(code):
-    bench = scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
+    bench = make_scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
     bench.mounted[0].instrument.identity = code
     Bench.identities(bench)
 
@@ -137,7 +142,7 @@ def test_a_copy_that_opens_the_database_itself_may_read_it(database_url):
     found = 0
     if (copy := fork()) == 0:
         try:
-            engine = open_engine(parsed_url(database_url))
+            engine = open_engine(parse_url(database_url))
             with reading(engine) as connection:
                 found = len(connection.exec_driver_sql("SELECT run FROM runs").all())
         finally:
@@ -186,7 +191,7 @@ def test_a_copy_that_outlives_a_killed_process_holds_no_lock(tmp_path):
 
 def test_a_copy_drives_no_instrument():
     def close_twice():
-        bench = scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
+        bench = make_scripted_bench(Script(VirtualClock()), example_plan([]).sensor_type)
         fork()
         bench.close()
 

@@ -6,11 +6,12 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.plugin import Kind, PluginOptions, Problem, WithOptions, create_plugin, discover
-from cbsr_qa.plugin.options import Array, options_of
-from cbsr_qa.plugin.problems import allowed
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.options import Array, PluginOptions, WithOptions, options_of
+from cbsr_qa.plugin.problems import Problem, describe_allowed
 
 
 class Place(PluginOptions):
@@ -90,14 +91,17 @@ def test_options_are_read_once_with_their_defaults():
 
 
 def test_what_a_field_takes_is_worded_from_its_type():
-    assert allowed(Probe.Options.model_fields["strains"]) == "an array of at least 2, each a number from 1 to 60"
-    assert allowed(Probe.Options.model_fields["places"]) == "an array, each a table of x_mm"
-    assert allowed(Annotated[float, Field(ge=0, lt=1)]) == "a number of at least 0 and below 1"
-    assert allowed(Annotated[float, Field(lt=1)]) == "a number below 1"
-    assert allowed(Motion) == "a table of speed_mm_per_min (optional: homing_s)"
-    assert allowed(dict[str, Motion]) == f"one named table or more, each {allowed(Motion)}"
     assert (
-        allowed(Head) == "a table of diameter_mm, outline_mm"
+        describe_allowed(Probe.Options.model_fields["strains"])
+        == "an array of at least 2, each a number from 1 to 60"
+    )
+    assert describe_allowed(Probe.Options.model_fields["places"]) == "an array, each a table of x_mm"
+    assert describe_allowed(Annotated[float, Field(ge=0, lt=1)]) == "a number of at least 0 and below 1"
+    assert describe_allowed(Annotated[float, Field(lt=1)]) == "a number below 1"
+    assert describe_allowed(Motion) == "a table of speed_mm_per_min (optional: homing_s)"
+    assert describe_allowed(dict[str, Motion]) == f"one named table or more, each {describe_allowed(Motion)}"
+    assert (
+        describe_allowed(Head) == "a table of diameter_mm, outline_mm"
     )  # neither alone is needed: a rule of the table's says so
 
 

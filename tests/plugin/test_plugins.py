@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.domain import AbortedError, PluginError
+from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind, hookimpl
 

@@ -11,7 +11,7 @@ import pytest
 from command import FEW_SECTIONS
 from station_files import station_file
 
-from cbsr_qa.analysis import read_recording
+from cbsr_qa.analysis.recording_files import read_recording
 
 pytestmark = pytest.mark.rest
 
@@ -99,7 +99,7 @@ def test_it_is_listed_with_its_distribution(environment, tmp_path):
 
 
 def test_it_appears_in_a_run_and_its_report(environment, tmp_path):
-    from cbsr_qa.config import DocumentKind, open_document
+    from cbsr_qa.config.documents import DocumentKind, open_document
 
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
     (tmp_path / "station.toml").write_text(

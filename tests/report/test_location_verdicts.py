@@ -6,9 +6,12 @@ import pytest
 from report_samples import sample_run
 from sensor_samples import SENSOR
 
-from cbsr_qa.domain.results import Figure, Limit, Measurement, Outcome
-from cbsr_qa.report.draw import checked_svg, verdict_figure
-from cbsr_qa.report.select import location_verdicts, outcome_counts, verdicts_in_words
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.report import Figure
+from cbsr_qa.report.draw.images import verdict_figure
+from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.location_verdicts import location_verdicts, outcome_counts, verdicts_in_words
 from cbsr_qa_plugins.sections.limits import Limits
 
 
@@ -22,7 +25,7 @@ def measured(run, phase, index, value, *, name="error", upper=2.0, marginal=0.5)
     found = Measurement(
         name, value, "mm", phase=phase, location=load.load.label, load=index, how="" if value is not None else "lost"
     )
-    return found.judged(Limit(name, "mm", None, upper, marginal))
+    return found.judge(Limit(name, "mm", None, upper, marginal))
 
 
 def test_the_worst_outcome_of_a_place_is_its_verdict(run):
@@ -47,7 +50,7 @@ def test_trials_of_one_place_are_one_verdict_and_phases_are_apart(run):
 
 
 def test_what_is_not_about_one_load_is_no_places(run):
-    whole = Measurement("noise_figure", 9.0, "1").judged(Limit("noise_figure", "1", None, 2.0))
+    whole = Measurement("noise_figure", 9.0, "1").judge(Limit("noise_figure", "1", None, 2.0))
     assert location_verdicts(run, [whole]) == ()
     lost = replace(measured(run, "nine", 0, 1.0), load=99)
     assert location_verdicts(run, [lost]) == ()
@@ -73,7 +76,7 @@ def test_the_picture_says_outcomes_without_colour(run, phases, value):
     judged = [measured(run, load.phase, load.record.index, value) for load in run.loads if load.phase in phases]
     verdicts = location_verdicts(run, judged)
     figure = verdict_figure(verdicts, SENSOR)
-    checked_svg(figure)
+    check_svg(figure)
     sign, word = {0.1: ("✓", "pass"), 1.8: ("≈", "marginal"), 50.0: ("✗", "fail"), None: ("?", "not measured")}[value]
     assert figure.count(f">{sign}") == len(verdicts)
     assert f" {word}</text>" in figure

@@ -5,7 +5,8 @@ import re
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain.results import Limit, Measurement
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.report.tables import duration, limit_text, margin_text, number, plain, plural, quantity, with_uncertainty
 
 _POWERS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
@@ -117,9 +118,9 @@ def test_limits_are_written_as_they_were_set():
 
 def test_a_margin_has_the_sign_of_being_inside():
     limit = Limit("m", "mm", None, 5.0)
-    assert margin_text(Measurement("m", 4.0, "mm").judged(limit)).startswith("+1.00")
-    assert margin_text(Measurement("m", 6.0, "mm").judged(limit)).startswith("−1.00")
-    assert margin_text(Measurement("m", None, "mm", how="lost").judged(limit)) == ""
+    assert margin_text(Measurement("m", 4.0, "mm").judge(limit)).startswith("+1.00")
+    assert margin_text(Measurement("m", 6.0, "mm").judge(limit)).startswith("−1.00")
+    assert margin_text(Measurement("m", None, "mm", how="lost").judge(limit)) == ""
 
 
 def test_counts_with_their_noun():

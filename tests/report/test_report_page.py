@@ -12,19 +12,11 @@ from copied import come_back, fork
 from recording_samples import sample_recording
 from report_samples import ended_early, sample_run
 
-from cbsr_qa.domain import NumericsError, RefusedError
-from cbsr_qa.domain.results import (
-    Cell,
-    EndReason,
-    Figure,
-    Limit,
-    Measurement,
-    Outcome,
-    Paragraph,
-    Section,
-    Table,
-    decide,
-)
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import Cell, Figure, Paragraph, Section, Table
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.page import recording_page, run_page
 from cbsr_qa.report.render import render_recording, render_run, report_name, write_report
 from cbsr_qa_plugins.sections.limits import Limits
@@ -122,7 +114,7 @@ def hostile_run(result):
         simulated=(HOSTILE,),
         instruments=(replace(result.record.identity.instruments[0], model=HOSTILE, serial=HOSTILE),),
     )
-    measured = Measurement(HOSTILE, 1.0, HOSTILE, how=HOSTILE, location=HOSTILE).judged(
+    measured = Measurement(HOSTILE, 1.0, HOSTILE, how=HOSTILE, location=HOSTILE).judge(
         Limit(HOSTILE, HOSTILE, 0.0, 2.0)
     )
     refused = Measurement("plain", None, "1", how=HOSTILE)
@@ -212,7 +204,7 @@ def test_the_same_result_gives_the_same_bytes(result):
 )
 def test_the_banner_says_verdict_and_reason_first(result, value, headline, reason):
     limit = Limit("error", "mm", None, 5.0, marginal=0.5)
-    measured = (Measurement("error", value, "mm", how="no blob").judged(limit),)
+    measured = (Measurement("error", value, "mm", how="no blob").judge(limit),)
     judged = replace(result, measurements=measured, verdict=decide(measured))
     words = Structure(render_run(judged, [])).words()
     body = words[words.index("Test report ·") :]

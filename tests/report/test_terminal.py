@@ -2,8 +2,9 @@
 
 import pytest
 
-from cbsr_qa.domain.results import Banner, Page, Section
-from cbsr_qa.report import terminal_lines, text_table
+from cbsr_qa.domain.results.report import Banner, Page, Section
+from cbsr_qa.report.tables import text_table
+from cbsr_qa.report.terminal import terminal_lines
 
 PAGE = Page("", "", Banner("plain", "–", "Answer", ""), (), (), ())
 TEXT = "word " * 40

@@ -9,21 +9,26 @@ from calibration_samples import sample_force
 from sqlalchemy import JSON, Boolean, DateTime, Double, Integer, LargeBinary, create_engine, select
 from stored_runs import SETTING, calibration, short_run
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
-from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
-from cbsr_qa.store import open_store
-from cbsr_qa.store.chain import KEYS, documents_in_columns, keys_of, link_digest, of_run
-from cbsr_qa.store.results import Reanalysis
-from cbsr_qa.store.tables import Base
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.store.chain.check import select_run
+from cbsr_qa.store.chain.links import link_digest
+from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
+from cbsr_qa.store.chain.run_documents import KEYS
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import Reanalysis
+from cbsr_qa.store.tables.runs import Base
 
 LIMIT = Limit("drift", "mm", None, 5.0)
 PASSED = (
-    Measurement("drift", 4.0, "mm", phase="nine locations").judged(LIMIT),
+    Measurement("drift", 4.0, "mm", phase="nine locations").judge(LIMIT),
     Measurement("noise", -0.0, "1", 0.1 + 0.2),
 )
-FAILED = (Measurement("drift", 6.0, "mm", phase="nine locations").judged(LIMIT), PASSED[1])
+FAILED = (Measurement("drift", 6.0, "mm", phase="nine locations").judge(LIMIT), PASSED[1])
 ANSWER = GateAnswer(GateCheck.DISK, GatePolicy.REFUSE, GateOutcome.OVERRIDDEN, "1 GB free", "tidy up", "Zoë", "so")
 
 
@@ -90,7 +95,7 @@ def linked_again(path, run):
     with engine.begin() as connection:
         content = {}
         for table in map(Base.metadata.tables.__getitem__, KEYS):
-            rows = connection.execute(select(table).where(of_run(table, run))).mappings().all()
+            rows = connection.execute(select(table).where(select_run(table, run))).mappings().all()
             if rows:
                 columns = {column.name: [row[column.name] for row in rows] for column in table.columns}
                 digests = documents_in_columns(table, columns, keys_of(table, columns))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cbsr_qa.domain.readings import ReadOptions, Recording
+from cbsr_qa.domain.readings.frames import ReadOptions, Recording
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 
 PAIRS = 16

@@ -10,35 +10,22 @@ from typing import Any
 import h5py
 import numpy as np
 
-from cbsr_qa.domain.results import (
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, OverlapBand, ParameterChoice
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
-    FitStatus,
     ForceModel,
-    ImagingProblem,
     Lattice,
-    LinearReconstruction,
     LoadRelaxation,
-    OverlapBand,
-    ParameterChoice,
-    RelaxationFit,
-    RelaxationKernel,
     SettlingSummary,
-    SettlingTime,
     Validity,
 )
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import (
-    ElectrodeKind,
-    ElectrodeLayout,
-    Mesh,
-    Parameter,
-    QuasiStatic,
-    Response,
-    SensorIdentity,
-    SensorType,
-    adjacent_pattern,
-)
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, RelaxationKernel, SettlingTime
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 
 
 def sample_sensor_type(electrodes: int = 6) -> SensorType:

@@ -5,10 +5,10 @@ from datetime import datetime
 
 import numpy as np
 
-from cbsr_qa.store import writing
-from cbsr_qa.store.chain import add_rows
-from cbsr_qa.store.runs import encoded
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.chain.links import add_rows
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.runs.codec import encode_setting
+from cbsr_qa.store.tables.results import (
     BaselineRow,
     CalibrationRow,
     FitParameterRow,
@@ -208,7 +208,7 @@ def _values(calibration, analysis):
         **_validity_values(calibration.validity),
         "assumed": list(calibration.assumed),
         "simulated": list(calibration.simulated),
-        "setting": encoded(calibration.sensor_type, calibration.indenter),
+        "setting": encode_setting(calibration.sensor_type, calibration.indenter),
         "content_sha256": calibration.digest,
         "record_sha256": calibration.record_digest,
     }

@@ -8,9 +8,14 @@ import numpy as np
 from filled_databases import filled
 from stored_lots import judged, measured
 
-from cbsr_qa.domain.results import EndReason, FleetTable, MetricKey, Outcome, RunLine, RunSelection, ValueKind
-from cbsr_qa.report import json_document, render_sections
-from cbsr_qa.studies.compare import By, Terms, compare_groups, compare_outcome
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine, RunSelection, ValueKind
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.document import json_document
+from cbsr_qa.report.render import render_sections
+from cbsr_qa.studies.compare.comparison import compare_groups
+from cbsr_qa.studies.compare.report import compare_outcome
+from cbsr_qa.studies.compare.terms import By, Terms
 
 NOW = datetime(2026, 12, 24, tzinfo=UTC)
 ERROR = "centre_of_mass_error"

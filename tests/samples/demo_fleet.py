@@ -4,7 +4,7 @@ import json
 
 from made_once import made_once
 
-from cbsr_qa.studies import build_fleet
+from cbsr_qa.studies.fleet_demo import build_fleet
 
 
 def demo_fleet():

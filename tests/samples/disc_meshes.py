@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import Blob, Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.imaging import Blob, Image
+from cbsr_qa.domain.sensor.mesh import Mesh
 
 
 def disc_mesh(

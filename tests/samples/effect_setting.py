@@ -8,19 +8,13 @@ from typing import Any
 import numpy as np
 from simulated_setting import world
 
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import (
-    Moment,
-    PluginChoice,
-    Scene,
-    SceneSetting,
-    SheetDesign,
-    SimulatedPress,
-    StrainRamp,
-)
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, SensorType
-from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.plan.plan import PluginChoice, Scene
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SheetDesign, SimulatedPress, StrainRamp
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import Material, Parameter, QuasiStatic, Relaxation, SensorType
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
 
 STEP_S = 1e-9  #: a ramp this short is a step
 READING_SCALE_V = 2.0

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 from simulated_setting import MOTION, context
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import InstrumentSpec, SafetyLimits
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, WatchedClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.plan import InstrumentSpec, SafetyLimits
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
+from cbsr_qa.simulate.instruments.streams import WatchedClock
 
 SAFETY = SafetyLimits(force_N=20.0, strain=0.35, travel_radius_mm=41.0, duration_s=43200.0, stale_s=2.0)
 RATE_HZ = 8
@@ -65,7 +66,7 @@ class EmulatedStation:
         return self.rig.head
 
     def open(self, role, factory, *, safety=SAFETY, ask=None, **more):
-        addressed = self.emulation.addressed(self.specs[role])
+        addressed = self.emulation.fill_address(self.specs[role])
         told = context(None, clock=self.rig.clock)
         one = factory(replace(told, role=role, options={**addressed.options, **more}, safety=safety, ask=ask))
         self.opened.append(one)

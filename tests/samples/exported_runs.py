@@ -7,11 +7,13 @@ import numpy as np
 from made_once import made_once
 from stored_runs import SENSOR_TYPE, identity, journalled, load, record, short_run
 
-from cbsr_qa.domain.plan import Press, Role
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunResult, decide
-from cbsr_qa.domain.run import (
-    EasedStrain,
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.steps import Press, Role
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.readings.loads import EasedStrain
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
@@ -20,7 +22,8 @@ from cbsr_qa.domain.run import (
     RunStarted,
     StepStarted,
 )
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 
 GRID = "nine locations"
 ERROR = Limit("centre_of_mass_error", "mm", None, 6.5, 1.5, GRID)
@@ -32,8 +35,8 @@ def measured(error_mm, drift):
     return (
         Measurement(
             "centre_of_mass_error", error_mm, "mm", 0.02, GRID, "L0", 0, how="blob", load=0, strain=0.2
-        ).judged(ERROR),
-        Measurement("drift", drift, "%/min", how="no frame" if drift is None else "").judged(DRIFT),
+        ).judge(ERROR),
+        Measurement("drift", drift, "%/min", how="no frame" if drift is None else "").judge(DRIFT),
         Measurement("zero_return", None, "1", how='=HYPERLINK("x")'),
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from made_once import made_once, named_by
 from stored_lots import store_run
 
-from cbsr_qa.store import open_store
+from cbsr_qa.store.opening import open_store
 
 #: After so many runs more, a database is kept for others that begin alike.
 _STEP = 4

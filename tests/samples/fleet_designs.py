@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.stats import Crossing, crossing
+from cbsr_qa.stats.crossings import Crossing, crossing
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,14 @@ from functools import lru_cache
 import numpy as np
 from stored_runs import INDENTER, SENSOR_TYPE, calibration
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.calibration.force import CalibrationLoads, learn_force, template_bank
-from cbsr_qa.config import load_material
-from cbsr_qa.domain import as_filed
-from cbsr_qa.domain.results import Calibration, Validity
-from cbsr_qa.eit.estimate import load_model, merge_reciprocal
-from cbsr_qa.eit.loads import RoundLoads
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.calibration.force.learning import CalibrationLoads, learn_force
+from cbsr_qa.calibration.force.templates import template_bank
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.results.calibration import Calibration, Validity
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
+from cbsr_qa.eit.loads.round_load import RoundLoads
 
 #: Volts of the sensor to those of its model, and the noise of a reading [V].
 SCALE = 7.24

@@ -7,14 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from cbsr_qa.calibration.force import CalibrationLoads, LearnedForce, TemplateBank, learn_force, template_bank
-from cbsr_qa.calibration.runtime import Calibration
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.results import ForceModel, Validity
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import QuasiStatic
-from cbsr_qa.eit.estimate import MergedReadings, load_model, merge_reciprocal
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.calibration.force.learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibration.force.templates import TemplateBank, template_bank
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import ForceModel, Validity
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
+from cbsr_qa.eit.estimate.readings import MergedReadings, load_model, merge_reciprocal
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 SENSOR_TYPE = load_sensor_type("disc-100mm").value
 HEAD = Indenter(13.0)

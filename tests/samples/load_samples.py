@@ -3,31 +3,16 @@
 import numpy as np
 from sensor_samples import FLOOR, INDENTER, MASKS, SENSOR
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.results import (
-    FitStatus,
-    Image,
-    LoadObservation,
-    MaskView,
-    MetricTimeline,
-    RelaxationFit,
-    RelaxationObservation,
-    SettlingTime,
-    Trace,
-)
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load, LoadRecord
-from cbsr_qa.domain.sensor import Response
-from cbsr_qa.eit.imaging import (
-    area_overlap_percent,
-    centre_of_mass_error_mm,
-    find_blobs,
-    nearest_blob,
-    percentage_mask,
-    shape_deviation_mm2,
-    subtract_noise_floor,
-)
-from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load, LoadRecord
+from cbsr_qa.domain.results.observation import LoadObservation, MaskView, MetricTimeline, RelaxationObservation, Trace
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.sensor.sensor_type import Response
+from cbsr_qa.eit.imaging.blobs import find_blobs, nearest_blob, percentage_mask, subtract_noise_floor
+from cbsr_qa.eit.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
+from cbsr_qa.eit.mesh.sheet import image_mesh
 
 _PERIOD_S = 2.5
 
@@ -130,7 +115,7 @@ def sample_timeline(sampler, phase, frames, loads, force):
             views = sampler.views(sampler.bump(*place, load.record.load.strain), *place)
             for mask, view in enumerate(views):
                 if view.sensed is not None:
-                    tables[0][mask, frame] = centre_of_mass_error_mm(view.sensed, INDENTER.at(*place))
-                    tables[1][mask, frame] = area_overlap_percent(view.sensed, INDENTER.at(*place))
-                    tables[2][mask, frame] = shape_deviation_mm2(view.sensed, INDENTER.at(*place))
+                    tables[0][mask, frame] = centre_of_mass_error_mm(view.sensed, INDENTER.footprint_at(*place))
+                    tables[1][mask, frame] = area_overlap_percent(view.sensed, INDENTER.footprint_at(*place))
+                    tables[2][mask, frame] = shape_deviation_mm2(view.sensed, INDENTER.footprint_at(*place))
     return MetricTimeline(phase, frames.time_s, MASKS, tables[0], tables[1], tables[2], force)

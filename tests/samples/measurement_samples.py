@@ -3,8 +3,9 @@
 import numpy as np
 from sensor_samples import INDENTER
 
-from cbsr_qa.domain.results import Limit, Measurement
-from cbsr_qa.eit.imaging import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.eit.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
 
 
 def sample_measurements(loads):
@@ -18,14 +19,19 @@ def sample_measurements(loads):
             about["qualifier"] = "" if main else f"mask {100 * view.fraction:g} %"
             blob = view.sensed
             values = (
-                ("centre_of_mass_error", "mm", blob and centre_of_mass_error_mm(blob, INDENTER.at(*place)), ""),
+                (
+                    "centre_of_mass_error",
+                    "mm",
+                    blob and centre_of_mass_error_mm(blob, INDENTER.footprint_at(*place)),
+                    "",
+                ),
                 (
                     "area_overlap",
                     "%",
-                    blob and area_overlap_percent(blob, INDENTER.at(*place)),
+                    blob and area_overlap_percent(blob, INDENTER.footprint_at(*place)),
                     "good; exact clipping",
                 ),
-                ("shape_deviation", "mm²", blob and shape_deviation_mm2(blob, INDENTER.at(*place)), ""),
+                ("shape_deviation", "mm²", blob and shape_deviation_mm2(blob, INDENTER.footprint_at(*place)), ""),
             )
             found += [
                 Measurement(n, v, u, how=h if v is not None else "not detected", **about) for n, u, v, h in values
@@ -59,11 +65,10 @@ def sample_measurements(loads):
     ]
     limit = Limit("centre_of_mass_error", "mm", None, 5.0, marginal=0.5, phase="nine")
     judged = [
-        m.judged(limit) if (m.name, m.phase, m.qualifier) == ("centre_of_mass_error", "nine", "") else m
-        for m in found
+        m.judge(limit) if (m.name, m.phase, m.qualifier) == ("centre_of_mass_error", "nine", "") else m for m in found
     ]
     judged.append(
-        Measurement("noise_figure", 1.07, "1", 0.08, phase="noise").judged(Limit("noise_figure", "1", 0.5, 1.5))
+        Measurement("noise_figure", 1.07, "1", 0.08, phase="noise").judge(Limit("noise_figure", "1", 0.5, 1.5))
     )
     judged.append(Measurement("channel_snr", 58.3, "dB", qualifier="median", how="208 used readings"))
     judged += [

@@ -6,24 +6,17 @@ from datetime import UTC, datetime
 import numpy as np
 from calibration_samples import sample_reconstruction, sample_sensor_type
 
-from cbsr_qa.domain.plan import AnalysisSettings, Role
-from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
-from cbsr_qa.domain.results import (
-    Blob,
-    EndReason,
-    FitStatus,
-    Image,
-    LoadObservation,
-    MaskView,
-    OverlapBand,
-    RelaxationFit,
-    RelaxationObservation,
-    RunObservation,
-    SettlingTime,
-    Trace,
-)
-from cbsr_qa.domain.run import Indenter, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import Material, Mesh, Parameter, QuasiStatic, Relaxation, Response, SensorIdentity
+from cbsr_qa.domain.imaging import Blob, Image, OverlapBand
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter, Load, LoadRecord
+from cbsr_qa.domain.results.observation import LoadObservation, MaskView, RelaxationObservation, RunObservation, Trace
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import Material, Parameter, QuasiStatic, Relaxation, Response, SensorIdentity
 
 INDENTER = Indenter(13.0)
 SETTINGS = AnalysisSettings(

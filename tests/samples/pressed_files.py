@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.analysis.recording import nominal_disc
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.forward import disc_coverage
-from cbsr_qa.eit.inverse import nominal_model
-from cbsr_qa.eit.loads import LocalUpdate
+from cbsr_qa.analysis.recording.imaging import nominal_disc
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.inverse.problem import nominal_model
+from cbsr_qa.eit.loads.local import LocalUpdate
 
 DISC: SensorType = nominal_disc(None, 16)
 

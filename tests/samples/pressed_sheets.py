@@ -7,19 +7,16 @@ import numpy as np
 from made_once import value_made_once
 from scipy.io import loadmat
 
-from cbsr_qa.calibration.presses import (
-    DistinctPairs,
-    Identity,
-    LabelledPresses,
-    NumberTable,
-    PressReadings,
-    PressTable,
-    issue_from_presses,
-    learn_presses,
-)
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, ElectrodeLayout, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, PressReadings
+from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses, learn_presses
+from cbsr_qa.calibration.presses.number_tables import NumberTable
+from cbsr_qa.calibration.presses.pairs import DistinctPairs
+from cbsr_qa.calibration.presses.tables import PressTable
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 RADIUS_MM = 73.0
 #: The sensor type of :func:`round_sensor` as a file.

@@ -6,10 +6,11 @@ import numpy as np
 from load_samples import sample_frames
 from sensor_samples import SENSOR
 
-from cbsr_qa.domain.readings import ChannelReport, LoadEvent, NoiseReport, Recording, RecordingResult, ScanKind
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.readings.frames import Recording, ScanKind
+from cbsr_qa.domain.results.findings import ChannelReport, LoadEvent, NoiseReport, RecordingResult
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.mesh.sheet import image_mesh
 
 
 def sample_recording(events=2):

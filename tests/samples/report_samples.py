@@ -8,23 +8,16 @@ from load_samples import Sampler, planned_loads, sample_force, sample_frames, sa
 from measurement_samples import sample_measurements
 from sensor_samples import BANDS, FLOOR, INDENTER, SENSOR, SETTINGS, sample_material
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
-    BaselineConductance,
-    Calibration,
-    EndReason,
-    ImagingProblem,
-    LinearReconstruction,
-    ParameterChoice,
-    RunObservation,
-    RunResult,
-    SettlingSummary,
-    Validity,
-    Verdict,
-    decide,
-)
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, InstrumentIdentity, PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import Response, SensorIdentity
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.results.calibration import BaselineConductance, Calibration, SettlingSummary, Validity
+from cbsr_qa.domain.results.measurement import Verdict, decide
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.run import InstrumentIdentity, PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity
 
 
 def sample_identity(serial="SN-0042", simulated=("all instruments", "the sensor (scene base)")):
@@ -114,7 +107,7 @@ def sample_run(size_mm=3.0, **identity):
             timelines.append(sample_timeline(sampler, name, frames, own, force))
         loads += own
     record = sample_record(phases, **identity)
-    unloaded = phases[0].frames.between(0, 240)
+    unloaded = phases[0].frames.select_interval(0, 240)
     observation = RunObservation(
         record=record,
         reconstruction=sample_reconstruction(sampler.mesh),

@@ -6,9 +6,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 MakeSensor = Callable[..., SensorType]
 MakeModel = Callable[..., ForwardModel]

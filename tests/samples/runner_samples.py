@@ -1,11 +1,11 @@
 """Phases on a scripted bench, for tests of the runner."""
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
-from cbsr_qa.domain.run import Load
-from cbsr_qa.station import execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
 
 TOOK_S = {
     "force_applicator.home": 6.0,
@@ -30,7 +30,7 @@ def run(*phases, script=None, done=frozenset(), listeners=(), journal=None, **op
     script = script or Script(VirtualClock(), TOOK_S)
     plan = example_plan(*phases)
     documents = []
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     subscribers = [journal or documents.append, *listeners]
     ended = execute(plan, example_identity(), bench, script.clock, subscribers, done=done, **options)
     return ended, documents, script

@@ -1,10 +1,10 @@
 """Runs of a short plan over a scripted bench, for the tests of safety."""
 
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
-from cbsr_qa.domain.run import Load
-from cbsr_qa.station import execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
 
 LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
 SHORT = (
@@ -28,7 +28,7 @@ ROLES = ("force_applicator", "frame_source", "load_cell")
 def run(steps=SHORT, *, script=None, listeners=()):
     script = script or Script(VirtualClock())
     plan = example_plan(steps)
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     documents = []
     ended = execute(plan, example_identity(), bench, script.clock, [documents.append, *listeners])
     return ended, documents, script, bench

@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, SceneSetting
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.plugin import StationContext
-from cbsr_qa.simulate import SimulatedFrame
-from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, WatchedClock
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec, Motion
+from cbsr_qa.domain.plan.world import SceneSetting
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.simulate.frames import SimulatedFrame
+from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
+from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa_plugins.hardware.esp32_multiplexer import open_multiplexer
 from cbsr_qa_plugins.hardware.keithley_2600 import open_source_meter
 from cbsr_qa_plugins.hardware.scanned_frames import open_frames
@@ -67,7 +69,7 @@ class Scanning:
 
     def context(self, role, **options):
         spec = self.specs.get(role)
-        told = self.options[role] if spec is None else self.emulation.addressed(spec).options
+        told = self.options[role] if spec is None else self.emulation.fill_address(spec).options
         return StationContext(role, self.clock, SENSOR, MATERIAL, Indenter(13.0), 1, {**told, **options})
 
     def open_meter(self, **options):

@@ -1,7 +1,8 @@
 """Scene files of one's own, for tests of what is recorded of a scene."""
 
-from cbsr_qa.config import Loaded, check_plan, load_scene_plan, load_sensor_type
-from cbsr_qa.domain.plan import ScenePlan
+from cbsr_qa.config.loader import Loaded, load_scene_plan, load_sensor_type
+from cbsr_qa.config.scene_checks import check_plan
+from cbsr_qa.domain.plan.scene_plan import ScenePlan
 
 HEAD = """[scene]
 name = "mine"

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from cbsr_qa.domain.results import Figure, Table
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.domain.results.report import Figure, Table
+from cbsr_qa.report.draw.style import check_svg
 
 
 def observed(result, **changes):
@@ -27,7 +27,7 @@ def check_showable(section):
     """Figures are safe and described; tables have rows as wide as their heads."""
     assert section.blocks
     for figure in blocks(section, Figure):
-        checked_svg(figure.svg)
+        check_svg(figure.svg)
         assert figure.caption
         assert figure.alternative
     for table in tables(section):

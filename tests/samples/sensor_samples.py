@@ -1,19 +1,11 @@
 """The sensor, the head and the settings of analysis of the sample run."""
 
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.results import OverlapBand
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import (
-    ElectrodeKind,
-    ElectrodeLayout,
-    Material,
-    Parameter,
-    QuasiStatic,
-    Relaxation,
-    Response,
-    SensorType,
-    adjacent_pattern,
-)
+from cbsr_qa.domain.imaging import OverlapBand
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
 
 MASKS = (0.25, 0.5, 0.75, 0.85)
 BANDS = (OverlapBand("likely poor", 0, 50), OverlapBand("ok", 50, 70), OverlapBand("good", 70, 100))

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from calibration_samples import sparse_calibration
 
-from cbsr_qa.calibration.file import new_key, sign_calibration, signing_key, stamp
-from cbsr_qa.domain.results import Calibration
+from cbsr_qa.calibration.file.hdf5 import sign_calibration, stamp
+from cbsr_qa.calibration.file.keys import new_key, signing_key
+from cbsr_qa.domain.results.calibration import Calibration
 
 AT = datetime(2026, 11, 27, 9, 30, 15, 400_000, tzinfo=UTC)
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from simulated_setting import base_scene, context
 
-from cbsr_qa.domain.plan import PluginChoice, Scene
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.domain.plan.plan import PluginChoice, Scene
+from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench, open_bench
 
 SPEED = 40 / 60

@@ -5,24 +5,21 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 
-from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import load_material, load_recipe, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import (
-    AcquireFrames,
-    FindSurface,
-    Hold,
-    InstrumentSpec,
-    MarkUnloaded,
-    Motion,
-    Press,
-    Release,
-    SafetyLimits,
-)
-from cbsr_qa.domain.run import Indenter, Load, RunIdentity
-from cbsr_qa.domain.sensor import Parameter, SensorIdentity
-from cbsr_qa.plugin import Kind, StationContext, discover
-from cbsr_qa.station import MemoryJournal, Plan, PlannedPhase, execute, open_bench
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type
+from cbsr_qa.domain.plan.plan import InstrumentSpec, Motion, SafetyLimits
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.readings.loads import Indenter, Load
+from cbsr_qa.domain.run.run import RunIdentity
+from cbsr_qa.domain.sensor.sensor_type import Parameter, SensorIdentity
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.station.bench import open_bench
+from cbsr_qa.station.documents import MemoryJournal
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.plan import Plan, PlannedPhase
+from cbsr_qa.system.clock import VirtualClock
 
 HEAD = Indenter(13.0)
 _MOTION = Motion(40 / 60, 10.0, 25.0)

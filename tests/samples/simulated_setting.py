@@ -5,13 +5,16 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SimulatedPress, StrainRamp
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Kind, StationContext, discover
-from cbsr_qa.simulate import SimulatedWorld
-from cbsr_qa.system import Clock, VirtualClock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.plan.plan import Motion, PluginChoice, Scene
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.system.clock import Clock, VirtualClock
 
 HEAD = Indenter(13.0)
 MOTION = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)

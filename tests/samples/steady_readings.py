@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 from simulated_runs import simulated_run
 from steady_trials import RATE_PER_S, Found, material, sensor_type
 
-from cbsr_qa.analysis.run import model_scale
-from cbsr_qa.calibration.fits import learn_kernel, predict_steady
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load, RunRecord
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.eit.loads import RoundLoads
+from cbsr_qa.analysis.run.estimates import model_scale
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.loads.round_load import RoundLoads
 
 Array = NDArray[np.float64]
 

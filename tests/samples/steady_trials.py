@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from benchmarks.load_bound import load_bound
-from cbsr_qa.calibration.fits import learn_kernel, predict_steady
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
-from cbsr_qa.domain.results import RelaxationKernel
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, Relaxation, SensorType
-from cbsr_qa.eit.estimate import load_model, merge_reciprocal
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SimulatedPress, StrainRamp
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
+from cbsr_qa.domain.sensor.sensor_type import Material, Relaxation, SensorType
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 from cbsr_qa_plugins.effects.force import ElasticStress, StressRelaxation
 from cbsr_qa_plugins.effects.sheet import ConductanceRelaxation, Piezoresistivity, Residue, UnloadingSpike
 

@@ -6,11 +6,11 @@ import time
 import weakref
 from dataclasses import replace
 
-from cbsr_qa.domain.plan import Hold, Press, Release
-from cbsr_qa.domain.run import Load
-from cbsr_qa.station import execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.domain.plan.steps import Hold, Press, Release
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
 
 LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
 CYCLE = (Press(LOAD), Hold(10, acquire=True), Release(), Hold(10, acquire=True))
@@ -57,7 +57,7 @@ def run(steps=CYCLE, *, script=None, listeners=(), answer_s=60.0, motion=None, f
     script = script or Script(VirtualClock())
     plan = example_plan(steps)
     plan = replace(plan, safety=replace(plan.safety, answer_s=answer_s), motion=motion or plan.motion)
-    bench = scripted_bench(script, plan.sensor_type, frame_period_s=frame_period_s)
+    bench = make_scripted_bench(script, plan.sensor_type, frame_period_s=frame_period_s)
     told, said = [], []
     subscribers = [told.append, *listeners]
     ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=said.append, **options)

@@ -9,9 +9,13 @@ from unittest.mock import patch
 import numpy as np
 from stored_runs import SETTING, short_run
 
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, RunResult, decide
-from cbsr_qa.domain.run import PhaseFinished, RunEnded, RunRecord, RunStarted
-from cbsr_qa.store import Repository, repository as repository_module
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.run import PhaseFinished, RunEnded, RunRecord, RunStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store import repository as repository_module
+from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results import analyses
 
 PHASE = "nine locations"
@@ -43,7 +47,7 @@ def measured(random, sensor, *, locations=9):
 
 def judged(measurements, limits=None):
     limits = LIMITS if limits is None else limits
-    return tuple(m.judged(limits[m.name]) if m.name in limits else m for m in measurements)
+    return tuple(m.judge(limits[m.name]) if m.name in limits else m for m in measurements)
 
 
 def store_run(repository, serial, measurements, *, batch="golden", recipe="short", day=0, software=None, **changes):

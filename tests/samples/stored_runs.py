@@ -6,47 +6,38 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import Hold, Home, Press, Role
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.results import (
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, OverlapBand, ParameterChoice
+from cbsr_qa.domain.plan.steps import Hold, Home, Press, Role
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter, Load, LoadRecord
+from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
-    EndReason,
-    FitStatus,
-    ImagingProblem,
-    LinearReconstruction,
     LoadRelaxation,
-    OverlapBand,
-    ParameterChoice,
-    RelaxationFit,
     SettlingSummary,
-    SettlingTime,
     Validity,
 )
-from cbsr_qa.domain.run import (
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
+from cbsr_qa.domain.run.run import (
     FramesTaken,
-    Indenter,
     InstrumentIdentity,
-    Load,
     LoadFinished,
-    LoadRecord,
     PhaseFinished,
     PhaseStarted,
-    PromptAnswered,
-    PromptShown,
-    RunContinued,
     RunEnded,
     RunIdentity,
-    RunPaused,
     RunStarted,
     SamplesTaken,
     StepRetried,
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.sensor import Mesh, Response, SensorIdentity
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity
 
 CONFIGURATION = '{"layout":1,"note":"Δρ"}'
 SENSOR_TYPE = load_sensor_type("disc-100mm").value

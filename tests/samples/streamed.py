@@ -14,9 +14,9 @@ from command import PROGRAM
 from force_calibration import force_calibration, frames
 from station_files import station_file
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
 
 #: Of played recordings; a whole number of ticks of the clock.
 PERIOD_S = 0.0625

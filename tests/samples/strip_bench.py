@@ -3,13 +3,18 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type, load_station
-from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
-from cbsr_qa.domain.run import RunIdentity
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, StationContext, discover
-from cbsr_qa.station import MemoryJournal, Plan, PlannedPhase, execute, open_bench
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
+from cbsr_qa.domain.plan.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.run.run import RunIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.station.bench import open_bench
+from cbsr_qa.station.documents import MemoryJournal
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.plan import Plan, PlannedPhase
+from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
 

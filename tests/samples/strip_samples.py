@@ -5,14 +5,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from cbsr_qa.calibration.fits import StepTrace
-from cbsr_qa.calibration.strip import Specimen
-from cbsr_qa.config import load_material, load_sensor_type, load_station
-from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
-from cbsr_qa.domain.results import CycleReadings
-from cbsr_qa.domain.sensor import Parameter, Relaxation, Response
-from cbsr_qa.eit.loads import StripModel
-from cbsr_qa.simulate import Transients, quasi_static
+from cbsr_qa.calibration.fits.superposition import StepTrace
+from cbsr_qa.calibration.strip.characterisation import Specimen
+from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
+from cbsr_qa.domain.results.characterisation import CycleReadings
+from cbsr_qa.domain.sensor.sensor_type import Parameter, Relaxation, Response
+from cbsr_qa.eit.loads.bodies import StripModel
+from cbsr_qa.simulate.ramps import Transients, quasi_static
 
 SPEED = 1 / 6  # strain a second
 PAPER = (0.05, 0.10, 0.15, 0.20, 0.25, 0.30)
@@ -74,7 +74,8 @@ def steps_of(truth, planned, period_s=1.0):
 
     def change(at_s):
         return sum(
-            quasi_static(line, p.strain_at(at_s)) + transients.of(p, at_s) + fading.of(p, at_s) for p in presses
+            quasi_static(line, p.strain_at(at_s)) + transients.change_at(p, at_s) + fading.change_at(p, at_s)
+            for p in presses
         )
 
     steps = []
@@ -112,7 +113,9 @@ def readings(truth, strains=(0.1, 0.2, 0.3), count=4, noise=7.9e-4, seed=0, forc
     for k, one in enumerate(planned):
         held, rested, press, ramp_s = read(steps[2 * k]), read(steps[2 * k + 1]), one.press(k), one.strain / SPEED
         at_s = np.arange(one.down_s + 0.5, one.lift_s, 1.0)
-        kPa = truth.material.modulus_kPa.value * np.array([press.strain_at(t) + stress.of(press, t) for t in at_s])
+        kPa = truth.material.modulus_kPa.value * np.array(
+            [press.strain_at(t) + stress.change_at(press, t) for t in at_s]
+        )
         kPa += force_noise_N / 0.4 / np.sqrt(8) * random.standard_normal(len(kPa))
         found.append(
             CycleReadings(

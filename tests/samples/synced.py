@@ -10,22 +10,25 @@ import pytest
 import sqlalchemy as sa
 from stored_runs import calibration, frames, journalled, short_run
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.domain.run import (
-    ChartKind,
-    ChartReference,
-    CheckOutcome,
-    CheckResult,
-    Release,
-    RingReadings,
-    StationCheck,
-)
-from cbsr_qa.store import Repository, open_engine, parsed_url, reading, upgrade, writing
-from cbsr_qa.store.chain import FIGURES, KEYS, check_run, link_digest, of_run, stored_documents, stored_figures
-from cbsr_qa.store.sync import copying, send_waiting, waiting
-from cbsr_qa.store.tables import Base, LinkRow
-from cbsr_qa.system import RealClock
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.charts import ChartKind, ChartReference
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.gate import Release
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.store.chain.check import check_run, digest_documents, select_run
+from cbsr_qa.store.chain.links import link_digest
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest
+from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.schema import upgrade
+from cbsr_qa.store.sync import copying
+from cbsr_qa.store.sync.queue import waiting
+from cbsr_qa.store.sync.send import send_waiting
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.runs import Base
+from cbsr_qa.system.clock import RealClock
 
 #: Tables that say what is to be sent, and what was begun in a database itself.
 OWN = {"outbox", "sync_refusals", "sync_settlements", "sync_accepts", "runs_begun"}
@@ -34,7 +37,7 @@ NOW = datetime(2026, 11, 27, 8, 0, tzinfo=UTC)
 
 def opened(url):
     """Return the engine of an up-to-date database."""
-    engine = open_engine(parsed_url(url), durable=False)
+    engine = open_engine(parse_url(url), durable=False)
     upgrade(engine)
     return engine
 
@@ -75,7 +78,7 @@ def remove_run(place, run, *, begun=False):
     with writing(place.engine) as connection:
         for table in reversed(Base.metadata.sorted_tables):
             if table.name in KEYS or table.name in ("run_links", "archives"):
-                connection.execute(table.delete().where(of_run(table, run)))
+                connection.execute(table.delete().where(select_run(table, run)))
         connection.exec_driver_sql(f"DELETE FROM outbox WHERE item = '{run}'")
         if begun:
             connection.exec_driver_sql(f"DELETE FROM runs_begun WHERE run = '{run}'")
@@ -84,12 +87,12 @@ def remove_run(place, run, *, begun=False):
 def link_again(place, run):
     """Compute the links of a run again from its rows, as somebody who knows how they are computed can."""
     with writing(place.engine) as connection:
-        contents = {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+        contents = {(kind, key): content for kind, key, content in digest_documents(connection, run)}
         links = connection.execute(sa.select(LinkRow.__table__).where(LinkRow.run == run).order_by(LinkRow.number))
         before = ""
         for link in links.all():
             of_figures = link.kind == FIGURES
-            content = stored_figures(connection, link.document) if of_figures else contents[link.kind, link.document]
+            content = figures_digest(connection, link.document) if of_figures else contents[link.kind, link.document]
             before = link_digest(before, link.kind, link.document, content)
             same = sa.update(LinkRow).where(LinkRow.run == run, LinkRow.number == link.number)
             connection.execute(same.values(content_sha256=content, sha256=before))
@@ -97,7 +100,7 @@ def link_again(place, run):
 
 def judged(repository, run, *, issued=None, outcome=Outcome.PASS):
     """Store a result of a run, with a calibration if one is given."""
-    measured = Measurement("drift", 0.01, "%/min").judged(Limit("drift", "%/min", -0.5, 0.5, 0.1))
+    measured = Measurement("drift", 0.01, "%/min").judge(Limit("drift", "%/min", -0.5, 0.5, 0.1))
     verdict = Verdict(outcome, "as told")
     repository.save_result(RunResult(repository.load_run(run), None, (measured,), verdict, issued, "none"))
 
@@ -159,7 +162,7 @@ def struck(at, strike):
         if count[0] - 1 == at:
             strike()
 
-    encoded, at_once = copying.encoded, copying.AT_ONCE
+    encoded, at_once = copying.encode_rows, copying.AT_ONCE
 
     def encoded_ticking(table, rows):
         tick()
@@ -167,11 +170,11 @@ def struck(at, strike):
 
     sa.event.listen(sa.Engine, "after_cursor_execute", tick)
     sa.event.listen(sa.Engine, "commit", tick)
-    copying.encoded, copying.AT_ONCE = encoded_ticking, 1
+    copying.encode_rows, copying.AT_ONCE = encoded_ticking, 1
     try:
         yield count
     finally:
-        copying.encoded, copying.AT_ONCE = encoded, at_once
+        copying.encode_rows, copying.AT_ONCE = encoded, at_once
         sa.event.remove(sa.Engine, "after_cursor_execute", tick)
         sa.event.remove(sa.Engine, "commit", tick)
 

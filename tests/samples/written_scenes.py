@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 from simulated_setting import MOTION, scene, truth, world
 
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import SceneLoad, ScenePlan, SceneSetting, Transcript
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.run import Indenter, Load, LoadRecord
-from cbsr_qa.simulate import record_scene
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.plan.scene_plan import SceneLoad, ScenePlan
+from cbsr_qa.domain.plan.world import SceneSetting, Transcript
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter, Load, LoadRecord
+from cbsr_qa.simulate.recording import record_scene
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv

@@ -13,9 +13,9 @@ import pytest
 from effect_options import REQUIRED
 from simulated_setting import HEAD, held, installed, material, scene, sensor_type, world
 
-from cbsr_qa.config import load_scene
-from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, Transcript
-from cbsr_qa.plugin import Kind
+from cbsr_qa.config.loader import load_scene
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SheetDesign, Transcript
+from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.simulate.chain import STAGES, build_chain
 from cbsr_qa.simulate.sheet import SimulatedSheet
 from cbsr_qa.simulate.streams import RandomStream

@@ -8,9 +8,11 @@ import pytest
 from effect_options import REQUIRED
 from simulated_setting import HEAD, installed, material, sensor_type
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import PluginChoice, Scene, SceneSetting
-from cbsr_qa.plugin import Kind, options_of
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import PluginChoice, Scene
+from cbsr_qa.domain.plan.world import SceneSetting
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.options import options_of
 from cbsr_qa.simulate.chain import STAGES, build_chain
 from cbsr_qa_plugins.registry import BUILT_IN
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, material, scene, sensor_type
 
-from cbsr_qa.domain import CbsrError, ConfigError, PluginError
-from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, Transcript
-from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SheetDesign, Transcript
+from cbsr_qa.domain.readings.frames import ReadingFlag
 from cbsr_qa.simulate.chain import build_chain
 
 SETTING = SceneSetting(sensor_type(), material(), HEAD, seed=1, current_A=1e-3)

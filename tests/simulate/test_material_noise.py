@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.config import load_material, load_recipe, load_sensor_type
-from cbsr_qa.eit.imaging import noise_floor
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type
+from cbsr_qa.eit.imaging.blobs import noise_floor
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 
 @pytest.mark.parametrize(("material", "printed"), [("cbsr-8wt", 5.97e-3), ("cbsr-9wt", 1.53e-3)])

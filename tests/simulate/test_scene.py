@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, base_scene, held, installed, material, pressed, scene, sensor_type, truth, world
 
-from cbsr_qa.domain import ConfigError, NumericsError, PluginError, RefusedError
-from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Moment, PluginChoice, SceneSetting, SheetDesign
-from cbsr_qa.eit.forward import ForwardModel, cover
+from cbsr_qa.domain.errors import ConfigError, NumericsError, PluginError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.plan.world import CONTACT_LENGTH_MM, Moment, SceneSetting, SheetDesign
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.simulate.chain import build_chain
 from cbsr_qa.simulate.frames import NEGLIGIBLE_CHANGE
 from cbsr_qa.simulate.sheet import SimulatedSheet
@@ -132,7 +134,7 @@ def test_loaded_voltages_equal_a_model_factorised_afresh():
     loaded = world(scene("piezoresistivity"))
     loaded.presses += [held(0, 3.0, -2.0, 0.3), held(1, 30.0, 1.0, 0.1)]
     model = _physical_model(loaded.sheet)
-    covers = [cover(model.elements, HEAD.at(press.x_mm, press.y_mm)) for press in loaded.presses]
+    covers = [cover(model.elements, HEAD.footprint_at(press.x_mm, press.y_mm)) for press in loaded.presses]
     strains = [press.strain_at(30.0) for press in loaded.presses]
     changes = [one.change(model.conductance, 0.6 * strain) for one, strain in zip(covers, strains, strict=True)]
     elements = np.concatenate([one.elements for one in covers])

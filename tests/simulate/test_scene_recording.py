@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, installed, material, scene, sensor_type, world
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import Dump, Motion, SceneLoad, ScenePlan, SceneSetting, Transcript, press_times
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.plan import Motion
+from cbsr_qa.domain.plan.scene_plan import SceneLoad, ScenePlan, press_times
+from cbsr_qa.domain.plan.world import Dump, SceneSetting, Transcript
 from cbsr_qa.simulate.recording import (
     HEAD_BLOCK,
+    frame_middles_s,
     frame_times_s,
     head_path,
-    planned_middles_s,
     press_loads,
     record_scene,
 )
-from cbsr_qa.system import TICK_S
+from cbsr_qa.system.clock import TICK_S
 
 MOTION = Motion(press_speed_mm_s=0.5, travel_speed_mm_s=10.0, hover_mm=20.2)
 FIRST = SceneLoad(-20.0, 0.0, 0.2, 30.0, 15.0)
@@ -138,8 +140,8 @@ def test_frames_are_those_of_the_world_at_their_times():
     plan = plan_of(FIRST, effects=("piezoresistivity", "measurement-noise"), duration_s=60.0)
     done = recorded(plan)
     frames = done.recording.frames
-    assert planned_middles_s(plan).tolist() == [2.5 * k + 1.25 for k in range(24)]
-    np.testing.assert_array_equal(frames.time_s, planned_middles_s(plan))
+    assert frame_middles_s(plan).tolist() == [2.5 * k + 1.25 for k in range(24)]
+    np.testing.assert_array_equal(frames.time_s, frame_middles_s(plan))
     again = world(plan.scene)
     press_loads(again, plan, 60.0)
     for k in (23, 0, 14):

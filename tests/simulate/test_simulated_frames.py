@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, held, installed, pressed, scene, sensor_type, world
 
-from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
-from cbsr_qa.domain.plan import HeadRing, Moment, PluginChoice, SceneSetting, SheetDesign
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.plan.world import HeadRing, Moment, SceneSetting, SheetDesign
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.simulate.sheet import SimulatedSheet
 
 PATTERN = sensor_type().pattern
@@ -150,7 +151,7 @@ def test_rings_of_pressure_add_up():
     place = {(14.0, 3.0): 1e-4}
     parts = []
     for ring in rings:
-        plain = SheetDesign.plain(sensor_type(), HEAD.scaled(ring.size))
+        plain = SheetDesign.plain(sensor_type(), HEAD.scale(ring.size))
         one = SimulatedSheet(plain, size_mm=5.0, interelectrode_resistance_ohm=1e4)
         parts.append(one.voltages(place) - one.unloaded)
     found = soft.voltages(place) - soft.unloaded

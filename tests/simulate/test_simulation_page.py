@@ -10,8 +10,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa.simulate.chain import STAGES
 from cbsr_qa_plugins.registry import BUILT_IN
 
@@ -90,7 +91,7 @@ def test_a_figure_is_a_small_drawing_with_nothing_in_it_but_what_is_seen(name):
     svg = (FOLDER / f"{name}.svg").read_text(encoding="utf-8")
     assert len(svg.encode()) < 40 * 1024
     assert not re.search(r"<(\w+:)?(date|metadata)|20\d\d-\d\d-\d\d", svg)
-    root = ElementTree.fromstring(checked_svg(svg))
+    root = ElementTree.fromstring(check_svg(svg))
     said = ["".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")]
     assert len(said) > 5, "text is drawn as outlines"
     assert root.get("width") == "640"

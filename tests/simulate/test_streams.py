@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.simulate.streams import RandomStream
 
 INDEX = st.integers(0, 2**64 - 1)

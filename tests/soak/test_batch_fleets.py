@@ -7,7 +7,8 @@ import pytest
 from compared_fleets import run_of, table_of
 
 from benchmarks.batch_coverage import BATCHES, DESIGNS, design, values
-from cbsr_qa.studies.compare import By, Terms, compare
+from cbsr_qa.studies.compare.comparison import compare
+from cbsr_qa.studies.compare.terms import By, Terms
 
 SEEDS = 1000
 BEGAN = datetime(2026, 1, 5, tzinfo=UTC)

@@ -7,8 +7,10 @@ import pytest
 from pages import HOW_TO
 
 from benchmarks.pressed_places import GOALS, split
-from cbsr_qa.calibration.place import PlaceEstimator, learn_place, mahalanobis
-from cbsr_qa.studies.frontier.presses import try_presses
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.learning import learn_place
+from cbsr_qa.calibration.place.mixture import mahalanobis
+from cbsr_qa.studies.frontier.presses.trial import try_presses
 
 PAGE = (HOW_TO.parent / "explanation" / "place.md").read_text(encoding="utf-8")
 RE_CHECKS = 20

@@ -7,7 +7,8 @@ import pytest
 from pages import HOW_TO
 from pressed_sheets import round_sensor, some
 
-from cbsr_qa.calibration.presses import ModelledSheet, find_electrode_order
+from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
+from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 
 _PAGE = (HOW_TO / "calibrate-from-presses.md").read_text(encoding="utf-8")
 _DRAWS = 40

@@ -8,7 +8,7 @@ import pytest
 import synced
 from synced import everything
 
-from cbsr_qa.store import open_store
+from cbsr_qa.store.opening import open_store
 
 TRIALS = int(os.environ.get("CBSR_QA_SOAK_TRIALS", "50"))
 SEED = int(os.environ.get("CBSR_QA_SOAK_SEED", "0"))

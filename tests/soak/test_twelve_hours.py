@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from killing import write_files
 
-from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.store.runs import Journal
+from cbsr_qa.app.run.resume import resume_run
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.runs.journal import Journal
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
 
 HOURS = 12.0

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.setup import configure, opener, station_clock
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "build-this-bench.md").read_text()

@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.plan import EMULATED, Hold, InstrumentSpec
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import InstrumentIdentity, SamplesTaken
-from cbsr_qa.plugin import MeterReading
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec
+from cbsr_qa.domain.plan.steps import Hold
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.run.run import InstrumentIdentity, SamplesTaken
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.instruments import MeterReading
 from cbsr_qa.station.bench import Bench, Mounted, open_bench
 from cbsr_qa.station.execution import execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import (
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import (
     Script,
     ScriptedApplicator,
     ScriptedFrames,
@@ -32,8 +33,8 @@ PLAN = example_plan((Hold(60, acquire=True),))
 def meter(script):
     one = ScriptedInstrument("source_meter", script)
     one.reading_period_s, one.compliance_V = 0.01, 20.0
-    one.source = lambda current_A: script.called("source_meter.source", current_A)
-    one.off = lambda: script.called("source_meter.off")
+    one.source = lambda current_A: script.record_call("source_meter.source", current_A)
+    one.off = lambda: script.record_call("source_meter.off")
     one.measure = lambda: MeterReading(1.0, 1e-3, False, False, script.clock.now())
     return one
 
@@ -41,8 +42,8 @@ def meter(script):
 def multiplexer(script):
     one = ScriptedInstrument("multiplexer", script)
     one.order = lambda: ((0, 0),)
-    one.start = lambda: script.called("multiplexer.start")
-    one.step = lambda: script.called("multiplexer.step")
+    one.start = lambda: script.record_call("multiplexer.start")
+    one.step = lambda: script.record_call("multiplexer.step")
     one.position = lambda: 0
     return one
 
@@ -51,7 +52,7 @@ class Scanner(ScriptedFrames):
     """Frames that need a meter and a multiplexer."""
 
     def link(self, peers):
-        self.script.called("frame_source.link")
+        self.script.record_call("frame_source.link")
         if "source_meter" not in peers:
             raise ConfigError("it needs a source_meter", remedy="name one in the station file")
         self.peers = dict(peers)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.app.run import check_recipe, check_unloaded
-from cbsr_qa.config import load_scene
-from cbsr_qa.domain.plan import Press
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.plugin import discover
+from cbsr_qa.app.run.preflight import check_recipe, check_unloaded
+from cbsr_qa.config.loader import load_scene
+from cbsr_qa.domain.plan.steps import Press
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.setup import configure, plan_of
 

@@ -8,22 +8,15 @@ from dataclasses import astuple
 import pytest
 from stopping import CYCLE, assert_made_safe, run
 
-from cbsr_qa.domain import AbortedError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Prompt, Release
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
-    FramesTaken,
-    LoadFinished,
-    PromptAnswered,
-    PromptShown,
-    RunContinued,
-    RunPaused,
-    StepStarted,
-)
-from cbsr_qa.station.control import ControlDesk, Question
+from cbsr_qa.domain.errors import AbortedError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Prompt, Release
+from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.station.control.desk import ControlDesk, Question
 from cbsr_qa.station.prompts import OperatorPrompt
-from cbsr_qa.system import VirtualClock, passing
-from cbsr_qa.testing import Script, ScriptedApplicator
+from cbsr_qa.system.clock import VirtualClock, passing
+from cbsr_qa.testing.bench import Script, ScriptedApplicator
 
 #: Two presses after unloaded frames.
 STEPS = (FindSurface(0, 0), Hold(30, acquire=False), MarkUnloaded(), AcquireFrames(2), *CYCLE, *CYCLE)

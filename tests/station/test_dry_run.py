@@ -7,28 +7,22 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type, load_station
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import (
-    AcquireFrames,
-    FindSurface,
-    Hold,
-    Home,
-    MarkUnloaded,
-    Press,
-    Release,
-    StrainStep,
-    steps as kinematics,
-)
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, FramesTaken, Load, LoadFinished
-from cbsr_qa.plugin import Kind, StationContext, discover
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan import steps as kinematics
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, StrainStep
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.plan import PlannedPhase, another_frame, frames_in_hold
-from cbsr_qa.system import VirtualClock, on_tick
-from cbsr_qa.testing import FixedSequence, Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.system.clock import VirtualClock, on_tick
+from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, make_scripted_bench
 from cbsr_qa_plugins.sequences.centre import HysteresisLoopSequence, NoiseFigureSequence
 from cbsr_qa_plugins.sequences.places import LocationGridSequence, RandomLoadsSequence
 
@@ -74,7 +68,7 @@ def test_a_hold_of_whole_frames_takes_exactly_those():
 def moving_as_planned(plan):
     """A scripted bench whose head takes the time the station's motion says."""
     script = Script(VirtualClock())
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     head, clock, motion = bench.force_applicator, script.clock, plan.motion
     thickness_mm = plan.sensor_type.thickness_mm
     presses_s, releases_s, depth_mm = [], [], 0.0

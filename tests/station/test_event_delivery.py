@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import pytest
 from stored_runs import identity, short_run
 
-from cbsr_qa.domain import DeliveryError
-from cbsr_qa.domain.plan import EventSinkSpec, PluginChoice
-from cbsr_qa.domain.run import event_document, event_message
-from cbsr_qa.plugin import Kind, Plugins, hookimpl
+from cbsr_qa.domain.errors import DeliveryError
+from cbsr_qa.domain.plan.plan import EventSinkSpec, PluginChoice
+from cbsr_qa.domain.run.event_documents import event_document, event_message
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.hooks import Kind, hookimpl
 from cbsr_qa.station import event_sinks
 from cbsr_qa.station.event_sinks import Delivery, EventSinks
 
@@ -46,7 +47,7 @@ def delivered(sink, *, count=10, wait_s=10.0, most=100):
         delivery.put({"number": number})
     delivery.end()
     delivery.wait(wait_s)
-    return delivery.lost()
+    return delivery.describe_loss()
 
 
 def numbers(sink):
@@ -77,7 +78,7 @@ def test_what_is_refused_for_good_is_counted_and_the_rest_follows():
     lost = 10 - len(sink.taken)
     assert 1 <= lost <= 3
     assert numbers(sink) == list(range(lost, 10))
-    assert delivery.lost() == f"events 'plant': {lost} of 10 events were not delivered: it is too large"
+    assert delivery.describe_loss() == f"events 'plant': {lost} of 10 events were not delivered: it is too large"
 
 
 def test_a_sink_that_never_works_costs_the_stated_time_and_its_last_failure_is_said():
@@ -103,7 +104,7 @@ def test_a_full_queue_loses_the_oldest():
     delivery.end()
     delivery.wait(10.0)
     assert numbers(sink)[-5:] == list(range(995, 1000))
-    assert delivery.lost().startswith(f"events 'plant': {1000 - len(sink.taken)} of 1000 ")
+    assert delivery.describe_loss().startswith(f"events 'plant': {1000 - len(sink.taken)} of 1000 ")
 
 
 def plugins_with(**sinks):

@@ -5,18 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError, SafetyError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, InstrumentSpec, Press, Release, StrainStep
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, Load, SamplesTaken, StepRetried
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError, SafetyError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Press, Release, StrainStep
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import FramesTaken, SamplesTaken, StepRetried
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.limits import TEMPERATURE_STALE_S, Limits
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, ScriptedInstrument, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import (
+    Script,
+    ScriptedInstrument,
+    example_identity,
+    example_plan,
+    make_scripted_bench,
+    raising,
+)
 
 SAFE = [f"{role}.safe_state" for role in ("force_applicator", "frame_source", "load_cell")]
 
@@ -36,7 +45,7 @@ def allowing(steps, **limits):
 
 def run(plan, *, script=None, bench=None):
     script = script or Script(VirtualClock())
-    bench = bench or scripted_bench(script, plan.sensor_type)
+    bench = bench or make_scripted_bench(script, plan.sensor_type)
     told = []
     ended = execute(plan, example_identity(), bench, script.clock, [told.append])
     return ended, told, script
@@ -68,7 +77,7 @@ TOO_MUCH = {
 def test_a_recipe_beyond_a_limit_is_refused_before_anything_is_told_or_moved(what):
     steps, limits, said = TOO_MUCH[what]
     plan, script, told = allowing(steps, **limits), Script(VirtualClock()), []
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     with pytest.raises(RefusedError) as refused:
         execute(plan, example_identity(), bench, script.clock, [told.append])
     assert said in refused.value.reason
@@ -142,7 +151,7 @@ def flags_of_an_open_lead(electrode, *, flag=ReadingFlag.COMPLIANCE):
 
 def run_flagged(flags, *, first=3, **limits):
     plan, script = allowing(pressed(60, acquire=True), **limits), Script(VirtualClock())
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     bench.frame_source = Flagged(bench.frame_source, flags, first)
     return run(plan, script=script, bench=bench)
 
@@ -220,7 +229,7 @@ class Thermometer(ScriptedInstrument):
 
 
 def with_thermometer(thermometer, plan, script):
-    mounted = scripted_bench(script, plan.sensor_type).mounted
+    mounted = make_scripted_bench(script, plan.sensor_type).mounted
     return Bench([*mounted, Mounted(InstrumentSpec("room", "scripted", ("temperature",), {}, None), thermometer)])
 
 
@@ -260,7 +269,7 @@ def test_a_temperature_within_its_range_goes_on_and_without_a_range_any_does():
 @pytest.mark.parametrize("unit", [None, "K"])
 def test_a_range_that_nothing_can_be_held_against_is_refused(unit):
     plan, script = allowing(REST, temperature_C=(18.0, 26.0)), Script(VirtualClock())
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     if unit is not None:
         thermometer = Thermometer(script)
         thermometer.unit = unit
@@ -276,10 +285,10 @@ def test_a_range_that_nothing_can_be_held_against_is_refused(unit):
 
 def run_alive(steps, *, clock=None, alive=lambda: None, **limits):
     plan, script = allowing(steps, **limits), Script(clock or VirtualClock())
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
 
     def ask():
-        script.called("force_applicator.alive")
+        script.record_call("force_applicator.alive")
         alive()
 
     bench.force_applicator.alive = ask

@@ -6,15 +6,15 @@ from datetime import UTC, datetime
 import pytest
 from calibration_samples import assert_same
 
-from cbsr_qa.domain.plan import AcquireFrames, Hold, Home, MarkUnloaded, Press, Release, Role, StrainStep
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import Load
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, Home, MarkUnloaded, Press, Release, Role, StrainStep
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.documents import MemoryJournal
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.plan import PlannedPhase
-from cbsr_qa.store import open_store
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import FixedSequence, Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, make_scripted_bench
 
 HELD = Hold(10.0, acquire=True)
 
@@ -39,7 +39,7 @@ def planned():
 def executed(plan, store):
     """Run a plan with both journals listening; return what each makes of it."""
     script = Script(VirtualClock())
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     identity = replace(
         example_identity(),
         run=store.new_id(),

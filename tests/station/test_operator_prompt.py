@@ -8,9 +8,11 @@ import sys
 import pytest
 from station_files import station_file
 
-from cbsr_qa.app.run import RunRequest, plan_run, run_sensor, session as running
-from cbsr_qa.cli import ask_operator, guarded, operator_at_terminal
-from cbsr_qa.domain import AbortedError, ConfigError, StoppedError
+from cbsr_qa.app.run import session as running
+from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.cli.output import ask_operator, operator_at_terminal
+from cbsr_qa.domain.errors import AbortedError, ConfigError, StoppedError
 from cbsr_qa.station.interrupts import Stopped
 
 INSTRUMENTS = """
@@ -84,7 +86,10 @@ def test_an_operator_is_there_only_at_a_terminal(terminal, monkeypatch):
 
 def test_without_a_terminal_a_station_worked_by_hand_is_refused(station, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    assert guarded(["run", "--station", station, "--recipe", "nine-locations", "--serial", "S-1", "--seed", "1"]) == 2
+    assert (
+        run_guarded(["run", "--station", station, "--recipe", "nine-locations", "--serial", "S-1", "--seed", "1"])
+        == 2
+    )
     said = capsys.readouterr().err
     assert (
         "cbsr-qa: instrument 'scale' (manual-load-cell) is operated by hand, and there is no operator to ask" in said

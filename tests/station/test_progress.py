@@ -6,17 +6,18 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, Hold, Press, Release
-from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
-from cbsr_qa.domain.run import FramesTaken, Load, PhaseStarted, RunStarted, StepStarted
-from cbsr_qa.station.control import RunStatus
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, Press, Release
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import FramesTaken, PhaseStarted, RunStarted, StepStarted
+from cbsr_qa.station.control.status import RunStatus
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.noise import NoiseSoFar
 from cbsr_qa.station.plan import PlannedPhase
 from cbsr_qa.station.progress import RunProgress
-from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa.testing import FixedSequence, Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, make_scripted_bench, raising
 
 PRESS = Press(Load("L0", 0, 0, 0.2, 0))
 CYCLE = FixedSequence((PRESS, Hold(60, acquire=True), Release(), Hold(60, acquire=True)))
@@ -42,7 +43,7 @@ def planned(plan):
 def shown(stream, *, script=None, listeners=()):
     script = script or Script(VirtualClock())
     plan = example_plan(*(PlannedPhase(f"[bold]{name}", "fixed", CYCLE) for name in ("first", "second")))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     warnings = []
     status = planned(plan)
     with RunProgress(len(plan.phases), script.clock, status, stream=stream) as progress:
@@ -114,13 +115,13 @@ def test_the_bar_makes_room_while_somebody_is_asked():
     with RunProgress(1, script.clock, RunStatus(None), stream=stream) as progress:
 
         def asking():
-            with progress.paused():
+            with progress.pause():
                 seen.append(progress._bar._bar.live.is_started)
             seen.append(progress._bar._bar.live.is_started)
 
         script.on("force_applicator.press", asking)
-        execute(plan, example_identity(), scripted_bench(script, plan.sensor_type), script.clock, [progress])
-    with progress.paused():
+        execute(plan, example_identity(), make_scripted_bench(script, plan.sensor_type), script.clock, [progress])
+    with progress.pause():
         seen.append(progress._bar)
     assert seen == [False, True, None]
 
@@ -149,7 +150,7 @@ def test_a_press_is_under_way_until_its_rest_has_ended_then_the_next_one_is_name
 
     plan = example_plan(*(PlannedPhase(name, "fixed", CYCLE) for name in ("first", "second")))
     status, clock = planned(plan), VirtualClock()
-    bench = scripted_bench(Script(clock), plan.sensor_type)
+    bench = make_scripted_bench(Script(clock), plan.sensor_type)
     execute(plan, example_identity(), bench, clock, [lambda event: None, status, look])
     assert seen[0] == ("RunStarted", None, (1, 2))
     finished = [where[1:] for where in seen if where[0] == "LoadFinished"]

@@ -3,10 +3,9 @@
 import pytest
 from runner_samples import SET_UP, TOOK_S, cycle, kinds, load, lost, run
 
-from cbsr_qa.domain import PluginError, StoreError
-from cbsr_qa.domain.plan import Hold, Home, Press, Release, Role, StrainStep
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
+from cbsr_qa.domain.errors import PluginError, StoreError
+from cbsr_qa.domain.plan.steps import Hold, Home, Press, Release, Role, StrainStep
+from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
@@ -17,9 +16,10 @@ from cbsr_qa.domain.run import (
     StepStarted,
     Unloaded,
 )
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.plan import PlannedPhase
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import FixedSequence, Script, raising
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import FixedSequence, Script, raising
 
 
 def test_documents_come_in_order():

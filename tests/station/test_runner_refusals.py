@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 from runner_samples import TOOK_S, cycle, kinds, load, run
 
-from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import Hold, InstrumentSpec, Press, Prompt, Release
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import LoadFinished, PhaseFinished, RunEnded
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import Hold, Press, Prompt, Release
+from cbsr_qa.domain.run.run import LoadFinished, PhaseFinished, RunEnded
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted, open_bench
 from cbsr_qa.station.execution import execute
-from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench, raising
 
 # --- refusals --------------------------------------------------------------------------------------------
 
@@ -44,7 +45,7 @@ def _without_time(script, acquire, count):
 )
 def test_a_frame_source_that_does_something_else_breaks_the_run(takes, said):
     script, plan = Script(VirtualClock(), TOOK_S), example_plan(cycle(0))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     bench.frame_source.acquire = partial(takes, script, bench.frame_source.acquire)
     ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None])
     assert ended.end is EndReason.BROKEN
@@ -59,7 +60,7 @@ def test_real_and_virtual_clock_run_the_same_code():
     for clock in (VirtualClock(), RealClock()):
         script = Script(clock)
         documents = told[type(clock)] = []
-        bench = scripted_bench(script, plan.sensor_type, frame_period_s=0.02)
+        bench = make_scripted_bench(script, plan.sensor_type, frame_period_s=0.02)
         assert execute(plan, example_identity(), bench, clock, [documents.append]).end is EndReason.FINISHED
     virtual, real = ([type(d) for d in kinds(told[c], LoadFinished, PhaseFinished, RunEnded)] for c in told)
     assert virtual == real
@@ -82,7 +83,9 @@ def spec(role, *provides):
 
 def parts():
     script = Script(VirtualClock())
-    mounted = {one.spec.role: one.instrument for one in scripted_bench(script, example_plan([]).sensor_type).mounted}
+    mounted = {
+        one.spec.role: one.instrument for one in make_scripted_bench(script, example_plan([]).sensor_type).mounted
+    }
     return script, mounted
 
 

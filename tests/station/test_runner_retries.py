@@ -3,15 +3,23 @@
 import pytest
 from runner_samples import SET_UP, TOOK_S, cycle, kinds, lost, run
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, Home, InstrumentSpec, MarkUnloaded
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import LoadFinished, PhaseFinished, PhaseStarted, StepRetried, StepStarted, Unloaded
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded
+from cbsr_qa.domain.run.run import LoadFinished, PhaseFinished, PhaseStarted, StepRetried, StepStarted, Unloaded
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.plan import schedule
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, ScriptedInstrument, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import (
+    Script,
+    ScriptedInstrument,
+    example_identity,
+    example_plan,
+    make_scripted_bench,
+    raising,
+)
 
 # --- retries ---------------------------------------------------------------------------------------------
 
@@ -133,7 +141,7 @@ def test_instruments_with_addresses_are_told_each_step_before_it_begins():
     documents, told = [], []
     script = Script(VirtualClock(), TOOK_S)
     plan = example_plan(cycle(0), cycle(1))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     counted = Mounted(InstrumentSpec("counted", "scripted", (), {}, None), Counted("counted", script))
     execute(plan, example_identity(), Bench([*bench.mounted, counted]), script.clock, [documents.append])
     steps = [(d.phase, d.number) for d in kinds(documents, StepStarted)]

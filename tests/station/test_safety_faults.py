@@ -6,12 +6,12 @@ import threading
 import pytest
 from safety_runs import ROLES, SAFE, assert_safe, run
 
-from cbsr_qa.domain import AbortedError, InstrumentError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, LoadFinished, PhaseStarted, RunEnded, StepStarted
+from cbsr_qa.domain.errors import AbortedError, InstrumentError
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, PhaseStarted, RunEnded, StepStarted
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import stop_all
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, raising
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, raising
 
 
 def calls_of_a_good_run():
@@ -46,7 +46,7 @@ FAULTS = {
 def test_a_fault_at_any_call_ends_safe_and_says_where(number, fault):
     make, reason, said = FAULTS[fault]
     script = Script(VirtualClock())
-    script.at(len(SAFE) + number, raising(make()))
+    script.do_at(len(SAFE) + number, raising(make()))
     ended, documents, script, bench = run(script=script)
     assert_safe(script, bench)
     called = script.names()[len(SAFE) : -len(SAFE)]

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from safety_runs import LOAD, SHORT, assert_safe, run
 
-from cbsr_qa.domain import InstrumentError, SafetyError
-from cbsr_qa.domain.plan import FindSurface, Hold, Press, Release, StrainStep
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import Load
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
+from cbsr_qa.domain.plan.steps import FindSurface, Hold, Press, Release, StrainStep
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.performer import Performer
 from cbsr_qa.station.plan import ScheduledStep
 from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import Watchdog
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_plan, make_scripted_bench, raising
 
 
 def test_force_above_the_ceiling_stops_with_the_evidence_stored():
@@ -123,7 +123,7 @@ def test_the_runner_holds_an_ease_against_the_limits_of_a_press():
     for bad, rule in ((0.36, "strain"), (0.0, "strain"), (float("nan"), "strain")):
         script = Script(VirtualClock())
         plan = example_plan(EASED)
-        bench = scripted_bench(script, plan.sensor_type)
+        bench = make_scripted_bench(script, plan.sensor_type)
         interlock = Interlock()
         interlock.clear(bench)
         run = UnderWay(plan, bench, script.clock, _Nobody(), interlock, Interrupts(), _watchdog())

@@ -6,13 +6,13 @@ import signal
 import pytest
 from safety_runs import SHORT, assert_safe, run
 
-from cbsr_qa.domain import AbortedError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken
+from cbsr_qa.domain.errors import AbortedError
+from cbsr_qa.domain.run.run import FramesTaken
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.interrupts import Interrupts, Stopped
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_a_signal_waits_until_the_journal_has_stored():
 
     script = Script(VirtualClock())
     plan = example_plan(SHORT)
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     ended = execute(plan, example_identity(), bench, script.clock, [journal])
     assert ended.end is EndReason.ABORTED
     assert sum(isinstance(e, FramesTaken) for e in stored) == 1
@@ -78,7 +78,7 @@ def test_a_second_signal_breaks_through_a_delivery_that_hangs():
     reached = []
 
     def hang(interrupts):
-        with interrupts.heard(), interrupts.deferred():
+        with interrupts.listen(), interrupts.defer():
             os.kill(os.getpid(), signal.SIGTERM)
             reached.append("after the first signal")
             os.kill(os.getpid(), signal.SIGTERM)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cbsr_qa.domain import SafetyError
+from cbsr_qa.domain.errors import SafetyError
 from cbsr_qa.station.safety import TRANSITIONS, Interlock, State
 
 

@@ -2,11 +2,13 @@
 
 import pytest
 
-from cbsr_qa.domain.run import CheckOutcome, CheckResult
-from cbsr_qa.plugin import SelfTesting, discover
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.instruments import SelfTesting
 from cbsr_qa.station.setup import configure, open_station, station_clock
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, ScriptedInstrument, check_self_test
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, ScriptedInstrument
+from cbsr_qa.testing.scanning import check_self_test
 
 OK, FAILED = CheckOutcome.OK, CheckOutcome.FAILED
 

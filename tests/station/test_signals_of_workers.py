@@ -14,7 +14,7 @@ def told(number):
     lines = []
     with Interrupts(lines.append) as interrupts, pytest.raises(KeyboardInterrupt):  # noqa: PT012
         os.kill(os.getpid(), number)
-        with interrupts.heard():
+        with interrupts.listen():
             interrupts.poll()
     return lines
 

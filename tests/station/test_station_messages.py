@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from cbsr_qa.domain import CbsrError, ConfigError
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.errors import CbsrError, ConfigError
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.setup import configure, open_station, station_clock
 
 

@@ -6,14 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, Home, Press, Release
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import Load, StepStarted
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, Press, Release
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import StepStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.plan import PlannedPhase
 from cbsr_qa.station.setup import configure, open_station, plan_of, station_clock
-from cbsr_qa.testing import FixedSequence, example_identity
+from cbsr_qa.testing.bench import FixedSequence, example_identity
 
 STEPS = (
     Home(),

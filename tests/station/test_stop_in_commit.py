@@ -7,13 +7,14 @@ import sys
 import pytest
 from stored_runs import CONFIGURATION, INDENTER, MATERIAL, SENSOR_TYPE, identity
 
-from cbsr_qa.domain.plan import Hold, Press, Release
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, Load, RunEnded
+from cbsr_qa.domain.plan.steps import Hold, Press, Release
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.execution import execute
-from cbsr_qa.store import open_store
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, example_plan, scripted_bench
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, example_plan, make_scripted_bench
 
 STEPS = (Press(Load("L0", 0.0, 0.0, 0.2, 0)), Hold(10, acquire=True), Release(), Hold(5, acquire=True))
 SAFE = [f"{role}.safe_state" for role in ("force_applicator", "frame_source", "load_cell")]
@@ -53,7 +54,7 @@ class Torn:
 def run_torn(path, kind, call):
     """Return how the run ended, what the journal stored, the run as the database gives it back, and the script."""
     script, plan = Script(VirtualClock()), example_plan(STEPS)
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     with open_store(f"sqlite:///{path}") as store:
         run = store.new_id()
         setting = {"sensor_type": SENSOR_TYPE, "material": MATERIAL, "indenter": INDENTER}

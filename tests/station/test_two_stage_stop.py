@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 from stopping import ABORTS, BY, CYCLE, LOAD, ROLES, SAFE, after, dropped, run, send
 
-from cbsr_qa.domain import AbortedError, InstrumentError, RefusedError, SafetyError
-from cbsr_qa.domain.plan import Hold, Press, Prompt, Release, StrainStep
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted
+from cbsr_qa.domain.errors import AbortedError, InstrumentError, RefusedError, SafetyError
+from cbsr_qa.domain.plan.steps import Hold, Press, Prompt, Release, StrainStep
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station import interrupts, watchdog
 from cbsr_qa.station.execution import execute
-from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench, raising
 
 # --- the start -------------------------------------------------------------------------------------------
 
@@ -36,7 +36,7 @@ def test_a_bench_that_cannot_be_made_safe_is_not_run(role):
     script, told = Script(VirtualClock()), []
     script.on(f"{role}.safe_state", raising(InstrumentError(role, "COM3", "no reply")))
     plan = example_plan(CYCLE)
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     with pytest.raises(SafetyError) as refused:
         execute(plan, example_identity(), bench, script.clock, [told.append])
     assert refused.value.rule == "safe start"
@@ -193,7 +193,7 @@ def test_a_head_that_is_about_to_be_eased_is_lifted_in_order():
     looks = run(steps, script=script)[2].names()
     ease = [number for number, name in enumerate(looks) if name == "force_applicator.press"][1]
     script = Script(VirtualClock(), {"force_applicator.press": 3.0})
-    script.at(ease - 1, send(signal.SIGTERM))
+    script.do_at(ease - 1, send(signal.SIGTERM))
     _, _, script, _, _ = run(steps, script=script)
     assert script.count("force_applicator.press") == 1
     assert script.names()[ease:] == ["force_applicator.release", *SAFE]
@@ -212,7 +212,7 @@ def test_a_signal_is_raised_once_where_the_run_may_end():
     with interrupts.Interrupts(said.append) as heard:
         send(signal.SIGTERM)()
         heard.poll()  # outside of what may be ended
-        with heard.heard():
+        with heard.listen():
             with pytest.raises(interrupts.Stopped, match="signal SIGTERM"):
                 heard.poll()
             heard.poll()
@@ -224,7 +224,7 @@ def test_a_signal_is_raised_once_where_the_run_may_end():
 
 
 def test_nothing_is_broken_into_once_signals_are_masked():
-    with interrupts.Interrupts(lambda line: None) as heard, heard.heard():
+    with interrupts.Interrupts(lambda line: None) as heard, heard.listen():
         heard.mask()
         heard.break_in(watchdog.BrokenInto(SafetyError("no answer", "too late")))
         send(signal.SIGTERM)()
@@ -240,7 +240,7 @@ def test_signals_are_the_applications_again_after_the_run():
 def test_what_is_said_reaches_stderr_past_all_buffers(capfd):
     script, plan = Script(VirtualClock()), example_plan(CYCLE)
     script.on("frame_source.acquire", send(signal.SIGTERM))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     execute(plan, example_identity(), bench, script.clock, [lambda event: None])
     assert capfd.readouterr().err == interrupts.FIRST.format("SIGTERM") + "\n"
 

@@ -9,16 +9,17 @@ from queue import Queue
 import pytest
 from stopping import CYCLE, SAFE, after, assert_made_safe, run, send
 
-from cbsr_qa.domain import InstrumentError, SafetyError
-from cbsr_qa.domain.plan import Hold, Motion, Prompt
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
+from cbsr_qa.domain.plan.plan import Motion
+from cbsr_qa.domain.plan.steps import Hold, Prompt
+from cbsr_qa.domain.run.run import FramesTaken
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station import watchdog
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.watchdog import Watchdog
-from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
 
 
 @pytest.mark.parametrize("name", ["frame_source.acquire", "force_applicator.press", "load_cell.samples_since"])
@@ -187,7 +188,7 @@ def test_a_journal_or_a_listener_that_hangs_keeps_no_head_down(who):
 
     script, plan = Script(VirtualClock()), example_plan(CYCLE)
     plan = replace(plan, safety=replace(plan.safety, answer_s=0.3))
-    bench = scripted_bench(script, plan.sensor_type)
+    bench = make_scripted_bench(script, plan.sensor_type)
     told = []
     subscribers = [hang, told.append] if who == "journal" else [told.append, hang]
     ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=lambda line: None)

@@ -6,12 +6,12 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 from stopping import CYCLE, LOAD, SAFE, run, send
 
-from cbsr_qa.domain import AbortedError, InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import LoadFinished, RunEnded, RunStarted, StepStarted
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, raising
+from cbsr_qa.domain.errors import AbortedError, InstrumentError
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
+from cbsr_qa.domain.run.run import LoadFinished, RunEnded, RunStarted, StepStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, raising
 
 STEPS = (
     FindSurface(0, 0), Hold(6, acquire=False), MarkUnloaded(), AcquireFrames(2), *CYCLE, Press(LOAD), StrainStep(0.3),
@@ -43,7 +43,7 @@ def test_whatever_happens_the_head_is_up_the_bench_safe_and_the_record_consisten
     """Faults at any calls, also in the safe state: every instrument is told it all the same, in its turn, at once."""
     script = Script(VirtualClock(), TOOK_S)
     for number, action in faults.items():
-        script.at(number, ACTIONS[action]())
+        script.do_at(number, ACTIONS[action]())
     ended, told, script, bench, _ = run(STEPS, script=script)
     names = script.names()
     assert names[-3:] == SAFE

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
 from cbsr_qa.stats.process_capability import capability, capability_of_extremes, pass_rate
 

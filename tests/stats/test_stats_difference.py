@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.difference import Contrast, hedges, unbiasing, welch
 from cbsr_qa.stats.power_analysis import power, power_of_equivalence, sensors_needed, sensors_to_show_alike
 from cbsr_qa.stats.robust import brunner_munzel, differences_of_rank, shift

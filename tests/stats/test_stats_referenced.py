@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.difference import Contrast
-from cbsr_qa.stats.gauge import bias
+from cbsr_qa.stats.gauge.reference import bias
 from cbsr_qa.stats.intervals import Referenced
 
 CONFIDENCES = (0.8, 0.9, 0.95, 0.99)

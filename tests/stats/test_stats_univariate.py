@@ -11,7 +11,7 @@ from certified_groups import certified_table
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.samples import quantile, summary
 from cbsr_qa.stats.variance_components import components
 

@@ -10,10 +10,14 @@ from calibration_samples import assert_same, sample_force
 from calibrations_of_before import store_as_rows
 from stored_runs import MATERIAL, calibration, journalled, reconstruction, short_run
 
-from cbsr_qa.calibration.file import stamp, verify_calibration_file, write_calibration
-from cbsr_qa.domain import CalibrationError, StoreError
-from cbsr_qa.domain.results import BaselineConductance, Outcome, ParameterChoice, RunResult, Validity, Verdict
-from cbsr_qa.store import open_store
+from cbsr_qa.calibration.file.hdf5 import stamp, verify_calibration_file, write_calibration
+from cbsr_qa.domain.errors import CalibrationError, StoreError
+from cbsr_qa.domain.imaging import ParameterChoice
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.calibration import BaselineConductance, Validity
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture

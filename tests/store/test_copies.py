@@ -11,9 +11,13 @@ from datetime import date
 import pytest
 from stored_runs import journalled, short_run
 
-from cbsr_qa.app import back_up, check_database, restore_backup, upgrade_database
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.store import HEAD, copies, found_version, open_engine, open_store, parsed_url, schema, writing
+from cbsr_qa.app.database import upgrade_database
+from cbsr_qa.app.keeping import back_up, check_database, restore_backup
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.store import copies, schema
+from cbsr_qa.store.engine import open_engine, parse_url, writing
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.schema import HEAD, read_version
 
 
 def quiet(what, done, of):
@@ -131,7 +135,7 @@ def test_a_copy_that_differs_is_not_named(database, tmp_path, monkeypatch):
 
 
 def test_a_servers_database_is_left_to_its_tools():
-    engine = open_engine(parsed_url("postgresql://ada:secret@host:5432/name?password=secret"))
+    engine = open_engine(parse_url("postgresql://ada:secret@host:5432/name?password=secret"))
     with pytest.raises(RefusedError) as refused:
         copies.copy_database(engine, None)
     assert "pg_dump --format=custom --file=FILE --dbname='postgresql://ada@host:5432/name'" in refused.value.remedy
@@ -217,7 +221,7 @@ def test_an_unusable_backup_changes_nothing(database, tmp_path, spoil, said):
 
 def test_an_upgrade_is_undone_by_its_backup(tmp_path, database):
     old = tmp_path / "old.db"
-    engine = open_engine(parsed_url(url(old)))
+    engine = open_engine(parse_url(url(old)))
     schema.upgrade(engine, "0015")
     done = upgrade_database(str(old))
     assert (done.result.before, done.result.after) == ("0015", HEAD)
@@ -226,7 +230,7 @@ def test_an_upgrade_is_undone_by_its_backup(tmp_path, database):
     assert f"cbsr-qa db restore {backup}" in dict(done.page.printed)["Undone by"]
     engine.dispose()
     restored = restore_backup(str(old), backup, quiet)
-    assert restored.result.schema == "0015" == found_version(engine).revision
+    assert restored.result.schema == "0015" == read_version(engine).revision
     assert "cbsr-qa db upgrade" in dict(restored.page.printed)["Go on with"]
     engine.dispose()
     assert upgrade_database(str(old), backup=False).result.backup is None
@@ -257,7 +261,7 @@ def test_a_check_names_what_is_not_as_it_was_stored(database, statement, said, i
 def test_a_check_advises_what_is_possible_where_the_database_is(database_url):
     with open_store(database_url) as store:
         journalled(store, short_run(store.new_id()))
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
     with writing(engine) as connection:
         connection.exec_driver_sql("UPDATE loads SET x_mm = 1.5")
     engine.dispose()

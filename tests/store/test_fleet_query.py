@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.domain.run import StationCheck
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import read_amounts, read_groups
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.run.station import StationCheck
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.compare.terms import read_amounts, read_groups
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
         about = (store.new_id(), station, "", now, "disc-100mm", "0" * 64, (), (), ())
         store.save_station_check(StationCheck(*about, golden_run=runs[1]))
         assert [run.of_check for run in store.fleet().runs] == [False, True, False, False]
-    guarded(["compare", "--by", "batch", "--database", url])
+    run_guarded(["compare", "--by", "batch", "--database", url])
     assert "Left out: 1 run of golden sensors that checked a station" in capsys.readouterr().out
 
 
@@ -66,7 +66,7 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
     with open_store(url) as store, pytest.raises(StoreError, match="the database is damaged: analysis ") as raised:
         store.fleet()
     assert said in raised.value.reason
-    assert guarded(["compare", "--by", "batch", "--database", url]) == 2
+    assert run_guarded(["compare", "--by", "batch", "--database", url]) == 2
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_cell_of_another_type_is_refused_with_its_run(copied, cell, value, cha
         changed(path, "DELETE FROM run_links")
         changed(path, "UPDATE runs SET chain = NULL")
     for command in (["compare", "--by", "batch"], ["gauge", "--recipe", "short"]):
-        assert guarded([*command, "--database", url]) == 2
+        assert run_guarded([*command, "--database", url]) == 2
         named = f"{cell} ("
         if (cell, value) == ("analyses.software", 7):  # 7 is JSON, so only a digest or what reads it tells
             named = "analyses (analysis " if chained else "analyses.software (analysis "
@@ -136,7 +136,7 @@ def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_marked_or_refused
 )
 def test_options_that_would_be_ignored_are_refused(copied, said, reason, capsys):
     database = [] if "--database" in said else ["--database", copied[1]]
-    assert guarded(["compare", *said, *database]) == 2
+    assert run_guarded(["compare", *said, *database]) == 2
     assert reason in capsys.readouterr().err
 
 

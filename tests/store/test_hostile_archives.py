@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from test_store_archives import archived, bits, decided
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.archives import _LARGEST_BYTES
-from cbsr_qa.system import CONTAINED
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.untrusted import CONTAINED
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,8 @@ from sqlalchemy import JSON, MetaData, Table, bindparam, insert, literal_column,
 from sqlalchemy.exc import IntegrityError, StatementError
 from sqlalchemy.schema import Column
 
-from cbsr_qa.store import open_engine, parsed_url
-from cbsr_qa.store.engine import writing
-from cbsr_qa.store.prepared import prepared
+from cbsr_qa.store.engine import open_engine, parse_url, writing
+from cbsr_qa.store.prepared import prepare
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole
 
 _TABLE = Table(
@@ -35,7 +34,7 @@ _ROW = {
 
 @pytest.fixture
 def writer(database_url):
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
     with writing(engine) as connection:
         _TABLE.create(connection)
         yield connection
@@ -43,7 +42,7 @@ def writer(database_url):
 
 
 def _insert(connection, *rows):
-    prepared(_INSERTION, connection.dialect, tuple(rows[0])).execute(connection, rows)
+    prepare(_INSERTION, connection.dialect, tuple(rows[0])).execute(connection, rows)
 
 
 def test_rows_are_those_that_sqlalchemy_stores(writer):
@@ -53,12 +52,12 @@ def test_rows_are_those_that_sqlalchemy_stores(writer):
     writer.execute(_INSERTION, rows[3])
     stored = [tuple(row)[1:] for row in writer.execute(select(_TABLE).order_by(_TABLE.c.number))]
     assert stored == [tuple(_ROW.values())] * 4
-    assert prepared(_ONE, writer.dialect).one(writer, {"wanted": 2}) == (2, *_ROW.values())
+    assert prepare(_ONE, writer.dialect).one(writer, {"wanted": 2}) == (2, *_ROW.values())
 
 
 def test_a_column_that_is_not_given_is_null(writer):
     _insert(writer, {"number": 7})
-    assert prepared(_ONE, writer.dialect).one(writer, {"wanted": 7}) == (7, *[None] * 5)
+    assert prepare(_ONE, writer.dialect).one(writer, {"wanted": 7}) == (7, *[None] * 5)
 
 
 def test_what_a_column_cannot_hold_is_refused(writer):

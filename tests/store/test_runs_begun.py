@@ -7,11 +7,12 @@ import pytest
 from stored_runs import journalled, short_run
 from synced import Place, judged, remove_run, run_of
 
-from cbsr_qa.app import check_database
-from cbsr_qa.domain.results import Outcome
-from cbsr_qa.store import reading, schema, writing
-from cbsr_qa.store.chain import check_run, of_run
-from cbsr_qa.store.tables import Base
+from cbsr_qa.app.keeping import check_database
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.store import schema
+from cbsr_qa.store.chain.check import check_run, select_run
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.tables.runs import Base
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 SOUND = ((), ())
@@ -92,7 +93,7 @@ def cut_off(place, run, *tables):
     with writing(place.engine) as connection:
         for name in tables:
             table = Base.metadata.tables[name]
-            connection.execute(table.delete().where(of_run(table, run)))
+            connection.execute(table.delete().where(select_run(table, run)))
         kinds = ", ".join(f"'{name}'" for name in (*tables, *["figures"] * ("measurements" in tables)))
         connection.exec_driver_sql(f"DELETE FROM run_links WHERE run = '{run}' AND kind IN ({kinds})")
 
@@ -118,7 +119,7 @@ def test_a_run_whose_chain_was_removed_is_no_run_of_before(place, number, remove
     place.change(f"UPDATE runs SET chain = NULL WHERE run = '{runs[number]}'")
     with writing(place.engine) as connection:
         connection.exec_driver_sql(f"DELETE FROM runs_begun WHERE {removed}")
-    assert any(said in words for words in [*words_of(place), *place.store.misplaced_rows()])
+    assert any(said in words for words in [*words_of(place), *place.store.find_misplaced_rows()])
 
 
 def unchain(place):

@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 from stored_runs import journalled, short_run
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, Outcome, RunResult, Verdict
-from cbsr_qa.domain.run import RunEnded
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.run import RunEnded
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.runs import archiving
 from cbsr_qa.store.schema import downgrade
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.readings import LARGEST_VALUE, FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.store import compact, restored
-from cbsr_qa.store.runs import frame_block, frame_values, sample_block, sample_values
-from cbsr_qa.store.tables import FrameBlockRow, SampleBlockRow
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.readings.frames import LARGEST_VALUE, FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.store.runs.codec import frame_block, frame_values, sample_block, sample_values
+from cbsr_qa.store.tables.runs import FrameBlockRow, SampleBlockRow
+from cbsr_qa.store.types import compact, restore
 
 FINITE = st.floats(-LARGEST_VALUE, LARGEST_VALUE)
 KEY = {"run": "r", "phase": 0, "block": 0}
@@ -65,7 +65,7 @@ def test_any_bits_survive_being_compact(data, width, steps):
     data = data[: len(data) // width * width]
     stored = compact(data, width, steps=steps)
     assert len(stored) <= len(data)
-    assert restored(stored, len(data), width, steps=steps) == data
+    assert restore(stored, len(data), width, steps=steps) == data
 
 
 @pytest.mark.parametrize("start_s", [297.5, 1023.9, 30000.0])
@@ -74,7 +74,7 @@ def test_times_of_readings_take_an_eighth_of_their_bytes(start_s):
     turned = np.concatenate([np.roll(row, k) for k, row in enumerate(ticks.reshape(16, 16))]).astype("<f8").tobytes()
     stored = compact(turned, 8, steps=True)
     assert len(stored) < len(turned) / 8
-    assert restored(stored, len(turned), 8, steps=True) == turned
+    assert restore(stored, len(turned), 8, steps=True) == turned
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_times_of_readings_take_an_eighth_of_their_bytes(start_s):
 def test_what_does_not_hold_the_numbers_is_refused(spoil):
     data = bytes(2048)
     with pytest.raises(ValueError, match=r"do not hold 2048|Error -"):
-        restored(spoil(compact(data, 8)), len(data), 8)
+        restore(spoil(compact(data, 8)), len(data), 8)
 
 
 def test_bytes_moved_from_one_array_to_the_next_are_found():

@@ -13,13 +13,18 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from stored_runs import SETTING, calibration, identity, short_run
 
-from cbsr_qa.app import override_verdict
-from cbsr_qa.app.run import RunRequest, render_stored, run_sensor
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.domain.run import NO_REASON, Difference, FileKind, RunEnded, RunStarted, differences
-from cbsr_qa.store import open_store
+from cbsr_qa.app.changes import override_verdict
+from cbsr_qa.app.run.render import render_stored
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.changes import NO_REASON, Difference, FileKind, differences
+from cbsr_qa.domain.run.run import RunEnded, RunStarted
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import writing
+from cbsr_qa.store.opening import open_store
 
 #: What is still to be sent is no result.
 OUTBOX = "INSERT INTO outbox "
@@ -57,7 +62,7 @@ def begun(repository, serial="S-1", why="", operator="Zoë", station="bench-α",
 
 def judged(repository, run, outcome=Outcome.PASS, issued=None):
     """Store a result of a run; returns the analysis."""
-    drift = Measurement("drift", 0.2, "%/min").judged(Limit("drift", "%/min", None, 0.5))
+    drift = Measurement("drift", 0.2, "%/min").judge(Limit("drift", "%/min", None, 0.5))
     result = RunResult(repository.load_run(run), None, (drift,), Verdict(outcome, "why"), issued, "not asked for")
     return repository.save_result(result)
 
@@ -146,7 +151,7 @@ def test_a_history_begins_after_the_last_run_that_passed(repository):
     history = repository.change_history(repository.load_run(last))
     assert history.accepted_run == accepted
     assert [one.differences[0].after for one in history.changes] == ["6.0", "5.0", "4.0"]
-    assert [one.run for one in history.of(last)] == [last]
+    assert [one.run for one in history.changes_in(last)] == [last]
 
 
 def test_an_override_stands_beside_the_verdict_and_can_be_overridden(repository):

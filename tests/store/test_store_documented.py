@@ -8,9 +8,12 @@ import sqlalchemy as sa
 from exported_runs import measured
 from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.domain.results import Outcome, RunResult, Verdict
-from cbsr_qa.store import open_engine, open_store, parsed_url, reading
-from cbsr_qa.store.tables import AnalysisRow
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.engine import open_engine, parse_url, reading
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.tables.results import AnalysisRow
 from cbsr_qa.store.views import VIEWS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "database.md").read_text()
@@ -28,7 +31,7 @@ def engine(database_url):
             record, verdict = repository.load_run(run), Verdict(outcome, "why")
             repository.save_result(RunResult(record, None, measured(error_mm, 0.1), verdict, issued, ""))
         repository.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
     yield engine
     engine.dispose()
 

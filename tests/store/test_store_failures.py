@@ -9,14 +9,15 @@ import pytest
 from sqlalchemy import event
 from stored_runs import CONFIGURATION, SETTING, frames, journalled, short_run
 
-from cbsr_qa.app import database_status, upgrade_database
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, RunEnded
-from cbsr_qa.report import json_document
-from cbsr_qa.store import engine as engines, open_store, schema
-from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.runs import Journal
+from cbsr_qa.app.database import database_status, upgrade_database
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.document import json_document
+from cbsr_qa.store import engine as engines, schema
+from cbsr_qa.store.engine import open_engine, parse_url
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.runs.journal import Journal
 
 
 @pytest.fixture
@@ -118,7 +119,7 @@ def test_a_file_system_that_makes_no_files_is_refused():
 
 
 def test_an_older_schema_says_what_to_run_and_running_it_helps(filled):
-    engine = open_engine(parsed_url(f"sqlite:///{filled}"))
+    engine = open_engine(parse_url(f"sqlite:///{filled}"))
     schema.downgrade(engine, "0001")
     engine.dispose()
     assert "cbsr-qa db upgrade" in refused(filled)
@@ -164,7 +165,7 @@ def test_a_locked_database_says_so_after_waiting(filled, monkeypatch):
 
 
 def test_a_full_disk_keeps_what_was_committed_and_the_journal_goes_on_when_there_is_space(path):
-    engine = open_engine(parsed_url(f"sqlite:///{path}"))
+    engine = open_engine(parse_url(f"sqlite:///{path}"))
     schema.upgrade(engine)
     journal = Journal(engine, configuration=CONFIGURATION, **SETTING)
     for told in short_run("run-1")[:5]:
@@ -190,7 +191,7 @@ def test_a_full_disk_keeps_what_was_committed_and_the_journal_goes_on_when_there
 
 
 def test_an_upgrade_that_fails_half_way_changes_nothing(path):
-    engine = open_engine(parsed_url(f"sqlite:///{path}"))
+    engine = open_engine(parse_url(f"sqlite:///{path}"))
     schema.upgrade(engine, "0001")
     engine.dispose()
     with sqlite3.connect(path) as other:

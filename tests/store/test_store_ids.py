@@ -6,7 +6,7 @@ from uuid import UUID
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.store.types import IdSource, made_at
+from cbsr_qa.store.types import IdSource, time_of_id
 
 START = datetime(2026, 11, 21, tzinfo=UTC)
 
@@ -46,5 +46,5 @@ def test_two_stations_do_not_collide_within_one_millisecond():
     ("milliseconds", "year"), [(253_402_300_799_000, 9999), (253_402_300_800_000, None), (2**48 - 1, None)]
 )
 def test_an_identifier_of_a_year_that_no_date_has_says_no_time(milliseconds, year):
-    made = made_at(str(UUID(int=milliseconds << 80 | 7 << 76 | 2 << 62)))
+    made = time_of_id(str(UUID(int=milliseconds << 80 | 7 << 76 | 2 << 62)))
     assert (None if made is None else made.year) == year

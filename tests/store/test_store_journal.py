@@ -28,28 +28,24 @@ from stored_runs import (
     short_run,
 )
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.plan import Press, Role, StrainStep
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
-    AskedPrompt,
-    EasedStrain,
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.steps import Press, Role, StrainStep
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import EasedStrain
+from cbsr_qa.domain.run.attendance import AskedPrompt, Pause, PromptShown, RunContinued, RunPaused
+from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,
-    Pause,
     PhaseFinished,
     PhaseStarted,
-    PromptShown,
-    RunContinued,
     RunEnded,
-    RunPaused,
     RunStarted,
     SamplesTaken,
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture
@@ -116,7 +112,7 @@ def test_a_run_cut_off_in_a_pause_has_a_pause_without_an_end_and_later_prompts_c
     events = short_run(run)
     cut = next(number for number, event in enumerate(events) if isinstance(event, RunPaused))
     journalled(repository, events[: cut + 1])
-    assert repository.finished_loads(run) == {(0, 0)}
+    assert repository.list_finished_loads(run) == {(0, 0)}
     assert repository.prompts_shown(run) == 0
     shown = PromptShown(0, 0, "Is the head clean?", "", 1.0)
     journalled(repository, [RunStarted(identity(run)), RunPaused(0, 0.5, "Ada"), RunContinued(0, 1.0, "Ada"), shown])
@@ -147,7 +143,7 @@ def test_a_killed_process_loses_nothing_that_was_committed(path):
 import sys
 sys.path.insert(0, {str(Path(__file__).parents[1] / "samples")!r})
 from stored_runs import *
-from cbsr_qa.store import open_store
+from cbsr_qa.store.opening import open_store
 repository = open_store("sqlite:///{path}")
 journal = journalled(repository, short_run("run-1")[:5])
 for number in range(10_000):
@@ -237,14 +233,14 @@ def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_r
     with sqlite3.connect(path) as other:
         steps = [json.loads(step) for (step,) in other.execute("SELECT step FROM steps")]
     assert {"step": "Ease", "strain": 0.3} in steps  # as in databases of before, whatever the class is called
-    assert repository.finished_loads(run) == {(0, 0)}
+    assert repository.list_finished_loads(run) == {(0, 0)}
     again = [
         RunStarted(identity(run)),
         PhaseStarted(0, "nine locations", "location-grid", 0.0),
         LoadFinished(0, looped(1, 10.0)),
     ]
     journalled(repository, again)
-    assert repository.finished_loads(run) == {(0, 0), (0, 1)}
+    assert repository.list_finished_loads(run) == {(0, 0), (0, 1)}
     assert repository.load_run(run).phases[0].loops == (looped(1, 182.0),)
 
 

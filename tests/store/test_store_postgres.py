@@ -11,15 +11,17 @@ from calibration_samples import sample_force
 from stored_lots import measured, store_run
 from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.app import database_status
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Measurement, MetricKey, Outcome, RunResult, RunSelection, Verdict
-from cbsr_qa.domain.run import (
-    ChartReference,
-)
-from cbsr_qa.store import open_store, reading, writing
-from cbsr_qa.store.chain import add_links
+from cbsr_qa.app.database import database_status
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.chain.links import add_links
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.opening import open_store
 
 pytestmark = pytest.mark.postgres
 

@@ -9,16 +9,19 @@ import pytest
 from calibration_samples import assert_same
 from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.calibration.file import calibration_of, write_calibration
-from cbsr_qa.domain import CalibrationError, StoreError
-from cbsr_qa.domain.results import BaselineConductance, Bound, Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.store import open_store
+from cbsr_qa.calibration.file.hdf5 import calibration_of, write_calibration
+from cbsr_qa.domain.errors import CalibrationError, StoreError
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
+from cbsr_qa.domain.results.calibration import BaselineConductance
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.opening import open_store
 
 MEASURED = (
-    Measurement("centre_of_mass_error", 1.2, "mm", 0.1, "nine locations", "L3", 0, "mask 85 %", "exact").judged(
+    Measurement("centre_of_mass_error", 1.2, "mm", 0.1, "nine locations", "L3", 0, "mask 85 %", "exact").judge(
         Limit("centre_of_mass_error", "mm", None, 6.5, 1.5, "nine locations", "mask 85 %")
     ),
-    Measurement("area_overlap", None, "%", how="no blob").judged(Limit("area_overlap", "%", 50.0, None)),
+    Measurement("area_overlap", None, "%", how="no blob").judge(Limit("area_overlap", "%", 50.0, None)),
     Measurement("noise_floor", 0.006, "1"),
 )
 
@@ -73,7 +76,7 @@ def test_judging_again_adds_an_analysis_and_the_latest_holds(repository, run):
 
 def test_loads_of_one_label_and_trial_at_six_strains_stay_apart(repository, run):
     measured = tuple(
-        Measurement("settling_time", 20.0 + k, "s", phase="campaign", location="L0", trial=0, bound=bound).judged(
+        Measurement("settling_time", 20.0 + k, "s", phase="campaign", location="L0", trial=0, bound=bound).judge(
             Limit("settling_time", "s", None, 23.0)
         )
         for k, bound in enumerate([Bound.EXACT, Bound.LOWER] * 3)

@@ -11,25 +11,19 @@ import sqlalchemy as sa
 from stored_runs import calibration, journalled, short_run
 from synced import everything, run_of
 
-from cbsr_qa.app import check_database
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome, RunResult, Verdict
-from cbsr_qa.store import (
-    create_views,
-    drop_views,
-    open_engine,
-    open_store,
-    parsed_url,
-    reading,
-    roles_script,
-    upgrade,
-    writing,
-)
-from cbsr_qa.store.results import Reanalysis
-from cbsr_qa.store.roles import CHANGED, OF_THE_OWNER
-from cbsr_qa.store.tables import RunRow
+from cbsr_qa.app.keeping import check_database
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import Reanalysis
+from cbsr_qa.store.roles import CHANGED, OF_THE_OWNER, roles_script
+from cbsr_qa.store.schema import upgrade
+from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, Whole
-from cbsr_qa.store.views import VIEWS
+from cbsr_qa.store.views import VIEWS, create_views, drop_views
 
 
 def test_the_script_names_every_table_and_view():
@@ -43,7 +37,7 @@ def test_the_script_names_every_table_and_view():
 def logins(postgres_server, postgres_database):
     """A database with logins in both roles; returns the address for one of them."""
     prefix = f"cbsr_qa_test_{uuid4().hex[:8]}"
-    engine = open_engine(parsed_url(postgres_database))
+    engine = open_engine(parse_url(postgres_database))
     upgrade(engine)
     roles = [f"{prefix}_{name}" for name in ("bench", "ada", "station", "reader")]
     bench, ada, station, reader = roles
@@ -79,7 +73,7 @@ def test_a_station_stores_runs_and_cannot_delete_and_a_reader_reads(logins):
             issued = calibration(store.new_id(), run)
             store.save_result(RunResult(record, None, (), Verdict(Outcome.PASS, "why"), issued, ""))
         store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
-        assert store.listed_runs()[-1].verdict is Outcome.FAIL
+        assert store.list_runs()[-1].verdict is Outcome.FAIL
     for statement in (
         "DELETE FROM frame_blocks",
         "TRUNCATE runs CASCADE",
@@ -197,7 +191,7 @@ def added(engine, table, *known):
 def test_what_a_station_adds_to_anothers_rows_is_noticed(filled):
     url, owner, _, under_way = filled
     outcome = {}
-    engine = open_engine(parsed_url(url))
+    engine = open_engine(parse_url(url))
     for table in RunRow.metadata.sorted_tables:
         with reading(owner) as connection:
             before = connection.execute(sa.select(*table.primary_key)).all()

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from stored_runs import CONFIGURATION, SETTING, force, frames, identity, journalled, load, record, short_run
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.plan import FindSurface, Home, Press
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.steps import FindSurface, Home, Press
+from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
@@ -26,8 +25,9 @@ from cbsr_qa.domain.run import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.store import open_store
-from cbsr_qa.store.types import made_at
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.types import time_of_id
 
 
 @pytest.fixture
@@ -118,7 +118,7 @@ def test_what_sets_the_bench_up_again_does_not_count_for_a_phase_that_had_ended(
     journalled(repository, [resumed(run), *set_up])
     after = repository.load_run(run).phases[0]
     assert len(after.samples[0]) == len(before.samples[0])
-    assert repository.ended_phases(run) == {0}
+    assert repository.list_ended_phases(run) == {0}
 
 
 def test_next_is_the_press_after_one_that_was_made_again(repository):
@@ -139,7 +139,7 @@ def holding(path, run, *, until="sys.stdin.read()"):
     """Another process that writes a run."""
     code = f"""
     import sys
-    from cbsr_qa.store import open_store
+    from cbsr_qa.store.opening import open_store
     with open_store("sqlite:///{path}") as repository, repository.writing_alone("{run}", "Kim"):
         print("held", flush=True)
         {until}
@@ -220,7 +220,7 @@ def test_runs_keep_their_order_where_the_clock_was_set_back(path):
         assert repository.new_id() > second
     assert "2026-11-22 12:00 UTC" in warned
     assert "2026-10-13 12:00" in warned
-    assert made_at(second) >= at
+    assert time_of_id(second) >= at
 
 
 def test_a_clock_that_is_right_is_not_warned_about(repository):

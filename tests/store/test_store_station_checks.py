@@ -9,12 +9,15 @@ from altered_runs import another_value, change
 from sqlalchemy import select
 from stored_runs import frames, identity, journalled, short_run
 
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings, StationCheck, worst_check
-from cbsr_qa.store import open_store, reading, writing
-from cbsr_qa.store.chain import covered
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck, worst_check
+from cbsr_qa.store.chain.run_documents import list_covered
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.seals import new_seal
-from cbsr_qa.store.tables import Base, StationCheckLineRow, StationCheckRow
+from cbsr_qa.store.tables.records import StationCheckLineRow, StationCheckRow
+from cbsr_qa.store.tables.runs import Base
 
 AT = datetime(2026, 11, 22, 6, 30, tzinfo=UTC)
 LINES = (
@@ -77,7 +80,7 @@ CHANGES = {
     **{
         f"{table}.{column.name}": f"UPDATE {table} SET {column.name} = {another_value(column)}"
         for table in ("station_checks", "station_check_lines", "station_check_frames")
-        for column in covered(Base.metadata.tables[table])
+        for column in list_covered(Base.metadata.tables[table])
         if column.name not in ("check_id", "station", "checked_at")  # it is another check then
     },
     "a line less": "DELETE FROM station_check_lines WHERE number = 1",

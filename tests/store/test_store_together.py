@@ -10,10 +10,12 @@ from functools import partial
 import pytest
 from stored_runs import journalled, short_run
 
-from cbsr_qa.app.run import RunRequest, Session, default_seed, run_sensor
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store import locks, open_store, schema
-from cbsr_qa.store.engine import open_engine, parsed_url, reading
+from cbsr_qa.app.run.run import RunRequest, default_seed, run_sensor
+from cbsr_qa.app.run.session import Session
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store import locks, schema
+from cbsr_qa.store.engine import open_engine, parse_url, reading
+from cbsr_qa.store.opening import open_store
 
 STATIONS = 4
 
@@ -36,7 +38,7 @@ def opened(url, _):
 
 def upgraded(url, _):
     _TOGETHER[0].wait(60)
-    engine = open_engine(parsed_url(url))
+    engine = open_engine(parse_url(url))
     before = schema.upgrade(engine).revision
     engine.dispose()
     return before
@@ -70,7 +72,7 @@ def test_stations_that_create_one_database_together_all_find_it_made(stations, d
 
 
 def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url):
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
     schema.upgrade(engine, "0001")
     before = stations(partial(upgraded, database_url))
     assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
@@ -107,7 +109,7 @@ def test_runs_of_one_sensor_that_begin_together_have_the_seeds_of_its_first_trie
 def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_url, monkeypatch):
     monkeypatch.setattr(locks, "PATIENCE_S", 0.1)
     monkeypatch.setattr(locks, "SCHEMA_WAIT_S", 0.3)
-    engine, told = open_engine(parsed_url(database_url)), []
+    engine, told = open_engine(parse_url(database_url)), []
     with locks.changing_schema(engine), pytest.raises(StoreError, match=r"created or upgraded by .*waited 0\.3 s"):
         open_store(database_url, tell=told.append)
     (said,) = told
@@ -126,7 +128,7 @@ def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
 
 CLAIM = """
 import sys
-from cbsr_qa.store import open_store
+from cbsr_qa.store.opening import open_store
 with open_store(sys.argv[1]) as store, store.seed_claimed("S-1", 7) as claimed:
     print(claimed, flush=True)
     sys.stdin.read()

@@ -7,8 +7,11 @@ import sqlalchemy as sa
 from exported_runs import five_runs, measured
 from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.domain.results import Outcome, RunResult, Verdict, decide
-from cbsr_qa.store import open_engine, open_store, parsed_url, reading
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Verdict, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.engine import open_engine, parse_url, reading
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.views import VIEWS
 
 
@@ -26,7 +29,7 @@ def analysed_twice(database_url):
         store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
         latest = store.analyses(run)[0]
         expected = (run, latest.analysis, latest.calibration)
-    engine = open_engine(parsed_url(database_url))
+    engine = open_engine(parse_url(database_url))
 
     def rows(query):
         with reading(engine) as connection:
@@ -88,7 +91,7 @@ def test_an_override_of_an_earlier_analysis_does_not_hold(tmp_path):
         analysed(Outcome.PASS)
         store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
         analysed(Outcome.PASS)
-        (listed,) = store.listed_runs()
+        (listed,) = store.list_runs()
     with sqlite3.connect(tmp_path / "runs.db") as database:
         row = database.execute("SELECT verdict, overridden_by FROM v_runs").fetchone()
     assert row == (str(listed.verdict), None) == ("pass", None)
@@ -97,9 +100,7 @@ def test_an_override_of_an_earlier_analysis_does_not_hold(tmp_path):
 def test_the_view_says_what_the_program_lists():
     url, _ = five_runs()
     with open_store(url) as store:
-        listed = [
-            (run.run, str(run.end), run.verdict and str(run.verdict), run.reason) for run in store.listed_runs()
-        ]
+        listed = [(run.run, str(run.end), run.verdict and str(run.verdict), run.reason) for run in store.list_runs()]
     with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
         found = database.execute(
             "SELECT run, state, verdict, COALESCE(reason, '') FROM v_runs ORDER BY run"

@@ -11,10 +11,10 @@ import pytest
 from stored_lots import judged, measured, store_run
 from stored_runs import journalled, short_run
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome
-from cbsr_qa.store import open_store
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ READERS = {
 #: What is shown of each run, and why it is marked.
 LISTS = {
     "runs": lambda store: [(one.run, one.altered) for one in store.find_runs()],
-    "list": lambda store: [(one.run, one.altered) for one in store.listed_runs()],
+    "list": lambda store: [(one.run, one.altered) for one in store.list_runs()],
     "lines": lambda store: [(one.run, one.altered) for one in store.run_lines()],
 }
 
@@ -80,4 +80,4 @@ def test_the_table_and_row_are_named(stored, tmp_path, table, column, readers):
             odd = {"run_states": {run, cut}, "analyses": {run}, "verdict_overrides": {run}}.get(table, set())
             assert {one for one, why in shown.items() if words in why} == odd, name
     if table == "run_states":
-        assert guarded(["db", "status", "--database", f"sqlite:///{copy}"]) == 2
+        assert run_guarded(["db", "status", "--database", f"sqlite:///{copy}"]) == 2

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from cbsr_qa.cli import guarded
+from cbsr_qa.cli.main import run_guarded
 
 
 @pytest.fixture
@@ -12,7 +12,7 @@ def run_command(capsys):
     """Run a command; returns its exit code, what it wrote to stdout, and to stderr."""
 
     def run(*arguments):
-        code = guarded([str(argument) for argument in arguments])
+        code = run_guarded([str(argument) for argument in arguments])
         return code, *capsys.readouterr()
 
     return run

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from demo_fleet import demo_fleet
 
-from cbsr_qa.app.run import render_stored
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Outcome, RunSelection
-from cbsr_qa.store import open_store
+from cbsr_qa.app.run.render import render_stored
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies import fleet_demo
-from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, designed
+from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, yield_runs
 
 TOP = Path(__file__).parents[2]
 
@@ -34,7 +35,7 @@ def built(tmp_path_factory):
 def test_the_first_design_has_each_sensor_at_one_station_the_second_a_third_at_all():
     for recipe, runs, everywhere in ((ONE_STATION, 60, 0), (THIRD_ON_ALL, 102, 21)):
         stations = {}
-        for run in designed():
+        for run in yield_runs():
             if run.recipe == recipe:
                 stations.setdefault((run.batch, run.sensor), set()).add(run.station)
         assert len(stations) == 60
@@ -123,8 +124,8 @@ def test_make_fleet_demo_opens_the_pages_where_there_is_a_screen_and_needs_no_br
 def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path, monkeypatch):
     path = tmp_path / "fleet-demo.db"
     shutil.copy(built[0], path)
-    few = tuple(designed())[:3]
-    monkeypatch.setattr(fleet_demo, "designed", lambda: few)
+    few = tuple(yield_runs())[:3]
+    monkeypatch.setattr(fleet_demo, "yield_runs", lambda: few)
     build_fleet(path=path)
     with open_store(f"sqlite:///{path}", create=False) as store:
         run = store.find_runs()[0].run

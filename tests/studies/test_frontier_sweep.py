@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.domain import CbsrError, NumericsError, StoreError
-from cbsr_qa.studies.sweep import Kept, Work, worked_out
+from cbsr_qa.domain.errors import CbsrError, NumericsError, StoreError
+from cbsr_qa.studies.sweep import Kept, Work, compute_pieces
 
 
 def square(number):
@@ -55,7 +55,7 @@ def pieces(*numbers):
 
 def sweep(work, kept, processes=1):
     told = []
-    found = worked_out(work, kept, lambda *said: told.append(said), processes=processes)
+    found = compute_pieces(work, kept, lambda *said: told.append(said), processes=processes)
     return found, told
 
 
@@ -186,7 +186,7 @@ def test_ctrl_c_ends_a_sweep_in_the_middle_of_a_piece(tmp_path, path):
     work = [*pieces(0, 1), *(Work(f"endless {n}", "", partial(never_end, begun)) for n in range(4)), *pieces(2)]
     keyboard.start()
     with pytest.raises(KeyboardInterrupt):
-        worked_out(work, Kept(path), lambda done, *_: two_kept.set() if done == 2 else None, processes=2)
+        compute_pieces(work, Kept(path), lambda done, *_: two_kept.set() if done == 2 else None, processes=2)
     keyboard.join()
     assert not begun.with_name("ended").exists()
     assert set(Kept(path).found) == {"square/0", "square/1"}
@@ -239,7 +239,7 @@ import os, sys, time
 from functools import partial
 from pathlib import Path
 from pathlib import Path
-from cbsr_qa.studies.sweep import Kept, Work, worked_out
+from cbsr_qa.studies.sweep import Kept, Work, compute_pieces
 
 def piece(path):
     Path(path).write_text(str(os.getpid()))
@@ -249,7 +249,7 @@ def piece(path):
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     work = [Work(str(k), str(k), partial(piece, str(folder / f"{k}.pid"))) for k in range(2)]
-    worked_out(work, Kept(None), lambda *told: None, processes=2)
+    compute_pieces(work, Kept(None), lambda *told: None, processes=2)
 """
 
 

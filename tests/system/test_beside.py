@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.system import Ahead, side_by_side
+from cbsr_qa.system.beside import Ahead, side_by_side
 
 #: Tasks of a test: enough that a helper takes some of them.
 COUNT = 40

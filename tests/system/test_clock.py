@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.system import clock as clocks
-from cbsr_qa.system.clock import TICK_S, RealClock, VirtualClock, WallWatch, in_ticks, on_tick
+from cbsr_qa.system.clock import TICK_S, RealClock, VirtualClock, WallWatch, on_tick, round_to_ticks
 
 
 def test_virtual_time_passes_by_sleeping_alone():
@@ -52,7 +52,7 @@ def test_the_shortest_sleep_is_one_tick(duration_s):
 
 
 def test_durations_become_the_nearest_ticks_and_times_the_next_one():
-    assert (in_ticks(2.5), in_ticks(0.0), in_ticks(1.4 * TICK_S)) == (2.5, 0.0, TICK_S)
+    assert (round_to_ticks(2.5), round_to_ticks(0.0), round_to_ticks(1.4 * TICK_S)) == (2.5, 0.0, TICK_S)
     assert (on_tick(7.25), on_tick(1.1 * TICK_S)) == (7.25, 2 * TICK_S)
 
 
@@ -72,4 +72,4 @@ def test_a_clock_that_is_set_is_noticed(hours, monkeypatch):
 
     watch = WallWatch()
     monkeypatch.setattr(clocks, "datetime", Set)
-    assert watch.moved() / timedelta(hours=1) == pytest.approx(hours, abs=0.01)
+    assert watch.clock_change() / timedelta(hours=1) == pytest.approx(hours, abs=0.01)

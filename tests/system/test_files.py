@@ -11,16 +11,16 @@ import threading
 import pytest
 from calibration_samples import sample_calibration
 
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.eit.mesh import write_mesh
-from cbsr_qa.report import write_report
-from cbsr_qa.studies.limits import write_new
-from cbsr_qa.system.files import FileLock, HeldError, csv_text, holder, writing, written_whole
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.eit.mesh.files import write_mesh
+from cbsr_qa.report.render import write_report
+from cbsr_qa.studies.limits.propose import write_new
+from cbsr_qa.system.files import FileLock, HeldError, csv_text, holder, write_atomically, writing
 
 
 def plainly(path):
-    with written_whole(path) as file:
+    with write_atomically(path) as file:
         file.write(b"x")
 
 
@@ -54,7 +54,7 @@ def test_a_file_obeys_the_umask(tmp_path, writer, umask):
 @pytest.mark.parametrize("name", ["out", "n" * 250])
 def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path, name):
     (tmp_path / name).write_bytes(b"old")
-    with pytest.raises(TypeError), written_whole(tmp_path / name) as file:
+    with pytest.raises(TypeError), write_atomically(tmp_path / name) as file:
         file.write("text where bytes are due")
     assert (tmp_path / name).read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == [name]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.system import UnfitFileError, check_regular, open_foreign, read_foreign, read_untrusted
-from cbsr_qa.system.foreign import size_in_words
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.system.foreign import UnfitFileError, check_regular, open_foreign, read_foreign, size_in_words
+from cbsr_qa.system.untrusted import read_untrusted
 
 OPEN = Path("/proc/self/fd")
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from cbsr_qa.system import parsed_json
+from cbsr_qa.system.json_text import parse_json
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ from cbsr_qa.system import parsed_json
 )
 def test_what_could_be_read_in_two_ways_is_refused(text, why):
     with pytest.raises(ValueError, match=why):
-        parsed_json(text)
+        parse_json(text)
 
 
 @pytest.mark.parametrize(
@@ -44,4 +44,4 @@ def test_what_could_be_read_in_two_ways_is_refused(text, why):
 )
 def test_honest_json_is_read_as_it_is(value):
     for text in (json.dumps(value), json.dumps(value, ensure_ascii=False).encode()):
-        assert parsed_json(text) == value
+        assert parse_json(text) == value

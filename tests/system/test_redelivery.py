@@ -8,7 +8,7 @@ import weakref
 import pytest
 from stopping import Handle, dropped
 
-from cbsr_qa.system import Redelivery
+from cbsr_qa.system.redelivery import Redelivery
 
 
 def in_del(number):

@@ -12,10 +12,10 @@ from test_ert_board_stream import Bench as Board
 from test_manual_instruments import Person, told as by_hand
 from test_replayed_recording import recording, told
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.plugin import ForceApplicator
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.plugin.instruments import ForceApplicator
+from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, ScriptedLoadCell
 from cbsr_qa.testing.instruments import (
     check_applicator,
@@ -200,7 +200,7 @@ def block(times, values=None):
 
 SAMPLES = {
     "has no sample after": lambda self, own, since_s: block([]),
-    "has a last sample that is 2.1": lambda self, own, since_s: own(since_s).between(
+    "has a last sample that is 2.1": lambda self, own, since_s: own(since_s).select_interval(
         0.0, self.clock.now() - (0.5 if self.calls["samples_since"] == 1 else 2.1)
     ),
     "when asked for those after": lambda self, own, since_s: own(since_s - 1.0),

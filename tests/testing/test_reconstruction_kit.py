@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.testing.reconstructed_targets import (
     check_masked_electrodes,
     check_noise_propagation,

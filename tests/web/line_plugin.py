@@ -3,9 +3,9 @@
 import sys
 import time
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import Prompt
-from cbsr_qa.plugin import Kind, hookimpl
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.steps import Prompt
+from cbsr_qa.plugin.hooks import Kind, hookimpl
 from cbsr_qa_plugins.hardware.simulated_bench import BenchOptions, SimulatedBench, driver
 
 _FRAMES_BEFORE_DEATH = 20

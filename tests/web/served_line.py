@@ -10,8 +10,8 @@ from pathlib import Path
 from command import FEW_SECTIONS, PROGRAM
 from PIL import Image
 
-from cbsr_qa.station.control import station_holder
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.station.control.lock import station_holder
+from cbsr_qa.system.pins import hash_pin
 
 _HERE = Path(__file__).parent
 TOKEN = "token-of-these-tests-only"
@@ -137,7 +137,7 @@ class ServedLine:
             if name == "dying":
                 station = station.replace('"simulated-bench"', '"dying-bench"')
                 station += '\n[gate]\noperator = "refuse"\n\n[[gate.operators]]\nname = "Ada"\n'
-                station += f'pin = "{hashed_pin(PIN)}"\n'
+                station += f'pin = "{hash_pin(PIN)}"\n'
             (self.folder / f"{name}.toml").write_text(station)
         for name, places, asks in (
             ("five-places", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]], ""),

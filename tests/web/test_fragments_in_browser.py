@@ -2,8 +2,9 @@
 
 import pytest
 
-from cbsr_qa.domain.results import Banner, Page, Paragraph, Section
-from cbsr_qa.report import render_fragment, text_table
+from cbsr_qa.domain.results.report import Banner, Page, Paragraph, Section
+from cbsr_qa.report.render import render_fragment
+from cbsr_qa.report.tables import text_table
 
 #: As in JupyterLab's dark theme, where rows are striped and text is light.
 _DARK = """

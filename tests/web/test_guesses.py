@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.config import DocumentKind, open_document
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.system.pins import hash_pin
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.guesses import FREE_GUESSES, LONGEST_WAIT_S, Guesses, TooManyGuessesError, client_network
-from cbsr_qa.web.stations import served_stations
+from cbsr_qa.web.stations import load_stations
 
 
 class _Clock:
@@ -99,8 +99,8 @@ def actions(tmp_path):
     file = tmp_path / "bench.toml"
     listed = '[[gate.operators]]\nname = "Ada"\npin = "{}"\n\n[[gate.operators]]\nname = "Ben"\n'
     text = open_document(DocumentKind.STATION, "simulated").text
-    file.write_text(f'{text}\n[gate]\noperator = "refuse"\n\n{listed.format(hashed_pin("4711"))}')
-    watch = SimpleNamespace(served=served_stations([str(file)], [])[0])
+    file.write_text(f'{text}\n[gate]\noperator = "refuse"\n\n{listed.format(hash_pin("4711"))}')
+    watch = SimpleNamespace(served=load_stations([str(file)], [])[0])
     return Actions(SimpleNamespace(stations={"bench": watch}), SimpleNamespace())
 
 

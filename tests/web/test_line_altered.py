@@ -6,10 +6,10 @@ import pytest
 from altered_runs import change
 from exported_runs import five_runs
 
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.line import Line
-from cbsr_qa.web.pages import Pages, listed_kind
+from cbsr_qa.web.pages import Pages, kind_of_result
 from cbsr_qa.web.shift import sensor_page
 from cbsr_qa.web.state import Mode, mode_of
 
@@ -27,7 +27,7 @@ def test_a_list_of_runs_marks_it(forged):
     url, _ = forged
     view = sensor_page(url, "S-1")
     (run,) = view["runs"]
-    assert (listed_kind(run, frozenset()), run.verdict, run.outcome) == ("altered", None, None)
+    assert (kind_of_result(run, frozenset()), run.verdict, run.outcome) == ("altered", None, None)
     page = Pages(Line((), url)).page("sensor", control=True, here="shift", **view)
     assert "Altered since it was stored" in page
     assert "analyses" in page

@@ -7,9 +7,11 @@ import pytest
 from stored_lots import store_run
 from stored_runs import identity, journalled, short_run
 
-from cbsr_qa.domain.results import EndReason, Measurement, Outcome
-from cbsr_qa.domain.run import RunEnded, RunStarted
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.run import RunEnded, RunStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.pages import minutes_left, reason_words, step_words, verdict_kind
 from cbsr_qa.web.state import Mode, Snapshot, control_of, mode_of
 

@@ -4,7 +4,9 @@ import re
 from pathlib import Path
 
 import cbsr_qa.web
-from cbsr_qa.domain.results import ALTERED, EndReason, Outcome
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.listed import ALTERED
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.web.state import Mode
 from cbsr_qa.web.texts import keys
 

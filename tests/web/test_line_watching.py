@@ -7,9 +7,9 @@ import pytest
 from served_line import until
 from stored_lots import store_run
 
-from cbsr_qa.config import load_station
-from cbsr_qa.domain.plan import SyncSettings
-from cbsr_qa.store import open_store
+from cbsr_qa.config.loader import load_station
+from cbsr_qa.domain.plan.plan import SyncSettings
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import watching
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.stations import ServedStation

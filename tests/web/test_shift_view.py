@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from filled_databases import filled
 
-from cbsr_qa.domain.results import Limit, Measurement
-from cbsr_qa.studies.charts import ChartsRequest, ReferencePeriod, control_charts
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.studies.charts.charts import control_charts
+from cbsr_qa.studies.charts.request import ChartsRequest, ReferencePeriod
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.shift import shift_page
@@ -25,8 +27,8 @@ def database(tmp_path_factory):
     for number in range(40):
         gain, drift = 10 + 0.1 * random.standard_normal(2)
         gain += 0.8 * (number >= 30)
-        values = Measurement("drift", drift / 100, "1").judged(_STEADY), Measurement("force_gain", gain, "N/V")
-        measured = (values[0], values[1].judged(_SHIFTED))
+        values = Measurement("drift", drift / 100, "1").judge(_STEADY), Measurement("force_gain", gain, "N/V")
+        measured = (values[0], values[1].judge(_SHIFTED))
         runs.append((f"S-{number:03d}", measured, {"station": "A", "day": number}))
     path = str(tmp_path_factory.mktemp("shift") / "runs.db")
     filled(path, runs)

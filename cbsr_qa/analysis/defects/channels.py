@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 
 #: A channel is at a rail if this share of its readings is exactly there, and flagged if this share is flagged.
 _AT_RAIL = 0.5
@@ -76,26 +76,26 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     present = block.voltages[:, ~missing]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
-    at_end = not_connected and present.size > 0 and _at_converter_end(present, block.unit)
+    at_end = not_connected and present.size > 0 and _is_at_converter_end(present, block.unit)
     not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
     saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
     frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
     if not (not_connected or at_end or frozen):
-        saturated |= _at_rails(block, missing)
+        saturated |= _find_rail_clipping(block, missing)
         if scan is ScanKind.DRIVEN_PAIRS:
-            saturated |= _at_ceiling(block.voltages)
-    stuck_from = np.where(missing, -1, _stuck_from(block))
+            saturated |= _find_ceiling_clipping(block.voltages)
+    stuck_from = np.where(missing, -1, _first_stuck_frames(block))
     return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
 
 
-def _at_converter_end(present: Array, unit: VoltageUnit) -> bool:
+def _is_at_converter_end(present: Array, unit: VoltageUnit) -> bool:
     """Whether silent counts are at an end of 16 bits; 0 and 32 767, the middle, are readings without input."""
     level = float(np.median(present))
     return unit is VoltageUnit.COUNT and min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
 
 
-def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
+def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
     voltages = np.where(missing, np.median(block.voltages), block.voltages)
     clipped = np.zeros(missing.shape, dtype=bool)
     if len(voltages) < _FEWEST_FRAMES:
@@ -131,7 +131,7 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
     return clipped
 
 
-def _at_ceiling(voltages: Array) -> Mask:
+def _find_ceiling_clipping(voltages: Array) -> Mask:
     """Pairs clipped at a common level that no reading exceeds: the source's voltage limit.
 
     Only for one-row scans, where symmetry does not cause equal levels.
@@ -148,7 +148,7 @@ def _at_ceiling(voltages: Array) -> Mask:
     return (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
 
 
-def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
+def _first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
     """First frame in which each channel is stuck while most others move; −1 for channels that are not."""
     n = len(block)
     begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import SILENT_SPREAD
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.rules import SILENT_SPREAD
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: Least share of a change's energy, above noise, that lies in the readings of one electrode.
 _INSIDE = 0.9
@@ -106,12 +106,12 @@ def suspect_in(
         rest = float(outside @ outside) - noise * len(outside)
         if total <= 0 or rest > (1 - _INSIDE) * total + doubt or total < 4 * doubt:
             continue
-        if not _seen(load, outside, hidden, suspect.readings, noise):
+        if not _may_be_load(load, outside, hidden, suspect.readings, noise):
             return suspect
     return None
 
 
-def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
+def _may_be_load(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
     """Whether a load may explain the change: its pattern must show in readings that do not touch the contact."""
     expected = _parts(load, hidden, readings)[1]
     power = float(expected @ expected)

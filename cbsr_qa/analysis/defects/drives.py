@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SOUND_SLOPE
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.rules import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SOUND_SLOPE
 
 _FOLLOWS = 0.8  #: correlation of the typical drive below which slopes mean nothing
 _AWAY = 0.5  #: a dead drive's own reading is wrapped if it differs by this share of the typical one

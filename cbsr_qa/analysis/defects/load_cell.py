@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.readings.loads import LoadRecord
 
 #: A hold with fewer samples does not show that a cell is stuck.
 _FEWEST: Final = 8
@@ -17,7 +17,7 @@ _SHARE: Final = 0.9
 _FLAT: Final = 8
 
 
-def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
+def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     """Report that the cell stayed at its highest reading throughout a hold; empty otherwise.
 
     A cell whose unloaded readings never differ has no noise (as in some simulations); its constant readings prove
@@ -25,13 +25,13 @@ def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     """
     if samples is None:
         return ""
-    held = samples.between(record.hold_start_s, record.release_start_s).values
+    held = samples.select_interval(record.hold_start_s, record.release_start_s).values
     if len(held) < _FEWEST:
         return ""
     highest = float(samples.values.max())
     if highest <= 0 or np.mean(held == highest) < _SHARE:
         return ""
-    rest = samples.between(record.unloaded_s, record.rest_end_s).values
+    rest = samples.select_interval(record.unloaded_s, record.rest_end_s).values
     if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
         return ""
     return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
@@ -53,7 +53,7 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
     strains = {
         load.load.strain
         for load in loads
-        if (samples.between(load.hold_start_s, load.release_start_s).values == highest).any()
+        if (samples.select_interval(load.hold_start_s, load.release_start_s).values == highest).any()
     }
     return highest if not still or len(strains) > 1 else None
 

@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import FrameBlock, NoiseReport, NoiseStep, VoltageUnit
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.results.findings import NoiseReport, NoiseStep
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826

@@ -6,7 +6,7 @@ No load causes one: its pattern differs from reading to reading, as does a chang
 import numpy as np
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 _STAY_FRAMES = 8  #: at most so many frames on either side determine an offset
 _SUDDEN = 6.0  #: the typical reading jumps by so many times the noise of such jumps
@@ -64,7 +64,7 @@ def offset_words(offsets: tuple[tuple[int, float], ...], time_s: Array, unit: st
     return [words] if offsets else []
 
 
-def without_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
+def subtract_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
     """Take offsets out of (n, drives, measures) readings, relative to the first frame."""
     added = np.zeros(len(voltages))
     for frame, size in offsets:

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: With fewer frames scatter about a straight line is meaningless.
 FEWEST_FRAMES: Final = 3

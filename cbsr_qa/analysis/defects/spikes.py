@@ -13,13 +13,13 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.rules import MOST_SPIKES, SPIKE_SIGMA, reciprocal_unchanged
 
 _HALF_WINDOW = 3  #: frames on either side: spikes of up to three frames are seen
 
 
-def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mask]:
+def remove_spikes(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mask]:
     """Replace spikes by the running median of their channel.
 
     Parameters
@@ -54,5 +54,5 @@ def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
     few = (far.sum(axis=(1, 2)) <= MOST_SPIKES * usable.sum())[:, None, None]
     alone: Mask = np.broadcast_to(few, far.shape)
     if square:
-        alone = np.where(partner, left_alone(apart, apart.swapaxes(1, 2)), alone)
+        alone = np.where(partner, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone)
     return alone

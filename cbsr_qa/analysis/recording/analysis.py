@@ -5,30 +5,23 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import channel_noise, find_steps, noise_report
+from cbsr_qa.analysis.defects.noise import channel_noise, find_steps, noise_report
 from cbsr_qa.analysis.recording.imaged_events import Imaged, image_events
 from cbsr_qa.analysis.recording.images import Tell
 from cbsr_qa.analysis.recording.imaging import nominal_disc
 from cbsr_qa.analysis.recording.ready import ReadyReadings, channel_report, make_ready
-from cbsr_qa.analysis.recording.repeats import without_repeats
+from cbsr_qa.analysis.recording.repeats import average_repeats
 from cbsr_qa.analysis.recording.scene import FEWEST_FRAMES, RecordedScene, Searched
-from cbsr_qa.domain import LEAST_EXPLAINED, NumericsError, RecordingError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import (
-    RECIPROCITY_LIMIT,
-    EventImaging,
-    LoadEvent,
-    NoiseReport,
-    NoiseStep,
-    Recording,
-    RecordingResult,
-    ScanKind,
-    VoltageUnit,
-)
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.inverse import masking_effect
-from cbsr_qa.plugin import Reconstruction
-from cbsr_qa.system import Stages
+from cbsr_qa.domain.errors import NumericsError, RecordingError
+from cbsr_qa.domain.goodness import LEAST_EXPLAINED
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.carry_over import RECIPROCITY_LIMIT
+from cbsr_qa.domain.readings.frames import Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.results.findings import EventImaging, LoadEvent, NoiseReport, NoiseStep, RecordingResult
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.uncertainty import masking_effect
+from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.system.clock import Stages
 
 #: Default reconstruction of events.
 DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
@@ -74,16 +67,16 @@ def analyse_recording(
     choices = choices or AnalysisChoices()
     stages = Stages()
     if choices.sensor_type is not None:
-        recording, single = without_repeats(recording, choices.sensor_type)
+        recording, single = average_repeats(recording, choices.sensor_type)
         choices = replace(choices, sensor_type=single)
     pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
     with stages.stage("channels"):
         ready = make_ready(recording, choices.correct_carry_over, pattern)
     rate_hz = frame_rate_hz(recording)
     with stages.stage("events"):
-        searched = _searched(recording, ready, choices, rate_hz)
+        searched = _search_loads(recording, ready, choices, rate_hz)
     with stages.stage("images"):
-        imaged = _imaged(searched, reconstruction, choices.reconstruction, tell)
+        imaged = _image_events(searched, reconstruction, choices.reconstruction, tell)
     with stages.stage("noise"):
         noise = _noise(recording, ready, imaged.events)
     return RecordingResult(
@@ -119,10 +112,10 @@ def frame_rate_hz(recording: Recording) -> float | None:
     return float(1 / typical.mean()) if typical.size else None
 
 
-def _searched(
+def _search_loads(
     recording: Recording, ready: ReadyReadings, choices: AnalysisChoices, rate_hz: float | None
 ) -> Searched:
-    if why := _no_signal(recording, ready) or _no_image(recording, ready):
+    if why := _why_no_signal(recording, ready) or _why_no_image(recording, ready):
         return Searched((), why)
     sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
     if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
@@ -132,7 +125,7 @@ def _searched(
             remedy="name the sensor type of the recording, or omit it",
         )
     try:
-        scene = RecordedScene.of(recording, ready, sensor_type, named=choices.sensor_type is not None)
+        scene = RecordedScene.from_recording(recording, ready, sensor_type, named=choices.sensor_type is not None)
     except NumericsError as error:
         return Searched((), f"no image can be made: {error.reason}")
     if recording.reference is not None:
@@ -140,13 +133,13 @@ def _searched(
     return scene.presses(rate_hz)
 
 
-def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginChoice, tell: Tell) -> Imaged:
+def _image_events(searched: Searched, reconstruction: Reconstruction, chosen: PluginChoice, tell: Tell) -> Imaged:
     if searched.scene is None or not searched.sightings:
         return Imaged((), EventImaging(chosen))
     return image_events(searched.scene, searched.sightings, reconstruction, chosen, tell)
 
 
-def _no_signal(recording: Recording, ready: ReadyReadings) -> str:
+def _why_no_signal(recording: Recording, ready: ReadyReadings) -> str:
     """Why the readings carry no signal of the sensor; empty if they do."""
     if ready.faults.not_connected:
         return "no signal: all readings are equal; nothing is connected"
@@ -157,7 +150,7 @@ def _no_signal(recording: Recording, ready: ReadyReadings) -> str:
     return ""
 
 
-def _no_image(recording: Recording, ready: ReadyReadings) -> str:
+def _why_no_image(recording: Recording, ready: ReadyReadings) -> str:
     """Why readings with a signal cannot be imaged; empty if they can."""
     if recording.scan is ScanKind.DRIVEN_PAIRS:
         return "one-row scans measure each pair only while it drives, which is not enough for an image"

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import MAD_TO_SIGMA
-from cbsr_qa.domain import Array
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+from cbsr_qa.domain.numbers import Array
 
 #: Frames compared before and after a moment; wider windows find weaker and slower presses.
 WINDOWS = (2, 4, 8)
@@ -57,7 +57,7 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
             if not more:
                 break
             changes += more
-    return tuple(sorted(_rescored(scores, changes), key=lambda change: change.frame))
+    return tuple(sorted(_rescore(scores, changes), key=lambda change: change.frame))
 
 
 def nearest_step(scores: Array) -> tuple[float, float]:
@@ -134,7 +134,7 @@ def _spread(step: Array) -> tuple[Array, Array]:
     return middle, np.maximum(noise, max(1.0, float(np.median(noise))))
 
 
-def _rescored(scores: Array, changes: list[Change]) -> list[Change]:
+def _rescore(scores: Array, changes: list[Change]) -> list[Change]:
     out: list[Change] = []
     for window in WINDOWS:
         own = [change for change in changes if change.window == window]

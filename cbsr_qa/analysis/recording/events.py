@@ -16,20 +16,19 @@ from itertools import pairwise
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import Suspect, suspect_in
+from cbsr_qa.analysis.defects.contacts import Suspect, suspect_in
 from cbsr_qa.analysis.recording.changes import Change, find_changes
 from cbsr_qa.analysis.recording.groups import (
     SAME_PLACE,
     Group,
     find_pulses,
     group_changes,
+    interpolate_pulses,
     same_place,
-    without_pulses,
 )
-from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fitted
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_loads
 from cbsr_qa.analysis.recording.traces import (
     BEFORE_FRAMES,
-    at_the_step,
     difference,
     end_of,
     noise_energy,
@@ -38,9 +37,10 @@ from cbsr_qa.analysis.recording.traces import (
     signal_energy,
     slow_rise,
     smooth,
+    step_start,
     trace,
 )
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 _CLOSE = 3  #: frames: a pulse this close to a press at its place is part of it
 _RESIDUE = 0.6  #: a sheet keeps at most this share of a short press
@@ -139,7 +139,7 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
     pulses = tuple(pulse for pulse in pulses if not any(_trembles(pulse, press, match) for press in presses.presses))
     if not pulses:
         return presses, changes
-    calm = without_pulses(white, pulses)
+    calm = interpolate_pulses(white, pulses)
     changes = find_changes(calm @ match.patterns)
     presses = find_presses(calm, match, changes, no_loads)
     short = _Search(white, match, no_loads, [])
@@ -190,7 +190,7 @@ class _Search:
 
     def close(self, group: Group) -> None:
         """Evaluate one press from its steps."""
-        before, held, start, end, along = self._slow(group) if group.slow else self._stepped(group)
+        before, held, start, end, along = self._slow(group) if group.slow else self._trace_step(group)
         if places := self._loads(group.frame, before, held):
             first = min(int(np.ceil(start)), int(end))
             peak = first + int(np.argmax(along[first : max(int(np.ceil(end)), first + 1)]))
@@ -211,7 +211,7 @@ class _Search:
         change = difference(self.white, before, held)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]
         places, explained = find_places(change, self.match, noise=noise)
-        load = fitted(change, self.match, places)
+        load = fit_loads(change, self.match, places)
         if suspect := suspect_in(change, load, self.match.nuisance, noise, self.no_loads.suspects):
             self.found.suspects.append((frame, suspect))
         elif share := self._gain(change):
@@ -222,7 +222,7 @@ class _Search:
             return places
         return ()
 
-    def _stepped(self, group: Group) -> tuple[slice, slice, float, float, Array]:
+    def _trace_step(self, group: Group) -> tuple[slice, slice, float, float, Array]:
         """Reference, hold, start, end and trace of a press that started with a step."""
         first = group.changes[0]
         limits = self._limits(group)
@@ -231,7 +231,7 @@ class _Search:
         clear = signal_energy(self.white, before, held) > _FAINT * noise_energy(self.white, before, held)
         for _ in range(2):
             end, along = self._end(group, before, held, window, limits)
-            start, down = rise(along, first, int(end)) if clear else at_the_step(first, int(end))
+            start, down = rise(along, first, int(end)) if clear else step_start(first, int(end))
             before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
             held = slice(down, max(min(int(end) + (end == limits[-1] - 1), limits[0]), down + 1))
         return before, held, start, end, along
@@ -285,7 +285,7 @@ class _Search:
         return along / power if along**2 / power >= best**2 else 0.0
 
 
-def held_from_the_beginning(presses: Sequence[Press], n: int) -> tuple[list[Press], list[Press]]:
+def find_initial_loads(presses: Sequence[Press], n: int) -> tuple[list[Press], list[Press]]:
     """Distinguish releases of initial loads from loads that stay to the end.
 
     Both are a single step that is never reversed. If every press that ends has one sign, such a step of the other

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import MAD_TO_SIGMA
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change, threshold_for
 from cbsr_qa.analysis.recording.places import Matcher
 from cbsr_qa.analysis.recording.traces import BEFORE_FRAMES, difference, rough, smooth, trace
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 SAME_PLACE = 0.4  #: of the radius: two steps closer than this are at the same place
 _NEW_PRESS_LOSS = 0.4  #: a step at the same place is a new press if the trace had lost this share before it
@@ -64,7 +64,7 @@ def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> 
     """
     groups: list[Group] = []
     for k, change in enumerate(changes):
-        if any(_taken(change, group, white, match) for group in reversed(groups)):
+        if any(_add_to_group(change, group, white, match) for group in reversed(groups)):
             continue
         group = Group([change], change.sign)
         # Drift also leads away: a step that a later one reverses is a press, whatever it led back to.
@@ -86,7 +86,7 @@ def _apart(change: Change, group: Group, match: Matcher) -> float:
     return min(float(np.hypot(*(match.places[change.place] - match.places[step.place]))) for step in group.changes)
 
 
-def _taken(change: Change, group: Group, white: Array, match: Matcher) -> bool:
+def _add_to_group(change: Change, group: Group, white: Array, match: Matcher) -> bool:
     """Add a step to a press at the same place, as its continuation or its release."""
     if _apart(change, group, match) > SAME_PLACE:
         return False
@@ -173,7 +173,7 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
     return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
 
 
-def without_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
+def interpolate_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
     """Interpolate linearly over the frames of pulses, (n, m), for further detection."""
     bridged = white.copy()
     for pulse in pulses:
@@ -189,14 +189,14 @@ def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array,
     inside = (total[at + width] - total[at]) / width
     before = (total[at] - total[at - _BESIDE]) / _BESIDE
     after = (total[at + width + _BESIDE] - total[at + width]) / _BESIDE
-    rise, fall = _scaled(inside - before), _scaled(inside - after)
+    rise, fall = _scale_to_noise(inside - before), _scale_to_noise(inside - after)
     size = np.where(rise * fall > 0, np.minimum(np.abs(rise), np.abs(fall)), 0.0)
     place = np.argmax(size, axis=1)
     rows = np.arange(len(at))
     return size[rows, place], place, np.sign(rise[rows, place])
 
 
-def _scaled(difference: Array) -> Array:
+def _scale_to_noise(difference: Array) -> Array:
     noise = MAD_TO_SIGMA * np.median(np.abs(difference - np.median(difference, axis=0)), axis=0)
     return difference / np.maximum(noise, max(float(np.median(noise)), 1e-12))
 

@@ -9,14 +9,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from cbsr_qa.analysis.recording.images import EventImages, Sighting, Tell, prepare_for_events
 from cbsr_qa.analysis.recording.scene import RecordedScene
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import EventImaging, ImagedPlace, LoadEvent, Motion, SampleBlock
-from cbsr_qa.domain.results import Blob, Image, LinearReconstruction
-from cbsr_qa.domain.sensor import Electrodes
-from cbsr_qa.eit.imaging import Assignment, assign_regions, find_blobs_by_mask, split_blobs
-from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.results.findings import EventImaging, ImagedPlace, LoadEvent, Motion
+from cbsr_qa.domain.sensor.electrodes import Electrodes
+from cbsr_qa.eit.imaging.blobs import find_blobs_by_mask
+from cbsr_qa.eit.imaging.multi_load import Assignment, assign_regions, split_blobs
+from cbsr_qa.plugin.interfaces import Reconstruction
 
 #: Assumed radius of an unknown head, of the sheet's (13 mm on a 100 mm disc).
 _HEAD: Final = 0.13
@@ -50,10 +52,10 @@ def with_imaged_places(events: Sequence[LoadEvent], radius_mm: float, layout: El
 
     Regions are found and assigned as for fates; simultaneous events share an image.
     """
-    return tuple(replace(event, imaged=_imaged(event, events, radius_mm, layout)) for event in events)
+    return tuple(replace(event, imaged=_place_in_image(event, events, radius_mm, layout)) for event in events)
 
 
-def _imaged(
+def _place_in_image(
     event: LoadEvent, events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes
 ) -> ImagedPlace | None:
     image = event.image.values.tobytes()
@@ -63,7 +65,7 @@ def _imaged(
         if other is not event and other.sign == event.sign and other.image.values.tobytes() == image
     ]
     values = np.maximum(event.sign * event.image.values, 0.0)
-    regions, assigned = _assigned(Image(event.image.mesh, values), [event, *beside], radius_mm)
+    regions, assigned = _assign_events(Image(event.image.mesh, values), [event, *beside], radius_mm)
     own = assigned.region_of[0] if assigned.merged_with[0] is None else assigned.region_of[assigned.merged_with[0]]
     if own is None:
         return None
@@ -83,10 +85,14 @@ def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: 
     if not beside:
         return ""
     values = np.maximum(event.sign * together([number, *beside]), 0.0)
-    return _assigned(Image(event.image.mesh, values), [event, *(events[k] for k in beside)], radius_mm)[1].fate(0)
+    return _assign_events(Image(event.image.mesh, values), [event, *(events[k] for k in beside)], radius_mm)[1].fate(
+        0
+    )
 
 
-def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tuple[tuple[Blob, ...], Assignment]:
+def _assign_events(
+    image: Image, events: Sequence[LoadEvent], radius_mm: float
+) -> tuple[tuple[Blob, ...], Assignment]:
     """Regions of an image with the first event's sign, and their assignment to events."""
     regions = split_blobs(find_blobs_by_mask(image, (_MASK,))[0], _VALLEY)
     head_mm = _HEAD * radius_mm
@@ -181,7 +187,7 @@ def image_events(
     for number, seen in enumerate(sightings, start=1):
         if slow:
             tell(f"imaging event {number} of {len(sightings)} with {chosen.name}")
-        made.append(_event(scene, seen, images.of(seen, _name(scene, number, seen.peak_s))))
+        made.append(_event(scene, seen, images.image_event(seen, _name(scene, number, seen.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
         if not images.superposes:

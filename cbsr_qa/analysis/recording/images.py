@@ -2,7 +2,7 @@
 
 Events are detected without images, by matching the patterns of loads in the readings (:mod:`places`). Only the change
 of each event is imaged, not every frame, so that a method may take a second per image. A method receives what it
-requests (:class:`~cbsr_qa.plugin.Reconstruction`): changes by default, the frames around an event if its images
+requests (``Reconstruction``): changes by default, the frames around an event if its images
 depend on their neighbours, the unloaded readings if its images are absolute.
 """
 
@@ -15,10 +15,12 @@ import numpy as np
 
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model
 from cbsr_qa.analysis.recording.places import Place
-from cbsr_qa.domain import Array, CbsrError, Goodness, NumericsError, PluginError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
-from cbsr_qa.plugin import Reconstruction
-from cbsr_qa.system import come_back_once
+from cbsr_qa.domain.errors import CbsrError, NumericsError, PluginError
+from cbsr_qa.domain.goodness import Goodness
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.system.copies import come_back_once
 
 #: Receives each step, in words.
 Tell = Callable[[str], None]
@@ -105,7 +107,7 @@ class EventImages:
     remarks: tuple[str, ...] = ()
     _made: dict[bytes, Array] = field(default_factory=dict)
 
-    def of(self, sighting: Sighting, name: str = "an event") -> Array:
+    def image_event(self, sighting: Sighting, name: str = "an event") -> Array:
         """Image (e,) of an event's change; messages name the event ``name``."""
         where = f"{self.name} cannot image {name}"
         if self.sequences:
@@ -118,7 +120,7 @@ class EventImages:
         """Image (e,) of the changes of several events, each counted once."""
         changes = {seen.change.tobytes(): seen for seen in sightings}.values()
         if self.superposes:
-            total: Array = np.sum([self.of(seen) for seen in changes], axis=0)
+            total: Array = np.sum([self.image_event(seen) for seen in changes], axis=0)
             return total
         where = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
         image: Array = self._images(where, np.sum([seen.change for seen in changes], axis=0)[None])[0]
@@ -132,9 +134,9 @@ class EventImages:
     def _images(self, where: str, changes: Array) -> Array:
         known = changes.tobytes()
         if known not in self._made:
-            with _by_name(where):
+            with _convert_errors(where):
                 images = self.prepared.images(changes * self.gain)
-                self._made[known] = _checked(images, (len(changes), len(self.prepared.problem.mesh.elements)))
+                self._made[known] = _check_images(images, (len(changes), len(self.prepared.problem.mesh.elements)))
         return self._made[known]
 
 
@@ -169,12 +171,12 @@ def prepare_for_events(
     gain = np.ones(len(problem.reference))
     if getattr(reconstruction, "absolute", False) and not offset:
         problem, gain = _with_measured(name, problem, model, sightings)
-    with _by_name(f"{name} cannot be used for this recording"):
-        prepared, remarks = _prepared(reconstruction, name, problem)
+    with _convert_errors(f"{name} cannot be used for this recording"):
+        prepared, remarks = _prepare_reconstruction(reconstruction, name, problem)
     return EventImages(name, prepared, gain, bool(getattr(reconstruction, "sequences", False)), remarks)
 
 
-def _prepared(
+def _prepare_reconstruction(
     reconstruction: Reconstruction, name: str, problem: ImagingProblem
 ) -> tuple[PreparedReconstruction, tuple[str, ...]]:
     """Prepare on the recording's own changes, or without them, with a note, if they do not determine a parameter."""
@@ -207,7 +209,7 @@ def _with_measured(
 
 
 @contextmanager
-def _by_name(where: str) -> Iterator[None]:
+def _convert_errors(where: str) -> Iterator[None]:
     """Turn any exception of a plugin's method into one clear refusal."""
     try:
         with come_back_once():
@@ -218,7 +220,7 @@ def _by_name(where: str) -> Iterator[None]:
         raise PluginError(f"{where}: {type(error).__name__}: {error}", remedy=_REMEDY) from error
 
 
-def _checked(images: object, shape: tuple[int, int]) -> Array:
+def _check_images(images: object, shape: tuple[int, int]) -> Array:
     values = np.asarray(images, dtype=np.float64)
     if values.shape != shape:
         raise NumericsError(f"it returned images of shape {values.shape} instead of {shape}")

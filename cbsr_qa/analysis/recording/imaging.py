@@ -15,10 +15,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, Mask, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Response, SensorType, adjacent_pattern
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.inverse.problem import imaging_problem
 
 _NOMINAL_RADIUS_MM = 50.0
 _ARC = 0.1  # length of a nominal electrode, of the radius
@@ -96,13 +99,13 @@ def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
     else:
         clearance = sensor_type.polygon.clearance_mm(mesh.centroids_mm) / sensor_type.radius_mm
         well_inside = clearance >= min(1 - _OUTERMOST, float(clearance.max()) / 2)
-    inner = _thinned(places, np.flatnonzero(well_inside).astype(np.int64))
+    inner = _thin_places(places, np.flatnonzero(well_inside).astype(np.int64))
     distance = ((places[:, None] - places[None, inner]) ** 2).sum(axis=2)
     bumps = np.exp(-distance / (2 * _BUMP**2)) * mesh.areas_mm2[:, None]
     return inner, bumps / bumps.sum(axis=0)
 
 
-def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+def _thin_places(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
     """Thin out places to half a bump's distance; closer ones add nothing."""
     kept: list[int] = []
     for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import MAD_TO_SIGMA
-from cbsr_qa.domain import Array
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+from cbsr_qa.domain.numbers import Array
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
 _FURTHER_SHARE = 0.15
@@ -110,11 +110,11 @@ def find_places(
     if total == 0:
         return (), 0.0
     chosen = [_best(change, match, 0, ())]
-    explained = _explained(change, match, chosen)
+    explained = _fit_power(change, match, chosen)
     while len(chosen) < most:
-        further = _best(_left(change, match, chosen), match, 0, tuple(chosen))
-        moved = _settled(change, match, [*chosen, further], 0)
-        gain = _explained(change, match, moved) - explained
+        further = _best(_fit_residual(change, match, chosen), match, 0, tuple(chosen))
+        moved = _optimise_places(change, match, [*chosen, further], 0)
+        gain = _fit_power(change, match, moved) - explained
         needed = max(_FURTHER_SHARE * total, _FURTHER_OF_FIRST * explained)
         if _nearest(match, moved) > _FAR:
             needed = _FAR_SHARE * total
@@ -125,7 +125,7 @@ def find_places(
     # Beside one load alone, what drift and the sheet's own shape leave would be taken for another.
     while 1 < len(places) < most and (weak := _weak(change, match, places, noise)):
         places.append(weak)
-    explained = _explained(change, match, [place.index for place in places])
+    explained = _fit_power(change, match, [place.index for place in places])
     return tuple(sorted(places, key=lambda place: -abs(place.score))), explained / total
 
 
@@ -145,7 +145,7 @@ def _weak(change: Array, match: Matcher, places: list[Place], noise: float) -> P
     needed = max(_WEAK_GAIN * noise + _MODEL_LEAVES * float(change @ change), _WEAK_EXPLAINED * above)
     if gain[best] < needed:
         return None
-    place = _refined(left, beside, best)
+    place = _refine_place(left, beside, best)
     return replace(place, score=place.score / float(own[best]))
 
 
@@ -155,9 +155,9 @@ def _surroundings(match: Matcher, index: int) -> Array:
     return np.linalg.svd(match.patterns[:, near], full_matrices=False)[0][:, :_TAKEN_PATTERNS]
 
 
-def fitted(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:
+def fit_loads(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:
     """Return the least-squares fit (m,) of loads at these places to a change."""
-    return change - _left(change, match, [place.index for place in places])
+    return change - _fit_residual(change, match, [place.index for place in places])
 
 
 def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:
@@ -179,17 +179,17 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
     fitted = match
     for _ in range(_ROBUST_ROUNDS):
         white = fitted.whiten(change[None])[0]
-        chosen = _settled(white, fitted, chosen, sign)
-        left = np.abs(_left(white, fitted, chosen) * sigma)
+        chosen = _optimise_places(white, fitted, chosen, sign)
+        left = np.abs(_fit_residual(white, fitted, chosen) * sigma)
         spread = max(MAD_TO_SIGMA * float(np.median(left)), 1e-300)
         sigma = np.sqrt(np.maximum(left / (_HUBER * spread), 1.0))
         fitted = matcher(match.patterns, match.places, sigma, match.nuisance)
     white = fitted.whiten(change[None])[0]
     seen = _all_refined(white, fitted, chosen)
-    return tuple(_turned(place, seen) for place in places)
+    return tuple(_correct_direction(place, seen) for place in places)
 
 
-def _turned(place: Place, seen: list[Place]) -> Place:
+def _correct_direction(place: Place, seen: list[Place]) -> Place:
     nearest = min(seen, key=lambda other: float(np.hypot(other.x - place.x, other.y - place.y)))
     distance = float(np.hypot(nearest.x, nearest.y))
     radius = float(np.hypot(place.x, place.y))
@@ -208,7 +208,7 @@ def _best(change: Array, match: Matcher, sign: int, besides: tuple[int, ...]) ->
     return int(np.argmax(scores))
 
 
-def _left(change: Array, match: Matcher, chosen: list[int]) -> Array:
+def _fit_residual(change: Array, match: Matcher, chosen: list[int]) -> Array:
     if not chosen:
         return change
     basis = match.patterns[:, chosen]
@@ -216,17 +216,17 @@ def _left(change: Array, match: Matcher, chosen: list[int]) -> Array:
     return change - basis @ weights
 
 
-def _explained(change: Array, match: Matcher, chosen: list[int]) -> float:
-    left = _left(change, match, chosen)
+def _fit_power(change: Array, match: Matcher, chosen: list[int]) -> float:
+    left = _fit_residual(change, match, chosen)
     return float(change @ change - left @ left)
 
 
-def _settled(change: Array, match: Matcher, chosen: list[int], sign: int) -> list[int]:
+def _optimise_places(change: Array, match: Matcher, chosen: list[int], sign: int) -> list[int]:
     for _ in range(_SWEEPS):
         before = list(chosen)
         for k in range(len(chosen)):
             others = chosen[:k] + chosen[k + 1 :]
-            chosen[k] = _best(_left(change, match, others), match, sign, tuple(others))
+            chosen[k] = _best(_fit_residual(change, match, others), match, sign, tuple(others))
         if chosen == before:
             break
     return chosen
@@ -241,11 +241,12 @@ def _nearest(match: Matcher, chosen: list[int]) -> float:
 def _all_refined(change: Array, match: Matcher, chosen: list[int]) -> list[Place]:
     """Refine each place in what the others leave."""
     return [
-        _refined(_left(change, match, chosen[:k] + chosen[k + 1 :]), match, best) for k, best in enumerate(chosen)
+        _refine_place(_fit_residual(change, match, chosen[:k] + chosen[k + 1 :]), match, best)
+        for k, best in enumerate(chosen)
     ]
 
 
-def _refined(left: Array, match: Matcher, best: int) -> Place:
+def _refine_place(left: Array, match: Matcher, best: int) -> Place:
     """Move to the vertex of the likelihood between the candidate places, by a quadratic through the neighbours.
 
     ``left`` : (m,) of the change, without the other loads.

@@ -6,21 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from cbsr_qa.analysis.recording.reading import read_recording_file
-from cbsr_qa.calibration.presses import (
-    DistinctPairs,
-    LabelledPresses,
-    PressReadings,
-    read_pairs,
-    read_press_readings,
-    read_presses,
-    source_file,
-)
-from cbsr_qa.config import load_pressed_type
-from cbsr_qa.domain import Array, RecordingError, RefusedError
-from cbsr_qa.domain.readings import UNUSABLE, ScanKind
-from cbsr_qa.domain.results import SourceFile
-from cbsr_qa.domain.sensor import DrivePattern, SensorType
-from cbsr_qa.plugin import discover
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, PressReadings, read_press_readings
+from cbsr_qa.calibration.presses.pairs import DistinctPairs
+from cbsr_qa.calibration.presses.tables import read_pairs, read_presses, source_file
+from cbsr_qa.config.loader import load_pressed_type
+from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import UNUSABLE, ScanKind
+from cbsr_qa.domain.results.press_calibration import SourceFile
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.discovery import discover
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +47,7 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
     ------
     RefusedError
         If the tables, the pattern or the sensor type cannot be used; see
-        :func:`~cbsr_qa.calibration.presses.read_press_readings`.
+        :func:`~cbsr_qa.calibration.presses.inputs.read_press_readings`.
     """
     if files.differences == (files.rest is not None):
         found = "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"

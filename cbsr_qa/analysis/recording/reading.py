@@ -4,11 +4,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
-from cbsr_qa.domain import CbsrError, PluginError, RecordingError, RefusedError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import ReadOptions, Recording
-from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, create_plugin
-from cbsr_qa.system import UnfitFileError, open_foreign, read_untrusted
+from cbsr_qa.domain.errors import CbsrError, PluginError, RecordingError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import ReadOptions, Recording
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import RecordingFormat
+from cbsr_qa.system.foreign import UnfitFileError, open_foreign
+from cbsr_qa.system.untrusted import read_untrusted
 
 _HEAD_BYTES = 4096
 #: What to do with a file of another layout.
@@ -30,11 +33,11 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
     RecordingError, PluginError
         If the file cannot be read, contains nothing usable, or has an unknown format.
     """
-    reader, name = recognised(path, format_, plugins)
-    return guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
+    reader, name = find_format(path, format_, plugins)
+    return run_guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
 
 
-def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
+def find_format(path: Path, format_name: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
     """Find the plugin that can read a file.
 
     Parameters
@@ -52,7 +55,7 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
     if format_name is not None:
         return create_plugin(plugins, Kind.RECORDING, PluginChoice(format_name), "--format"), format_name
     failed: list[str] = []
-    for name in plugins.in_order(Kind.RECORDING):
+    for name in plugins.list_names(Kind.RECORDING):
         try:
             format_: RecordingFormat = plugins.factory(Kind.RECORDING, name)()
             if format_.recognises(path, head):
@@ -83,7 +86,7 @@ def _head(path: Path) -> bytes:
     return head
 
 
-def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
+def run_guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     """Run a format's code on a file in a limited child process; exceptions become clear refusals."""
     return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
 

@@ -4,33 +4,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import (
-    ChannelFaults,
-    DeadDrive,
-    channel_noise,
-    despiked,
-    find_dead_drives,
-    find_faults,
-    find_offsets,
-    offset_words,
-    open_electrodes,
-    without_offsets,
-)
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import (
+from cbsr_qa.analysis.defects.channels import ChannelFaults, find_faults
+from cbsr_qa.analysis.defects.contacts import open_electrodes
+from cbsr_qa.analysis.defects.drives import DeadDrive, find_dead_drives
+from cbsr_qa.analysis.defects.noise import channel_noise
+from cbsr_qa.analysis.defects.offsets import find_offsets, offset_words, subtract_offsets
+from cbsr_qa.analysis.defects.spikes import remove_spikes
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.carry_over import (
     CarryOver,
-    ChannelReport,
-    FrameBlock,
-    Recording,
-    ScanKind,
-    VoltageUnit,
     correct_carry_over,
     estimate_carry_over,
     offset_of,
     reciprocity_error,
     scan_order,
 )
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.results.findings import ChannelReport
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
 
 #: One electrode that loses contact differs from loads by its change; several at once by the parts without them.
 _PARTS, _PART_FRAMES = 4, 8
@@ -53,7 +44,7 @@ class ReadyReadings:
     offset : whether the readings include an unknown offset, see :func:`has_offset`.
     offsets : frame and size of every sudden offset of all readings.
     dead_drives, open_electrodes : left out.
-    spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
+    spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`remove_spikes`.
     """
 
     block: FrameBlock
@@ -85,10 +76,12 @@ class ReadyReadings:
             )
         stuck = np.where(self.faults.saturated, -1, self.faults.stuck_from)
         if (stuck == 0).any():
-            remarks.append(f"stuck: channels {_listed(stuck == 0)} never change, or hardly; they were left out")
+            remarks.append(
+                f"stuck: channels {_list_channels(stuck == 0)} never change, or hardly; they were left out"
+            )
         if (stuck > 0).any():
             first = float(self.block.time_s[int(stuck[stuck > 0].min())])
-            remarks.append(f"stuck after {first:.1f} s: channels {_listed(stuck > 0)}; they were left out")
+            remarks.append(f"stuck after {first:.1f} s: channels {_list_channels(stuck > 0)}; they were left out")
         return remarks
 
     def noise_use(self) -> Mask:
@@ -97,7 +90,7 @@ class ReadyReadings:
         return use if use.any() else np.ones_like(use)
 
 
-def _listed(channels: Mask) -> str:
+def _list_channels(channels: Mask) -> str:
     more = int(channels.sum()) - _MOST_LISTED
     return ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(channels)[:_MOST_LISTED]) + (
         f" and {more} more" if more > 0 else ""
@@ -133,7 +126,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     opened: tuple[int, ...] = ()
     if recording.scan is ScanKind.FULL and used.any():
         full = pattern or adjacent_pattern(used.shape[0])
-        opened = _opened(block.voltages, used, full)
+        opened = _find_open_electrodes(block.voltages, used, full)
         used &= ~full.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
@@ -144,10 +137,10 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
     if mending and len(block) > 1:
         offsets = find_offsets(voltages[:, used], channel_noise(voltages[:, used], counts=offset))
-        voltages = without_offsets(voltages, offsets)
+        voltages = subtract_offsets(voltages, offsets)
     if scanned:
         # One absurd reading must not decide the correction of the whole frame.
-        calm = despiked(voltages, used, counts=offset)[0] if mending else voltages
+        calm = remove_spikes(voltages, used, counts=offset)[0] if mending else voltages
         carry_over = estimate_carry_over(replace(block, voltages=calm), used)
     apply = (
         carry_over is not None
@@ -161,7 +154,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         reference = None if reference is None else correct_carry_over(reference, carry_over.share, order)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if mending:
-        voltages, spikes = despiked(voltages, used, counts=offset)
+        voltages, spikes = remove_spikes(voltages, used, counts=offset)
     dead_drives = find_dead_drives(np.median(voltages, axis=0), used) if scanned else ()
     used[[dead.drive for dead in dead_drives]] = False
     mean = voltages.mean(axis=0)
@@ -183,7 +176,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     )
 
 
-def _opened(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
+def _find_open_electrodes(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
     """Electrodes without contact for most of the recording, or in a part of it if those are several."""
     found = open_electrodes(np.median(voltages, axis=0), used, pattern)
     for part in np.array_split(voltages, _PARTS) if len(voltages) >= _PARTS * _PART_FRAMES else ():

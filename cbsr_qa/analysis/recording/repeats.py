@@ -4,19 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from cbsr_qa.domain import Indices
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, Recording
-from cbsr_qa.domain.sensor import DrivePattern, SensorType
+from cbsr_qa.domain.numbers import Indices
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, Recording
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 
-def without_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Recording, SensorType]:
+def average_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Recording, SensorType]:
     """Average repeated readings, frame by frame; the same objects where no pair repeats or the frames do not fit.
 
     Noise falls as the root of the number of sound readings: those flagged as unusable are not averaged. The readings'
     own times, which say nothing of a mean, are left out.
     """
     pattern = sensor_type.pattern
-    drive, measure = _numbered(pattern.drive), _numbered(pattern.measure)
+    drive, measure = _number_pairs(pattern.drive), _number_pairs(pattern.measure)
     distinct = DrivePattern(
         pattern.electrode_count, tuple(dict.fromkeys(pattern.drive)), tuple(dict.fromkeys(pattern.measure))
     )
@@ -24,19 +25,19 @@ def without_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Reco
         return recording, sensor_type
     cell = (len(distinct.measure) * drive[:, None] + measure).ravel()
     frames, reference = (
-        None if block is None else _averaged(block, cell, distinct)
+        None if block is None else _average_readings(block, cell, distinct)
         for block in (recording.frames, recording.reference)
     )
     assert frames is not None
     return replace(recording, frames=frames, reference=reference), replace(sensor_type, pattern=distinct)
 
 
-def _numbered(pairs: tuple[tuple[int, int], ...]) -> Indices:
+def _number_pairs(pairs: tuple[tuple[int, int], ...]) -> Indices:
     number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
     return np.array([number[pair] for pair in pairs], dtype=np.int64)
 
 
-def _averaged(block: FrameBlock, cell: Indices, pattern: DrivePattern) -> FrameBlock:
+def _average_readings(block: FrameBlock, cell: Indices, pattern: DrivePattern) -> FrameBlock:
     """Mean over readings of one cell, (m,) numbers of cells of the pattern."""
     voltages, flags = block.voltages.reshape(len(block), -1), block.flags.reshape(len(block), -1)
     shape = (len(block), *pattern.shape)

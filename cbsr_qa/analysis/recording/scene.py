@@ -6,18 +6,21 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import Suspect, answering_levels, channel_noise, suspects_of
+from cbsr_qa.analysis.defects.contacts import Suspect, suspects_of
+from cbsr_qa.analysis.defects.noise import channel_noise
+from cbsr_qa.analysis.defects.rectifying import answering_levels
 from cbsr_qa.analysis.recording.changes import nearest_step
-from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, held_from_the_beginning, search
+from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, find_initial_loads, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model, sheet_for, unit_model, usable_volts
-from cbsr_qa.analysis.recording.places import Matcher, Place, fitted, matcher, robust_directions
+from cbsr_qa.analysis.recording.places import Matcher, Place, fit_loads, matcher, robust_directions
 from cbsr_qa.analysis.recording.ready import ReadyReadings
-from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
+from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fit_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
-from cbsr_qa.domain import Array, Goodness
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.goodness import Goodness
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 #: Faster recordings are averaged to about this rate before detection; presses are slower.
 _DETECTION_RATE_HZ = 8.0
@@ -67,7 +70,7 @@ class RecordedScene:
     remarks: tuple[str, ...] = ()
 
     @classmethod
-    def of(
+    def from_recording(
         cls,
         recording: Recording,
         ready: ReadyReadings,
@@ -99,7 +102,7 @@ class RecordedScene:
         remarks = (f"{side.words}; they were left out",) if side is not None and side.words else ()
         return cls(recording, ready, sheet, model, block.voltages[:, used], named, remarks)
 
-    def without(self, readings: NDArray[np.bool_]) -> Self:
+    def drop_readings(self, readings: NDArray[np.bool_]) -> Self:
         """Return the scene without some readings, (m,) bool."""
         keep = ~readings
         used = self.sheet.problem.used.copy()
@@ -115,31 +118,31 @@ class RecordedScene:
         if sigma == 0:
             return Searched((), "the frames equal the reference: nothing has changed")
         if len(changes) > 1:
-            objects, why = find_moving(*self._matched(self.sheet, changes, sigma))
+            objects, why = find_moving(*self._match_changes(self.sheet, changes, sigma))
             remarks: tuple[str, ...] = ()
         else:
             objects, why, remarks = self._still(changes, sigma)
-            objects = self._turned(objects)
+            objects = self._correct_directions(objects)
         sightings = tuple(self._object_seen(seen, changes, timed=rate_hz is not None) for seen in objects)
         return Searched(sightings, why, (*self.remarks, *remarks), scene=self)
 
-    def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
+    def _match_changes(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
         match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
         return match.whiten(changes), match
 
     def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
         """Search a still image; in a tank, with the patterns of balls as large as those found."""
-        white, match = self._matched(self.sheet, changes, sigma)
+        white, match = self._match_changes(self.sheet, changes, sigma)
         objects, why = find_still(white[0], match)
         tank = None
         if objects and not self.named and not self.ready.offset:
-            tank = fitted_tank(self.model.reference, self.sheet.problem)
+            tank = fit_tank(self.model.reference, self.sheet.problem)
         if tank is None:
             return objects, why, ()
         ball, conducts, on_sheet = _FIRST_BALL, objects[0].place.score > 0, objects
         for _ in range(_BALL_ROUNDS):
             sheet = tank.sheet(self.sheet, ball=ball, conducts=conducts)
-            white, match = self._matched(sheet, changes, sigma)
+            white, match = self._match_changes(sheet, changes, sigma)
             objects, _ = find_still(white[0], match)
             if not objects:
                 return on_sheet, why, ()
@@ -150,7 +153,7 @@ class RecordedScene:
         )
         return objects, why, (remark,)
 
-    def _turned(self, objects: tuple[Object, ...]) -> tuple[Object, ...]:
+    def _correct_directions(self, objects: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
         plain = None if self.ready.offset or not objects else plain_model(self.model.reference, self.sheet.problem)
         if plain is None:
@@ -184,7 +187,7 @@ class RecordedScene:
             left = scene.readings.shape[1] - int(bad.sum())
             if not bad.any() or left < _LEAST_LEFT * self.readings.shape[1]:
                 break
-            scene = scene.without(bad)
+            scene = scene.drop_readings(bad)
         why = searched.why or (
             "" if searched.sightings else "no change is a load: " + "; ".join([*remarks, *searched.remarks])
         )
@@ -197,14 +200,14 @@ class RecordedScene:
 
     def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
         """Search once: events found, and contacts that changed."""
-        times, readings = self._slowed(rate_hz)
+        times, readings = self._downsample(rate_hz)
         changes = self.model.changes(readings)
         sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
         sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
         match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
         white = match.whiten(changes)
-        result, seen = search(white, match, self._no_loads(match))
-        presses, unclear = held_from_the_beginning(result.presses, len(white))
+        result, seen = search(white, match, self._build_no_loads(match))
+        presses, unclear = find_initial_loads(result.presses, len(white))
         seen_loads = [
             self._press_seen(press, place, times, readings, changes, goodness)
             for press in presses
@@ -214,13 +217,13 @@ class RecordedScene:
         sightings = tuple(sorted(seen_loads, key=lambda load: load.start_s))
         remarks = (*_gains(result, times), *_signs(sightings, unclear, times))
         suspects = [(float(times[frame]), suspect) for frame, suspect in result.suspects]
-        why = _rejected(result, times) if seen else _quiet(white @ match.patterns)
+        why = _describe_rejected(result, times) if seen else _quiet(white @ match.patterns)
         if not (why or sightings or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
             why = f"the changes (at {at}) only return to the initial state: no load is applied"
         return Searched(sightings, why, remarks, scene=self), suspects
 
-    def _no_loads(self, match: Matcher) -> NoLoads:
+    def _build_no_loads(self, match: Matcher) -> NoLoads:
         problem = self.sheet.problem
         frame = self.model.reference * self.model.gain
         white = match.whiten(frame[None])[0]
@@ -229,7 +232,7 @@ class RecordedScene:
             white = np.zeros_like(white)
         return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))
 
-    def _slowed(self, rate_hz: float | None) -> tuple[Array, Array]:
+    def _downsample(self, rate_hz: float | None) -> tuple[Array, Array]:
         """Average fast recordings down to the rate of detection: times and readings."""
         times, readings = self.ready.block.time_s, self.readings
         group = max(1, round((rate_hz or 0.0) / _DETECTION_RATE_HZ))
@@ -278,7 +281,7 @@ class RecordedScene:
 def _goodness(match: Matcher, white: Array, press: Press) -> Goodness:
     change = difference(white, press.before, press.held)
     variance = noise_energy(white, press.before, press.held) / white.shape[1]
-    return Goodness.of(change, fitted(change, match, press.places), match.sigma, variance)
+    return Goodness.from_fit(change, fit_loads(change, match, press.places), match.sigma, variance)
 
 
 def _quiet(scores: Array) -> str:
@@ -286,7 +289,7 @@ def _quiet(scores: Array) -> str:
     return f"nothing stands out of the noise: the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
 
 
-def _rejected(searched: Found, times: Array) -> str:
+def _describe_rejected(searched: Found, times: Array) -> str:
     reasons = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(searched.rejected)]
     more = f"; and {len(reasons) - _MOST_LISTED} more like these" if len(reasons) > _MOST_LISTED else ""
     return "; ".join(reasons[:_MOST_LISTED]) + more

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from cbsr_qa.analysis.recording.imaging import Sheet
-from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fitted
-from cbsr_qa.domain import Array, Goodness, Mask
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
-from cbsr_qa.eit.loads import DeepTank
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_loads
+from cbsr_qa.domain.goodness import Goodness
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.eit.loads.bodies import DeepTank
 
 _DETECTED = 6.0  #: product of pattern and change, over the noise, from which an object counts
 _EXPLAINED = 0.25  #: and the share of the change it must explain
@@ -87,7 +89,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
             f" (at least {_EXPLAINED:.0%})"
         )
     kept = [place for place in places if abs(place.score) >= _DETECTED]
-    goodness = Goodness.of(change, fitted(change, match, places), match.sigma, 1.0)
+    goodness = Goodness.from_fit(change, fit_loads(change, match, places), match.sigma, 1.0)
     return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in kept), ""
 
 
@@ -125,7 +127,7 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
 
 def _object(stretch: list[tuple[int, Place]], changes: Array, match: Matcher) -> Object:
     peak, place = max(stretch, key=lambda seen: abs(seen[1].score))
-    goodness = Goodness.of(changes[peak], fitted(changes[peak], match, (place,)), match.sigma, 1.0)
+    goodness = Goodness.from_fit(changes[peak], fit_loads(changes[peak], match, (place,)), match.sigma, 1.0)
     return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch), goodness)
 
 
@@ -176,7 +178,7 @@ class Tank:
         return min(max(radius, _SIZES[0]), _SIZES[1]), bool(volume.sum() > 0)
 
 
-def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
+def fit_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
     """Fit the depth of a tank to the decay of its reference frame with distance.
 
     Parameters
@@ -195,14 +197,14 @@ def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
         return None
     angles = electrodes.angles_rad()
 
-    def left(depth: float) -> float:
+    def decay_spread(depth: float) -> float:
         field = DeepTank(depth, angles, pattern, electrode=_ELECTRODE)
         ratio = np.log(np.abs(reference / field.readings()[used]))
         return float(np.std([np.median(ratio[group]) for group in groups]))
 
-    fit = minimize_scalar(left, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
+    fit = minimize_scalar(decay_spread, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
     depth = float(fit.x)
-    if not float(fit.fun) < min(_EXPLAINED_BY_TANK, _OF_SHEET * left(_THIN)):
+    if not float(fit.fun) < min(_EXPLAINED_BY_TANK, _OF_SHEET * decay_spread(_THIN)):
         return None
     return Tank(depth, DeepTank(depth, angles, pattern, electrode=_ELECTRODE))
 

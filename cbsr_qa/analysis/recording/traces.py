@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 
-from cbsr_qa.analysis.defects import MAD_TO_SIGMA
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
 _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern
@@ -81,7 +81,7 @@ def slow_rise(along: Array, held: int) -> float:
     return float(below[-1]) + 0.5 if len(below) else 0.0
 
 
-def at_the_step(first: Change, end: int) -> tuple[float, int]:
+def step_start(first: Change, end: int) -> tuple[float, int]:
     """Start of a rise too faint to follow: the largest step."""
     return first.frame - 0.5, min(first.frame + first.window // 2, max(end, first.frame))
 

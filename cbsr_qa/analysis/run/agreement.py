@@ -8,17 +8,18 @@ import numpy as np
 
 from cbsr_qa.analysis.run.force import RunForce, run_force
 from cbsr_qa.analysis.run.force_kernels import frames_of
-from cbsr_qa.calibration.fits import (
+from cbsr_qa.calibration.fits.agreement import (
     MeasuredRelaxation,
     RelaxationAgreement,
     compare_relaxations,
-    fit_common_relaxation,
     refuse_comparison,
-    relaxation_start,
 )
-from cbsr_qa.calibration.strip import KernelCurve
-from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RelaxationObservation, RunObservation
-from cbsr_qa.domain.sensor import StripRelaxation
+from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.fits.settling import relaxation_start
+from cbsr_qa.calibration.strip.relaxation import KernelCurve
+from cbsr_qa.domain.results.observation import LoadObservation, RelaxationObservation, RunObservation
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
+from cbsr_qa.domain.sensor.sensor_type import StripRelaxation
 
 #: Fewest points of a trace that are fitted.
 _FEWEST: Final = 5
@@ -55,15 +56,19 @@ def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     -------
     Loading and unloading, if there are such loads. The result is cached with the run.
     """
-    return run.derived(_image_against_blobs)
+    return run.derive(_image_against_blobs)
 
 
 def _image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     agreements = []
     for loading in (True, False):
-        loads = [load for load in run.loads if all(_of(load, signal, loading) for signal in ("conductance", "image"))]
+        loads = [
+            load
+            for load in run.loads
+            if all(_find_relaxation(load, signal, loading) for signal in ("conductance", "image"))
+        ]
         if loads:
-            blobs, image = (_measured(loads, signal, loading) for signal in ("conductance", "image"))
+            blobs, image = (_measure_relaxation(loads, signal, loading) for signal in ("conductance", "image"))
             agreement = compare_relaxations(blobs, image, tolerance=run.settings.settling_tolerance)
             agreements.append(DirectedAgreement(loading, "blobs", "whole image", len(loads), agreement))
     return tuple(agreements)
@@ -80,17 +85,19 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     -------
     Loading and unloading, or the reason why they cannot be compared. The result is cached with the run.
     """
-    return run.derived(_sheet_against_strip)
+    return run.derive(_sheet_against_strip)
 
 
 def _sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     strip = run.record.material.strip_relaxation
     if strip is None:
         why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
-        return tuple(_without(loading, why) for loading in (True, False))
+        return tuple(_refuse_agreement(loading, why) for loading in (True, False))
     force = run_force(run)
     if force.learned is None:
-        return tuple(_without(loading, f"the sheet has no relaxation: {force.why}") for loading in (True, False))
+        return tuple(
+            _refuse_agreement(loading, f"the sheet has no relaxation: {force.why}") for loading in (True, False)
+        )
     model = force.learned.model
     return _against(run, force, strip, model.loading, True), _against(run, force, strip, model.unloading, False)
 
@@ -100,17 +107,17 @@ def _against(
 ) -> DirectedAgreement:
     window = _window_s(run, force.used, loading)
     if kernel is None or window is None:
-        return _without(loading, "the sheet's loads do not show its relaxation: held too short, or too weak")
-    expected = _expected(strip, loading, float(np.median([load.hold_s for load in force.used])))
+        return _refuse_agreement(loading, "the sheet's loads do not show its relaxation: held too short, or too weak")
+    expected = _predict_relaxation(strip, loading, float(np.median([load.hold_s for load in force.used])))
     if expected is None:
-        return _without(loading, "the material file has no strip relaxation in this direction")
+        return _refuse_agreement(loading, "the material file has no strip relaxation in this direction")
     agreement = compare_relaxations(
         expected, KernelCurve.from_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
     )
     return DirectedAgreement(loading, "strip", "sheet", kernel.loads, agreement)
 
 
-def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
+def _predict_relaxation(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
     """Expected relaxation of the sheet; after releases it needs both of the strip's kernels."""
     if strip.loading is None:
         return None
@@ -136,12 +143,12 @@ def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bo
     return first_s, last_s
 
 
-def _without(loading: bool, why: str) -> DirectedAgreement:
+def _refuse_agreement(loading: bool, why: str) -> DirectedAgreement:
     return DirectedAgreement(loading, "strip", "sheet", 0, refuse_comparison(why))
 
 
-def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
-    seen = [curve for load in loads if (curve := _of(load, signal, loading))]
+def _measure_relaxation(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
+    seen = [curve for load in loads if (curve := _find_relaxation(load, signal, loading))]
     starts = [0 if loading else relaxation_start(curve.trace.values) for curve in seen]
     traces = [(curve.trace.time_s[at:], curve.trace.values[at:]) for curve, at in zip(seen, starts, strict=True)]
     window_s = max(float(time_s[-1]) for time_s, _ in traces)
@@ -150,7 +157,7 @@ def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> M
     return MeasuredRelaxation(fit_common_relaxation(traces), window_s, change, start_s)
 
 
-def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
+def _find_relaxation(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
     """The relaxation of a signal, None if it is too short."""
     relaxation = load.relaxation(signal, loading=loading)
     return None if relaxation is None or len(relaxation.trace.values) < _FEWEST else relaxation

@@ -8,13 +8,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import off_the_line
+from cbsr_qa.analysis.defects.quality import off_the_line
 from cbsr_qa.analysis.run.loads import LoadWindow, window_of
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation
-from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merge_reciprocal
-from cbsr_qa.eit.loads import RoundLoadModel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.load_estimates import LoadEstimate
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.eit.estimate.load_estimate import LoadEstimator
+from cbsr_qa.eit.estimate.readings import MergedReadings, load_model, merge_reciprocal
+from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 Key = tuple[str, int]  # phase, index of the load within it
 
@@ -40,7 +43,7 @@ class EstimatedLoad:
     why: str = ""
 
 
-def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
+def estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
     """Return an estimate of every load of a run; it is cached with the run.
 
     Parameters
@@ -51,10 +54,10 @@ def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
     -------
     By phase and index of the load within it.
     """
-    return run.derived(_estimated_loads, reference)
+    return run.derive(_estimate_loads, reference)
 
 
-def _estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
+def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
     alone = [load for load in run.loads if load.together == 1]
     try:
         model = load_model(run.record.sensor_type)

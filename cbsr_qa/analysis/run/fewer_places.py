@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.force import RunForce
-from cbsr_qa.analysis.run.force_quality import calibrated_radius_mm, map_quality, places_mm
-from cbsr_qa.calibration.sheet import FEWEST, ResponseMap, learn_response, sheet_places
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import LoadObservation, RunObservation
+from cbsr_qa.analysis.run.force_quality import calibration_radius_mm, map_quality, places_mm
+from cbsr_qa.calibration.sheet.response_map import FEWEST, ResponseMap, learn_response, sheet_places
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 
 Chosen = NDArray[np.bool_]
 
@@ -62,7 +63,7 @@ def map_costs(run: RunObservation, force: RunForce) -> tuple[MapCost, ...]:
         return ()
     loads = _Loads(run, force)
     counts = sorted({round(share * loads.count) for share in _SHARES})
-    costs = [loads.of_places(count) for count in counts if FEWEST < count < loads.count]
+    costs = [loads.cost_by_places(count) for count in counts if FEWEST < count < loads.count]
     if not costs:
         return ()
     once = loads.first_of_each()
@@ -98,14 +99,14 @@ class _Loads:
         responds = np.isfinite(learned.ratio)
         used = list(compress(force.used, responds))
         self._places = force.sheet_pose.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[responds]) + _by_the_line(run, force, used)
+        self._log = np.log(learned.ratio[responds]) + _line_log_ratio(run, force, used)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         # Each load's share of the time of its phase: surfaces may be found before the first press.
         share_s = {p.name: (p.ended_s - p.started_s) / len(p.loads) for p in run.record.phases if p.loads}
         self._seconds = np.array([share_s[load.phase] for load in used])
         self._radius_mm = run.record.sensor_type.radius_mm
-        radius_mm = calibrated_radius_mm(force)
+        radius_mm = calibration_radius_mm(force)
         area = sheet_places(learned.model, stride=2)
         self._area = area[np.hypot(*area.T) <= max(radius_mm, float(np.hypot(*area.T).min()))]
         self._stated = map_quality(learned, radius_mm).rms_error
@@ -122,7 +123,7 @@ class _Loads:
         return first
 
     def cost(self, chosen: Chosen) -> MapCost:
-        _, variance = self._learned(chosen).predict(self._area)
+        _, variance = self._learn_response(chosen).predict(self._area)
         count = len(np.unique(self._which[chosen]))
         return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))
 
@@ -130,12 +131,12 @@ class _Loads:
         """Prediction of all loads, as the calibration states it."""
         return MapCost(self.count, len(self._which), float(self._seconds.sum()), self._stated)
 
-    def of_places(self, count: int) -> MapCost:
+    def cost_by_places(self, count: int) -> MapCost:
         """Predictions from all loads at some places, for the sheet and the left-out places, over several choices."""
         ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
         kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
         costs = [self.cost(places[self._which]) for places in kept]
-        squares = np.array([self._left_out(places) for places in kept]).mean(axis=0)
+        squares = np.array([self._holdout_errors(places) for places in kept]).mean(axis=0)
         return MapCost(
             count,
             round(float(np.mean([cost.loads for cost in costs]))),
@@ -145,22 +146,22 @@ class _Loads:
             float(np.sqrt(squares[1])),
         )
 
-    def _left_out(self, kept: Chosen) -> tuple[float, float]:
+    def _holdout_errors(self, kept: Chosen) -> tuple[float, float]:
         """Mean square error at the left-out places, noise removed, and the stated one."""
-        mean, variance = self._learned(kept[self._which]).predict(self._at[~kept])
+        mean, variance = self._learn_response(kept[self._which]).predict(self._at[~kept])
         weight = 1 / (self._variance + self._scatter**2)
         total = np.bincount(self._which, weight)
         seen = np.bincount(self._which, weight * self._log) / total
         error = (mean - seen[~kept]) ** 2 - 1 / total[~kept]
         return float(error.mean()), float(variance.mean())
 
-    def _learned(self, chosen: Chosen) -> ResponseMap:
+    def _learn_response(self, chosen: Chosen) -> ResponseMap:
         return learn_response(
             self._places[chosen], self._log[chosen], self._variance[chosen], radius_mm=self._radius_mm
         )
 
 
-def _by_the_line(run: RunObservation, force: RunForce, used: list[LoadObservation]) -> Array:
+def _line_log_ratio(run: RunObservation, force: RunForce, used: list[LoadObservation]) -> Array:
     """Logarithm of the sensor's own line over the material's, for each load."""
     assert force.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2

@@ -10,23 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
-from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensated, force_kernels, key_of, steady_s
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensate_loads, force_kernels, key_of, steady_s
 from cbsr_qa.analysis.run.loads import window_of
-from cbsr_qa.calibration.fits import TimedValues
-from cbsr_qa.calibration.force import (
-    CalibrationLoads,
-    LearnedForce,
-    TemplateBank,
-    learn_force,
-    make_even_model,
-    template_bank,
-)
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, add_scatter, map_tables
-from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
-from cbsr_qa.domain import Array, CbsrError, NumericsError
-from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
-from cbsr_qa.eit.estimate import load_model, merge_reciprocal
-from cbsr_qa.system import Ahead
+from cbsr_qa.calibration.fits.common_relaxation import TimedValues
+from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
+from cbsr_qa.calibration.force.learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibration.force.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter, add_scatter
+from cbsr_qa.calibration.force.templates import TemplateBank, make_even_model, template_bank
+from cbsr_qa.domain.errors import CbsrError, NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
+from cbsr_qa.system.beside import Ahead
 
 #: How a load is tested.
 HELD_OUT: Final = "held out"
@@ -80,7 +77,7 @@ class RunForce:
     why: str = ""
     sheet_pose: SheetPose = AS_PLACED
 
-    def confirmed(self) -> tuple[LoadObservation, ...]:
+    def list_confirmed_loads(self) -> tuple[LoadObservation, ...]:
         """Held-out loads whose force agrees within three standard errors, the place known."""
         held_out = [test for test in self.tests if test.how == HELD_OUT]
         return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
@@ -88,7 +85,7 @@ class RunForce:
 
 def begin_force(run: RunObservation) -> None:
     """Begin what :func:`run_force` returns, in a helper while other metrics are computed."""
-    run.derived(_ahead)
+    run.derive(_ahead)
 
 
 def run_force(run: RunObservation) -> RunForce:
@@ -101,26 +98,26 @@ def run_force(run: RunObservation) -> RunForce:
     -------
     RunForce, with the reason if there is no model.
     """
-    return run.derived(_ahead).result()
+    return run.derive(_ahead).result()
 
 
 def _ahead(run: RunObservation) -> Ahead[RunForce]:
-    return Ahead(partial(_learned_and_tested, run))
+    return Ahead(partial(_learn_and_test, run))
 
 
-def _learned_and_tested(run: RunObservation) -> RunForce:
+def _learn_and_test(run: RunObservation) -> RunForce:
     try:
-        return run.derived(_RunForce).result()
+        return run.derive(_RunForce).result()
     except CbsrError as error:
         return RunForce(None, (), (), error.reason)
 
 
-def learned_from(run: RunObservation) -> RunForce:
+def learn_without_tests(run: RunObservation) -> RunForce:
     """Learn the force model from all loads of phases that calibrate, without a test.
 
     CbsrError if nothing can be learned, with the reason.
     """
-    loads = run.derived(_RunForce)
+    loads = run.derive(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
     used = tuple(compress(loads.loads, calibrating))
     learned = loads.learn(calibrating)
@@ -143,7 +140,7 @@ def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], Calib
 
     CbsrError if the run has no such load, or its noise cannot be estimated.
     """
-    of_run = run.derived(_RunForce)
+    of_run = run.derive(_RunForce)
     return of_run.loads, of_run.data
 
 
@@ -152,7 +149,7 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
 
     CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
-    strengths = run.derived(_RunForce).strengths()
+    strengths = run.derive(_RunForce).strengths()
     return [strengths.change(load) for load in loads]
 
 
@@ -173,7 +170,7 @@ class _RunForce:
         self.bank: TemplateBank = template_bank(model, readings, self.head)
         pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
         self.loads = tuple(pressed)
-        self.data, self.sheet_pose = self._seated(self._data())
+        self.data, self.sheet_pose = self._locate_on_sheet(self._data())
         self.at_s: float | None = None
         self.predicted = np.zeros(len(pressed), dtype=np.bool_)
         if run.settings.transients == "predicted":
@@ -181,7 +178,7 @@ class _RunForce:
 
     def _compensate(self) -> None:
         """Extend short holds to the end of the longest ones; their loads get the force at that time."""
-        done = compensated(self.run, self.loads, self.data, self.strengths())
+        done = compensate_loads(self.run, self.loads, self.data, self.strengths())
         self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
         self.loads = tuple(
             replace(load, force_N=float(force), force_stderr_N=float(stderr)) if predicted else load
@@ -215,7 +212,7 @@ class _RunForce:
             self.run, places, self.merging, TemplateFilter(make_even_model(self.bank, self.merging))
         )
 
-    def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, SheetPose]:
+    def _locate_on_sheet(self, data: CalibrationLoads) -> tuple[CalibrationLoads, SheetPose]:
         """Loads at their places on the sheet, which may be misplaced."""
         rows, noise = data.subtract_residues()
         pose = sheet_pose_of(
@@ -228,19 +225,19 @@ class _RunForce:
 
     def result(self) -> RunForce:
         calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
-        learned = self.timed(self.learn(calibrating), calibrating)
+        learned = self.add_kernels(self.learn(calibrating), calibrating)
         tests = self.tests(learned, ~calibrating, HELD_OUT)
         trials = np.array([load.record.load.trial for load in self.loads])
         for trial in sorted(set(trials[calibrating].tolist())):
             left_out = calibrating & (trials == trial)
             others = calibrating & ~left_out
-            again = left_out & self._pressed_in(others)
+            again = left_out & self._mask_shared_places(others)
             if again.any():
                 tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
         used = tuple(compress(self.loads, calibrating))
         return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
 
-    def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
+    def add_kernels(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold at which loads were evaluated, and their kernels."""
         loads = list(compress(self.loads, which))
         filter_ = TemplateFilter(learned.model)
@@ -260,7 +257,7 @@ class _RunForce:
         )
         return replace(learned, predicted=tuple(self.predicted[which].tolist()))
 
-    def _pressed_in(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _mask_shared_places(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether each load's place was pressed by others; elsewhere repeatability is not tested."""
         places = {tuple(place) for place in self.data.place_mm[others].tolist()}
         return np.array([tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_)

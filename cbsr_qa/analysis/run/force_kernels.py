@@ -13,12 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.loads import window_of
-from cbsr_qa.calibration.fits import TimedValues, learn_kernel, predict_steady, relaxation_start
-from cbsr_qa.calibration.force import RESIDUE_SHARE, CalibrationLoads
-from cbsr_qa.calibration.runtime import Matches, TemplateFilter
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RunObservation
+from cbsr_qa.calibration.fits.common_relaxation import TimedValues
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.fits.settling import relaxation_start
+from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.calibration.force.learning import CalibrationLoads
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
+from cbsr_qa.calibration.force.templates import RESIDUE_SHARE
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
 #: Phase of a load and its index there.
 LoadKey = tuple[str, int]
@@ -56,7 +62,7 @@ def force_kernels(
 def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: float) -> FrameBlock | None:
     """Frames of a load's phase between two times."""
     frames = run.record.phase(load.phase).frames
-    return None if frames is None else frames.between(from_s, to_s)
+    return None if frames is None else frames.select_interval(from_s, to_s)
 
 
 def key_of(load: LoadObservation) -> LoadKey:
@@ -77,24 +83,24 @@ class StrengthTraces:
         """Detectability at the end of the hold, in the noise of one frame."""
         key = key_of(load)
         if key not in self._known:
-            _, strength, noise = self.held(load)
+            _, strength, noise = self.hold_trace(load)
             self._known[key] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
         return self._known[key]
 
     def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
-        noises = [self.held(load)[2] for load in loads]
+        noises = [self.hold_trace(load)[2] for load in loads]
         return _usable([self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0)
 
     def change(self, load: LoadObservation) -> TimedValues:
         """Times from the start of the hold [s], and strengths under it without residues of earlier loads."""
-        time_s, strength, _ = self.held(load)
-        return time_s, strength - self.left(load) * self.fading(time_s)
+        time_s, strength, _ = self.hold_trace(load)
+        return time_s, strength - self.residue(load) * self.fading(time_s)
 
     def unloading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
         traces, ramps, noises, released = [], [], [], []
         for load in loads:
             record = load.record
-            _, held, _ = self.held(load)
+            _, held, _ = self.hold_trace(load)
             time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
             if len(time_s) < 6:
                 continue
@@ -115,7 +121,7 @@ class StrengthTraces:
         matches = self._strengths(load, frames)
         return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
 
-    def held(self, load: LoadObservation) -> tuple[Array, Array, float]:
+    def hold_trace(self, load: LoadObservation) -> tuple[Array, Array, float]:
         """Times from the start of the hold [s], strengths under it, and the noise of one of them."""
         return self._trace(load, load.record.hold_start_s, load.record.release_start_s)
 
@@ -124,7 +130,7 @@ class StrengthTraces:
         """Share of earlier loads' residue that remains this long after the press."""
         return RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
 
-    def left(self, load: LoadObservation) -> float:
+    def residue(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
         before = window_of(self._run, load).before
         return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
@@ -180,7 +186,7 @@ class Compensated:
     predicted: NDArray[np.bool_]
 
 
-def compensated(
+def compensate_loads(
     run: RunObservation, loads: Sequence[LoadObservation], data: CalibrationLoads, traces: StrengthTraces
 ) -> Compensated:
     """Extrapolate loads of shorter holds to the time at which the longest holds were evaluated.
@@ -211,8 +217,8 @@ def compensated(
     rows, frames = data.rows.copy(), data.frames.astype(np.float64)
     force, stderr = data.force_N.copy(), data.force_stderr_N.copy()
     for k in np.flatnonzero(~long).tolist():
-        rows[k], frames[k] = _predicted_rows(loads[k], data, k, traces, strength, at_s)
-        force[k], stderr[k] = _predicted_force(loads[k], forces[k], stress, at_s)
+        rows[k], frames[k] = _predict_rows(loads[k], data, k, traces, strength, at_s)
+        force[k], stderr[k] = _predict_force(loads[k], forces[k], stress, at_s)
     done = replace(data, rows=rows, frames=frames, force_N=force, force_stderr_N=stderr)
     return Compensated(done, at_s, ~long)
 
@@ -233,7 +239,7 @@ def steady_s(run: RunObservation, load: LoadObservation) -> float:
     return float(window_of(run, load).steady.time_s.mean()) - load.record.hold_start_s
 
 
-def _predicted_rows(
+def _predict_rows(
     load: LoadObservation,
     data: CalibrationLoads,
     k: int,
@@ -242,10 +248,10 @@ def _predicted_rows(
     at_s: float,
 ) -> tuple[Array, float]:
     """Steady rows scaled by the predicted rise, and the equivalent number of frames."""
-    time_s, strength, noise = traces.held(load)
+    time_s, strength, noise = traces.hold_trace(load)
     if not len(time_s):
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
-    left, fading = traces.left(load), traces.fading(time_s)
+    left, fading = traces.residue(load), traces.fading(time_s)
     seen = predict_steady(time_s, strength - left * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
     # The rows are the mean of the last frames of the hold, after subtraction of the same residue.
     last = slice(-int(data.frames[k]), None)
@@ -267,7 +273,7 @@ def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Arr
     none = np.zeros(0)
     if samples is None:
         return none, none, 0.0
-    taken = samples.between(load.record.hold_start_s, load.record.release_start_s)
+    taken = samples.select_interval(load.record.hold_start_s, load.record.release_start_s)
     time_s = taken.time_s - load.record.hold_start_s
     if len(time_s) < 2:
         return none, none, 0.0
@@ -295,7 +301,7 @@ def _stress_kernel(
     )
 
 
-def _predicted_force(
+def _predict_force(
     load: LoadObservation, trace: tuple[Array, Array, float], kernel: RelaxationKernel, at_s: float
 ) -> tuple[float, float]:
     times, values, noise = trace

@@ -8,14 +8,19 @@ import numpy as np
 
 from cbsr_qa.analysis.run.force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run.loads import window_of
-from cbsr_qa.calibration.fits import TimedValues, fit_common_relaxation
-from cbsr_qa.calibration.force import LearnedForce
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolate, map_tables
-from cbsr_qa.calibration.sheet import Estimate, sheet_gauge_factor, sheet_places, steady_share
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import LoadObservation, RunObservation
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.calibration.fits.common_relaxation import TimedValues, fit_common_relaxation
+from cbsr_qa.calibration.fits.estimates import Estimate
+from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
+from cbsr_qa.calibration.sheet.characteristic import sheet_gauge_factor, steady_share
+from cbsr_qa.calibration.sheet.response_map import sheet_places
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 
 #: Fewest errors for a standard deviation.
 FEWEST: Final = 2
@@ -104,7 +109,7 @@ def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:
     """Return the errors with the place given, or estimated."""
     estimated = tuple(test for test in tests if known or test.found_N is not None)
     estimate = np.array([test.known_N if known else test.found_N or 0.0 for test in estimated])
-    stated = np.array([_stated_N(test, known=known) for test in estimated])
+    stated = np.array([_test_stderr_N(test, known=known) for test in estimated])
     measured = np.array([test.measured_N for test in estimated])
     return ForceErrors(estimated, len(tests) - len(estimated), estimate - measured, stated)
 
@@ -115,7 +120,7 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
     return ForceErrors(tuple(tests), 0, error, np.full(len(tests), np.inf))
 
 
-def calibrated_radius_mm(force: RunForce) -> float:
+def calibration_radius_mm(force: RunForce) -> float:
     """Return the distance of the farthest calibration load from the centre [mm]."""
     assert force.learned is not None
     places = places_mm([load for load, why in zip(force.used, force.learned.refused, strict=True) if not why])
@@ -250,7 +255,7 @@ def _steady_share(
     return Estimate(fitted.value, float(np.hypot(fitted.stderr or 0.0, of_residues)), fitted.degrees)
 
 
-def _stated_N(test: ForceTest, *, known: bool) -> float:
+def _test_stderr_N(test: ForceTest, *, known: bool) -> float:
     if known:
         return test.known_stderr_N
     return float(np.hypot(test.found_stderr_N or 0.0, test.load.force_stderr_N or 0.0))

@@ -5,21 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, MaskView, Region
-from cbsr_qa.domain.sensor import Mesh, Response
-from cbsr_qa.eit.imaging import (
-    AnyRegion,
-    assign_regions,
-    find_blobs_by_mask,
-    find_contours_by_mask,
-    nearest_blob,
-    subtract_noise_floor,
-)
-from cbsr_qa.eit.inverse import changes
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction, Region
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.results.observation import MaskView
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import Response
+from cbsr_qa.eit.imaging.blobs import AnyRegion, find_blobs_by_mask, nearest_blob, subtract_noise_floor
+from cbsr_qa.eit.imaging.contours import find_contours_by_mask
+from cbsr_qa.eit.imaging.multi_load import assign_regions
+from cbsr_qa.eit.inverse.scaling import changes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +27,7 @@ class Imager:
     ----------
     reconstruction : the prepared matrix.
     reference : (drives, measures) float64 V, the unloaded frame.
-    scale : sensor relative to the unit model, see :class:`~cbsr_qa.domain.results.LinearReconstruction`.
+    scale : sensor relative to the unit model, see :class:`~cbsr_qa.domain.imaging.LinearReconstruction`.
     """
 
     reconstruction: LinearReconstruction
@@ -114,18 +111,18 @@ def mask_views(
     -------
     One view per mask, in the recipe's order; views without blobs if nothing exceeds the floor.
     """
-    image = _cleared(mesh, signed, noise_floor)
+    image = _clear_noise(mesh, signed, noise_floor)
     blobs = find_blobs_by_mask(image, settings.masks)
-    outlined = _outlined(image, settings) if settings.outline == "contour" else blobs
+    outlined = _outline_regions(image, settings) if settings.outline == "contour" else blobs
     views = []
     for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
-        region, fate = _sensed(regions, pressed, others)
+        region, fate = _match_region(regions, pressed, others)
         contour = None if isinstance(region, Blob) else region
-        views.append(MaskView(fraction, own, _sensed(own, pressed, others)[0], contour, fate, len(regions)))
+        views.append(MaskView(fraction, own, _match_region(own, pressed, others)[0], contour, fate, len(regions)))
     return tuple(views)
 
 
-def sensed_regions(
+def find_sensed_regions(
     mesh: Mesh,
     signed: Array,
     noise_floor: float,
@@ -134,15 +131,15 @@ def sensed_regions(
     others: Sequence[Footprint] = (),
 ) -> list[Region | None]:
     """Return :attr:`MaskView.region` of every mask alone, for half the time."""
-    outlined = _outlined(_cleared(mesh, signed, noise_floor), settings)
-    return [_sensed(regions, pressed, others)[0] for regions in outlined]
+    outlined = _outline_regions(_clear_noise(mesh, signed, noise_floor), settings)
+    return [_match_region(regions, pressed, others)[0] for regions in outlined]
 
 
-def _outlined(image: Image, settings: AnalysisSettings) -> Sequence[Sequence[Region]]:
+def _outline_regions(image: Image, settings: AnalysisSettings) -> Sequence[Sequence[Region]]:
     return (find_contours_by_mask if settings.outline == "contour" else find_blobs_by_mask)(image, settings.masks)
 
 
-def _sensed(
+def _match_region(
     regions: Sequence[AnyRegion], pressed: Footprint, others: Sequence[Footprint]
 ) -> tuple[AnyRegion | None, str]:
     """Return the region of a load, and its fate: ``"apart"``, ``"merged"`` or ``"missed"``.
@@ -159,5 +156,5 @@ def _sensed(
     return None if own is None else regions[own], assignment.fate(0)
 
 
-def _cleared(mesh: Mesh, signed: Array, noise_floor: float) -> Image:
+def _clear_noise(mesh: Mesh, signed: Array, noise_floor: float) -> Image:
     return Image(mesh, subtract_noise_floor(signed, max(noise_floor, RESOLUTION)))

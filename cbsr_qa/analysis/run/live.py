@@ -7,17 +7,20 @@ show over a whole run (offsets, spikes, electrodes that come loose) are left to 
 from dataclasses import dataclass
 from typing import Self
 
-from cbsr_qa.analysis.run.imaging import Imager, mean_under, sensed_regions
+from cbsr_qa.analysis.run.imaging import Imager, find_sensed_regions, mean_under
 from cbsr_qa.analysis.run.reference import split_unloaded
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
-from cbsr_qa.domain.results import linear
-from cbsr_qa.domain.run import Indenter, Load
-from cbsr_qa.domain.sensor import Mesh, SensorType
-from cbsr_qa.eit.imaging import noise_floor, overlap_grade, spatial_figures
-from cbsr_qa.eit.inverse import imaging_problem, scale_of
-from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.domain.imaging import linear
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
+from cbsr_qa.domain.readings.loads import Indenter, Load
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.imaging.blobs import noise_floor
+from cbsr_qa.eit.imaging.shape import overlap_grade, spatial_figures
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.scaling import scale_of
+from cbsr_qa.plugin.interfaces import Reconstruction
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ class LivePreview:
     indenter: Indenter
 
     @classmethod
-    def of(
+    def prepare(
         cls,
         sensor_type: SensorType,
         indenter: Indenter,
@@ -82,9 +85,9 @@ class LivePreview:
 
     def place(self, load: Load, steady: FrameBlock) -> PlacePreview:
         """Say how well a load is seen in the last frames of its hold."""
-        values, pressed = self.image(steady), self.indenter.at(load.x_mm, load.y_mm)
+        values, pressed = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
         signed = values if mean_under(self.mesh, values, pressed) >= 0 else -values
-        regions = sensed_regions(self.mesh, signed, self.noise_floor, self.settings, pressed)
+        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, pressed)
         chosen = self.settings
         figures = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
         index = chosen.masks.index(chosen.main_mask)

@@ -5,16 +5,20 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import stood_at_limit
+from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
 from cbsr_qa.analysis.run.imaging import Imager, mask_views, mean_under
-from cbsr_qa.calibration.fits import fit_relaxation, relaxation_start, settling_time, window_s
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation, RunObservation, Trace
-from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
-from cbsr_qa.domain.sensor import Response
+from cbsr_qa.calibration.fits.relaxation import fit_relaxation
+from cbsr_qa.calibration.fits.settling import relaxation_start, settling_time, window_s
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
+from cbsr_qa.domain.results.observation import LoadObservation, RelaxationObservation, RunObservation, Trace
+from cbsr_qa.domain.run.run import PhaseRecord
+from cbsr_qa.domain.sensor.sensor_type import Response
 
 #: Stress samples are averaged into this many points per window: the load cell's 8 Hz over a minute are ten times what
 #: a fit over tens of seconds needs, at ten times the cost.
@@ -51,13 +55,13 @@ class LoadSetting:
 def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettings) -> LoadWindow:
     """Cut the frames of one press out of its phase; NumericsError if the hold has none."""
     frames = phase.frames
-    hold = None if frames is None else frames.between(record.hold_start_s, record.release_start_s)
+    hold = None if frames is None else frames.select_interval(record.hold_start_s, record.release_start_s)
     if frames is None or hold is None or not len(hold):
         raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
-    before = frames.between(_free_from_s(phase, record), record.press_start_s)
+    before = frames.select_interval(_free_from_s(phase, record), record.press_start_s)
     return LoadWindow(
         before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
-        frames.between(record.press_start_s, record.rest_end_s),
+        frames.select_interval(record.press_start_s, record.rest_end_s),
         hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
     )
 
@@ -79,7 +83,7 @@ def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
 def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
     """Mean relative change under the head in the steady frames, unsigned, used to vote on the response."""
     values = setting.imager.images(window.steady).mean(axis=0)
-    pressed = setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    pressed = setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
     return mean_under(setting.imager.mesh, values, pressed)
 
 
@@ -97,7 +101,7 @@ def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, w
     return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
 
 
-def relaxed(
+def add_relaxations(
     load: LoadObservation,
     window: LoadWindow,
     relaxations: tuple[RelaxationObservation, ...],
@@ -105,7 +109,7 @@ def relaxed(
 ) -> LoadObservation:
     """Return an observed press with its relaxations and whether its steady frames had settled."""
     load = replace(load, relaxations=relaxations)
-    return replace(load, settled=_settled(load, window, settings))
+    return replace(load, settled=_is_settled(load, window, settings))
 
 
 def _image_before(setting: LoadSetting, window: LoadWindow) -> Array:
@@ -122,10 +126,10 @@ def _observe(
     values: Array,
     residue: float,
 ) -> LoadObservation:
-    no_force = stood_at_limit(phase.channel("force"), record)
+    no_force = describe_cell_limit(phase.channel("force"), record)
     force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
-    mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
-    others = held_beside(setting.indenter, phase, record, float(window.steady.time_s[-1]))
+    mesh, pressed = setting.imager.mesh, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
+    others = list_neighbours(setting.indenter, phase, record, float(window.steady.time_s[-1]))
     signed = setting.response.sign * values
     return LoadObservation(
         phase=phase.name,
@@ -145,10 +149,10 @@ def _observe(
     )
 
 
-def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
+def list_neighbours(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
     """Other places of a phase that loads several at a time."""
     return [
-        indenter.at(other.load.x_mm, other.load.y_mm)
+        indenter.footprint_at(other.load.x_mm, other.load.y_mm)
         for other in phase.loads
         if other.index != record.index and other.hold_start_s <= time_s < other.release_start_s
     ]
@@ -160,14 +164,14 @@ def _mean_force(
     if samples is None:
         return None, None
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
-    taken = samples.between(float(steady.time_s[0]) - half_frame, record.release_start_s)
+    taken = samples.select_interval(float(steady.time_s[0]) - half_frame, record.release_start_s)
     if not len(taken):
         return None, None
     spread = float(np.std(taken.values, ddof=1)) if len(taken) > 1 else 0.0
     return float(taken.values.mean()), spread / len(taken) ** 0.5
 
 
-def _settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettings) -> bool | None:
+def _is_settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettings) -> bool | None:
     """Whether the steady frames lie beyond the required multiple of the load's own settling time; None if unknown."""
     pressed = load.relaxation("conductance", loading=True)
     if pressed is None or pressed.settling.value_s is None:
@@ -208,11 +212,11 @@ def _press_and_release(
 ) -> list[RelaxationObservation]:
     held = _cut(trace, record.hold_start_s, record.release_start_s)
     released = _cut(trace, record.unloaded_s, record.rest_end_s)
-    pressed = _fitted(signal, held, settings, loaded_change=None, steady=held.end_level)
+    pressed = _fit_trace(signal, held, settings, loaded_change=None, steady=held.end_level)
     if len(released.time_s) == 0:
         return [pressed]
     loaded, start = _steady_change(pressed), relaxation_start(released.values)
-    return [pressed, _fitted(signal, released, settings, loaded_change=loaded, steady=loaded, start=start)]
+    return [pressed, _fit_trace(signal, released, settings, loaded_change=loaded, steady=loaded, start=start)]
 
 
 def _steady_change(pressed: RelaxationObservation) -> float:
@@ -222,7 +226,7 @@ def _steady_change(pressed: RelaxationObservation) -> float:
     return pressed.trace.end_level
 
 
-def _fitted(
+def _fit_trace(
     signal: str,
     trace: Trace,
     settings: AnalysisSettings,
@@ -257,14 +261,14 @@ def _fitted(
 def _stress(
     force: SampleBlock, indenter: Indenter, record: LoadRecord, settings: AnalysisSettings
 ) -> list[RelaxationObservation]:
-    taken = force.between(record.hold_start_s, record.release_start_s)
+    taken = force.select_interval(record.hold_start_s, record.release_start_s)
     if len(taken) < _STRESS_POINTS:
         return []
     points = np.array_split(np.arange(len(taken)), _STRESS_POINTS)
     time_s = np.array([taken.time_s[p].mean() for p in points]) - record.hold_start_s
     stress_kPa = np.array([taken.values[p].mean() for p in points]) / indenter.area_mm2 * 1e3
     trace = Trace("stress", "kPa", time_s, stress_kPa)
-    return [_fitted("stress", trace, settings, loaded_change=None, steady=trace.end_level)]
+    return [_fit_trace("stress", trace, settings, loaded_change=None, steady=trace.end_level)]
 
 
 def _cut(trace: Trace, start_s: float, end_s: float) -> Trace:

@@ -7,12 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import stood_at_limit
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import LoopObservation, Trace
-from cbsr_qa.domain.run import HeldStrain, Indenter, LoadRecord, PhaseRecord, RunRecord
+from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import HeldStrain, Indenter, LoadRecord
+from cbsr_qa.domain.results.observation import LoopObservation, Trace
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 
 #: The output at the deepest strain must be so many of its own standard errors from zero.
 _CLEAR: Final = 5.0
@@ -68,14 +69,16 @@ def _observe(
     settings: AnalysisSettings,
 ) -> LoopObservation:
     samples = phase.channel("force")
-    no_force = _no_force(samples, loops)
+    no_force = _why_no_force(samples, loops)
     stress = None if no_force else _stress(samples, loops, indenter)
     first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
     if phase.frames is None:
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
-    before = _before(phase, phase.frames, first_s, settings.reference_frames)
-    during = phase.frames.between(first_s, last_s)
-    if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for cycle in loops for h in cycle.held):
+    before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
+    during = phase.frames.select_interval(first_s, last_s)
+    if not len(before) or not all(
+        len(during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
+    ):
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
@@ -102,19 +105,19 @@ def _nothing(
     return LoopObservation(phase.name, loops, empty, 0.0, stress, no_force, why)
 
 
-def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
+def _why_no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
     """Report that the cell was at its limit while one of the strains was held."""
     holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
-    return next((why for hold in holds if (why := stood_at_limit(samples, hold))), "")
+    return next((why for hold in holds if (why := describe_cell_limit(samples, hold))), "")
 
 
-def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
+def _frames_before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
     """Frames before the first press: all since the sheet was marked rested, or the last few after other presses."""
     rested = phase.unloaded_from_s
     others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
     if rested is not None and not any(rested <= load.press_start_s for load in others):
-        return frames.between(rested, press_s)
-    frames = frames.between(max((load.release_end_s for load in others), default=phase.started_s), press_s)
+        return frames.select_interval(rested, press_s)
+    frames = frames.select_interval(max((load.release_end_s for load in others), default=phase.started_s), press_s)
     return frames.select(slice(max(len(frames) - count, 0), None))
 
 
@@ -164,7 +167,7 @@ def _huber(residual: Array, *, axis: int) -> Array:
 def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:
     if samples is None:
         return None
-    taken = samples.between(loops[0].press_start_s, loops[-1].rest_end_s)
+    taken = samples.select_interval(loops[0].press_start_s, loops[-1].rest_end_s)
     if not len(taken):
         return None
     return Trace("stress", "kPa", taken.time_s, taken.values / indenter.area_mm2 * 1e3)

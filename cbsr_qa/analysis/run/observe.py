@@ -7,37 +7,42 @@ from typing import Any
 
 import numpy as np
 
-from cbsr_qa.analysis.run.imaging import Imager, decide_response, sensed_regions
+from cbsr_qa.analysis.run.imaging import Imager, decide_response, find_sensed_regions
 from cbsr_qa.analysis.run.loads import (
     LoadSetting,
     LoadWindow,
-    held_beside,
+    add_relaxations,
+    list_neighbours,
     load_window,
     mean_change_under_head,
     observe_load,
     relaxations_of,
-    relaxed,
 )
 from cbsr_qa.analysis.run.loops import deepest_hold, observe_loops
 from cbsr_qa.analysis.run.reference import (
     check_weighing,
+    drop_weak_polarity,
+    find_unloaded_frames,
+    linearise_sheet,
     split_unloaded,
-    unloaded_frames,
     usable_data,
-    weighed_problem,
-    without_side,
 )
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.plan import AnalysisSettings, Role
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import ImagingProblem, LoadObservation, MetricTimeline, RunObservation, linear
-from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import Response
-from cbsr_qa.eit.imaging import noise_floor, spatial_figures
-from cbsr_qa.eit.inverse import masking_effect, scale_doubts, scale_of
-from cbsr_qa.plugin import Reconstruction
-from cbsr_qa.system import side_by_side
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.imaging import ImagingProblem, linear
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.results.observation import LoadObservation, MetricTimeline, RunObservation
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor.sensor_type import Response
+from cbsr_qa.eit.imaging.blobs import noise_floor
+from cbsr_qa.eit.imaging.shape import spatial_figures
+from cbsr_qa.eit.inverse.scaling import scale_doubts, scale_of
+from cbsr_qa.eit.inverse.uncertainty import masking_effect
+from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.system.beside import side_by_side
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
@@ -57,15 +62,15 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
     for record in phase.loads:
         held = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
         for frame in np.flatnonzero(held):
-            others = held_beside(setting.indenter, phase, record, float(time_s[frame]))
+            others = list_neighbours(setting.indenter, phase, record, float(time_s[frame]))
             metrics[:, :, frame] = _metrics(setting, images[frame], record, others)
     return MetricTimeline(phase.name, time_s, masks, metrics[0], metrics[1], metrics[2], phase.channel("force"))
 
 
 def _metrics(setting: LoadSetting, signed: Array, record: LoadRecord, others: list[Footprint]) -> Array:
     """Three metrics of every mask, (3, k); NaN where no blob is seen."""
-    chosen, pressed = setting.settings, setting.indenter.at(record.load.x_mm, record.load.y_mm)
-    regions = sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
+    chosen, pressed = setting.settings, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
+    regions = find_sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
     metrics = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
     nothing = (np.nan, np.nan, np.nan)
     return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in metrics]).T
@@ -89,14 +94,14 @@ def observe_run(
         weights readings by their noise, which cannot be estimated.
     """
     data = usable_data(record)
-    unloaded = unloaded_frames(data.record)
+    unloaded = find_unloaded_frames(data.record)
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
     check_weighing(reconstruction, type(reconstruction).__name__, settings)
-    problem, silent = weighed_problem(data, unloaded, settings)
-    answering = without_side(data, unloaded, problem.reference)
+    problem, silent = linearise_sheet(data, unloaded, settings)
+    answering = drop_weak_polarity(data, unloaded, problem.reference)
     if answering is not data:
         data = answering
-        problem, silent = weighed_problem(data, unloaded, settings)
+        problem, silent = linearise_sheet(data, unloaded, settings)
     imager = _imager(problem, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
@@ -149,7 +154,9 @@ def _over_time(
     tasks += [partial(relaxations_of, setting, phase, load, window) for load, phase, window in seen]
     timelines, *each = side_by_side(tasks)
     pairs = zip(seen, each, strict=True)
-    return tuple(relaxed(load, window, found, setting.settings) for (load, _, window), found in pairs), timelines
+    return tuple(
+        add_relaxations(load, window, found, setting.settings) for (load, _, window), found in pairs
+    ), timelines
 
 
 def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:

@@ -10,20 +10,18 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.analysis.run.force import RunForce, force_loads, run_force
-from cbsr_qa.calibration.force import CalibrationLoads
-from cbsr_qa.calibration.place import (
-    FEWEST_PRESSES,
-    PlaceLearned,
-    learn_place,
-    mean_by_place,
-    ring_axes,
-    visits_of,
-)
-from cbsr_qa.calibration.runtime import PressedPlace, TemplateFilter, row_readings
-from cbsr_qa.domain import Array, CalibrationError, CbsrError, Indices, Mask
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import PlaceOfRun, RunObservation
-from cbsr_qa.domain.sensor import ElectrodeLayout
+from cbsr_qa.calibration.force.learning import CalibrationLoads
+from cbsr_qa.calibration.force.template_matching import TemplateFilter
+from cbsr_qa.calibration.place.features import ring_axes
+from cbsr_qa.calibration.place.held_out import mean_by_place, visits_of
+from cbsr_qa.calibration.place.learning import FEWEST_PRESSES, PlaceLearned, learn_place
+from cbsr_qa.calibration.runtime.pressed_place import PressedPlace, row_readings
+from cbsr_qa.domain.errors import CalibrationError, CbsrError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.learned_place import PlaceOfRun
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 
 #: A difference of means counts beyond so many of its standard errors.
 _CLEAR: Final = 2.0
@@ -48,7 +46,7 @@ class PlaceErrors:
     gain_stderr_mm: float
 
     @classmethod
-    def of(cls, pressed_mm: Array, learned_mm: Array, modelled_mm: Array) -> "PlaceErrors":
+    def from_places(cls, pressed_mm: Array, learned_mm: Array, modelled_mm: Array) -> "PlaceErrors":
         """Errors of places (n, 2) found by both estimates."""
         learned, modelled = (np.linalg.norm(each - pressed_mm, axis=1) for each in (learned_mm, modelled_mm))
         gain, stderr = mean_by_place(modelled - learned, visits_of(pressed_mm))
@@ -110,7 +108,7 @@ class RunPlace:
 
 def run_place(run: RunObservation) -> RunPlace:
     """Return what the loads that calibrate teach about place, if the recipe asks; it is cached with the run."""
-    return run.derived(_run_place)
+    return run.derive(_run_place)
 
 
 def _run_place(run: RunObservation) -> RunPlace:
@@ -118,12 +116,12 @@ def _run_place(run: RunObservation) -> RunPlace:
         return RunPlace(None, "the recipe does not ask for it")
     force = run_force(run)
     try:
-        return _learned_and_compared(run, force)
+        return _learn_and_compare(run, force)
     except CbsrError as error:
         return RunPlace(None, error.reason)
 
 
-def _learned_and_compared(run: RunObservation, force: RunForce) -> RunPlace:
+def _learn_and_compare(run: RunObservation, force: RunForce) -> RunPlace:
     if force.learned is None:
         raise CalibrationError(f"there is no force model, whose templates locate otherwise: {force.why}")
     loads, data = force_loads(run)
@@ -136,10 +134,10 @@ def _learned_and_compared(run: RunObservation, force: RunForce) -> RunPlace:
     merging, finder = force.learned.model.merging, TemplateFilter(force.learned.model)
     rows, _ = data.subtract_residues()
     time_s = np.array([load.record.hold_start_s for load in loads])
-    learned = _learned(run, row_readings(rows[used], merging), data.place_mm[used], time_s[used])
+    learned = _learn_from_readings(run, row_readings(rows[used], merging), data.place_mm[used], time_s[used])
     modelled = finder.search(rows)
     presses = np.flatnonzero(used)[learned.held_out.presses]
-    left_out = PlaceErrors.of(data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses])
+    left_out = PlaceErrors.from_places(data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses])
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
     others = ~calibrating & np.array([load.phase in spread for load in loads])
     found = _others(data, others, finder, PressedPlace(learned.model, merging)) if others.any() else None
@@ -151,10 +149,10 @@ def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed
     rows = data.subtract_residues()[0][which]
     modelled = finder.search(rows)
     found = pressed(rows, modelled, modelled, finder)
-    return PlaceErrors.of(data.place_mm[which], found.place_mm, modelled.place_mm)
+    return PlaceErrors.from_places(data.place_mm[which], found.place_mm, modelled.place_mm)
 
 
-def _learned(run: RunObservation, readings: Array, place_mm: Array, time_s: Array) -> PlaceLearned:
+def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, time_s: Array) -> PlaceLearned:
     """Learn from readings (n, r) at places (n, 2) on the sheet, whose axes and centre are known."""
     layout = run.record.sensor_type.electrodes
     return learn_place(

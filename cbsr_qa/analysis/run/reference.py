@@ -5,25 +5,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import (
-    answering_levels,
-    channel_noise,
-    despiked,
-    find_dead_drives,
-    find_faults,
-    find_offsets,
-    offset_words,
-    open_electrodes,
-    without_offsets,
-)
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, ScanKind, join_frames
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.run import PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.eit.inverse import imaging_problem, reading_noise
-from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.analysis.defects.channels import find_faults
+from cbsr_qa.analysis.defects.contacts import open_electrodes
+from cbsr_qa.analysis.defects.drives import find_dead_drives
+from cbsr_qa.analysis.defects.noise import channel_noise
+from cbsr_qa.analysis.defects.offsets import find_offsets, offset_words, subtract_offsets
+from cbsr_qa.analysis.defects.rectifying import answering_levels
+from cbsr_qa.analysis.defects.spikes import remove_spikes
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, ScanKind, join_frames
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.readings import reading_noise
+from cbsr_qa.plugin.interfaces import Reconstruction
 
 #: A frame with a larger share of its imaged readings flagged is lost as a whole.
 _LOST_SHARE = 0.25
@@ -33,13 +31,13 @@ _NAMED = 6  # readings named in a warning
 _LAST_FRAMES = 8  # of a run, in which a reading that stopped changing does not change
 
 
-def unloaded_frames(record: RunRecord) -> FrameBlock:
+def find_unloaded_frames(record: RunRecord) -> FrameBlock:
     """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
 
     NumericsError if the run has none.
     """
     for phase in record.phases:
-        frames = _unloaded_of(phase)
+        frames = _select_unloaded(phase)
         if frames is not None and len(frames):
             return frames
     raise NumericsError(
@@ -91,19 +89,19 @@ def usable_data(record: RunRecord) -> UsableData:
     pattern = record.sensor_type.pattern.usable()
     flagged = ((frames.flags & UNUSABLE) != 0) & pattern
     lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
-    left_out = _flagged_channels(flagged[~lost])
+    left_out = _choose_flagged_channels(flagged[~lost])
     lost |= (flagged & ~left_out).any(axis=(1, 2))
     kept = frames.select(~lost)
-    stuck = _stuck(kept, pattern) & pattern & ~left_out
-    silent, said = _without_current(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
+    stuck = _find_stuck(kept, pattern) & pattern & ~left_out
+    silent, said = _find_silent_readings(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
     readings = pattern & ~left_out & ~stuck & ~silent
-    voltages, offsets = _without_offsets(kept.voltages, readings)
+    voltages, offsets = _remove_offsets(kept.voltages, readings)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
-        voltages, spikes = despiked(voltages, readings, counts=False)
+        voltages, spikes = remove_spikes(voltages, readings, counts=False)
     words = [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
-        f" {named_readings(channels)}"
+        f" {name_readings(channels)}"
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
@@ -126,7 +124,7 @@ def usable_data(record: RunRecord) -> UsableData:
     return UsableData(record, corrected, readings, tuple(words))
 
 
-def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if not len(kept):
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
@@ -137,7 +135,7 @@ def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return stuck
 
 
-def _without_current(
+def _find_silent_readings(
     kept: FrameBlock, sound: NDArray[np.bool_], pattern: DrivePattern
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Readings (drives, measures) through electrodes without contact and by dead drives, and what is said of them."""
@@ -154,15 +152,15 @@ def _without_current(
     return silent, words
 
 
-def _without_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
+def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
     if len(voltages) < 2 or not readings.any():
         return voltages, ()
     used = voltages[:, readings]
     offsets = find_offsets(used, channel_noise(used, counts=False))
-    return (without_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
+    return (subtract_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
 
 
-def without_side(data: UsableData, unloaded: FrameBlock, modelled: Array) -> UsableData:
+def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) -> UsableData:
     """Leave out readings of a polarity that hardly answers, of a front end that rectifies.
 
     Parameters
@@ -178,7 +176,7 @@ def without_side(data: UsableData, unloaded: FrameBlock, modelled: Array) -> Usa
     return replace(data, readings=readings, warnings=(*data.warnings, f"{side.words}; they were left out"))
 
 
-def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _choose_flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
     left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
     allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
@@ -202,15 +200,15 @@ def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
     return replace(record, phases=tuple(phases))
 
 
-def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:
+def _select_unloaded(phase: PhaseRecord) -> FrameBlock | None:
     if phase.frames is None or phase.unloaded_from_s is None:
         return None
     every = (*phase.loads, *phase.loops)
     presses = [load.press_start_s for load in every if load.press_start_s >= phase.unloaded_from_s]
-    return phase.frames.between(phase.unloaded_from_s, min(presses, default=phase.ended_s))
+    return phase.frames.select_interval(phase.unloaded_from_s, min(presses, default=phase.ended_s))
 
 
-def named_readings(readings: NDArray[np.bool_]) -> str:
+def name_readings(readings: NDArray[np.bool_]) -> str:
     """Name the first few of some readings, (drives, measures) bool."""
     pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:_NAMED]]
     more = int(readings.sum()) - len(pairs)
@@ -236,7 +234,7 @@ def check_weighing(reconstruction: Reconstruction, method: str, settings: Analys
         )
 
 
-def weighed_problem(
+def linearise_sheet(
     data: UsableData, unloaded: FrameBlock, settings: AnalysisSettings
 ) -> tuple[ImagingProblem, tuple[str, ...]]:
     """Linearise a run's sheet with the noise of its readings.
@@ -266,6 +264,6 @@ def weighed_problem(
     silent[used] = noise.silent
     words = (
         f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
-        f" and a typical value is used for them: {named_readings(silent)}"
+        f" and a typical value is used for them: {name_readings(silent)}"
     )
     return problem, (words,)

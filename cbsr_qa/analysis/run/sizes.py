@@ -5,10 +5,12 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
-from cbsr_qa.domain.results import Image, ImagingProblem, PreparedReconstruction, RunObservation
-from cbsr_qa.eit.imaging import contour_regions, nearest_blob
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint, overlap_mm2
+from cbsr_qa.domain.imaging import Image, ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.eit.imaging.blobs import nearest_blob
+from cbsr_qa.eit.imaging.contours import contour_regions
 
 #: Smaller slopes are called flat: a target of twice the area then has a region less than 19 % larger.
 FLAT: Final = 0.25

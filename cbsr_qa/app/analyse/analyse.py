@@ -8,17 +8,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording, guarded, recognised
+from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording
+from cbsr_qa.analysis.recording.reading import find_format, run_guarded
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
-from cbsr_qa.app.run import report_sections
-from cbsr_qa.config import DocumentKind, load_sensor_type, reports_folder, shipped_names
-from cbsr_qa.domain import Array, CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, create_plugin, discover, echo
-from cbsr_qa.report import render_recording, report_name, write_report
-from cbsr_qa.system import open_foreign
+from cbsr_qa.config.documents import DocumentKind, list_shipped
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.paths import reports_folder
+from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, Recording, ScanKind
+from cbsr_qa.domain.results.findings import RecordingResult
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import Reconstruction, RecordingFormat
+from cbsr_qa.report.render import render_recording, report_name, write_report
+from cbsr_qa.report.section import report_sections
+from cbsr_qa.system.foreign import open_foreign
+from cbsr_qa.system.words import echo
 
 #: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
 _MOST_SCALE: Final = 1.5
@@ -68,10 +76,10 @@ def _difference(recording: Recording, empty: Recording) -> str:
     if empty.magnitudes_only is not recording.magnitudes_only:
         held = {True: "absolute values", False: "values with their sign"}
         return f"it holds {held[empty.magnitudes_only]}, not {held[recording.magnitudes_only]}"
-    return _stated_difference(recording, empty) or _scale_difference(recording, empty)
+    return _metadata_difference(recording, empty) or _scale_difference(recording, empty)
 
 
-def _stated_difference(recording: Recording, empty: Recording) -> str:
+def _metadata_difference(recording: Recording, empty: Recording) -> str:
     current_A, other_A = recording.frames.current_A, empty.frames.current_A
     if recording.layout and empty.layout and empty.layout != recording.layout:
         return "its electrodes are numbered or placed in another way"
@@ -158,16 +166,20 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
     try:
         reconstruction = _reconstruction(request, plugins)
         tell(f"reading {path.name}")
-        format_, name = recognised(path, request.format, plugins)
-        datasets = guarded(path, name, lambda: format_.datasets(path))
+        format_, name = find_format(path, request.format, plugins)
+        datasets = run_guarded(path, name, lambda: format_.datasets(path))
         recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
         if request.reference is not None:
             recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
         tell(f"analysing {len(recording.frames)} frames")
-        return _analysed(path, recording, reconstruction, request, plugins, datasets, tell)
+        return _build_outcome(path, recording, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
         problems = error.problems if isinstance(error, RecordingError) else ()
-        read = ReadRecording.failed(name, problems) if recording is None else ReadRecording.of(recording)
+        read = (
+            ReadRecording.from_problems(name, problems)
+            if recording is None
+            else ReadRecording.from_recording(recording)
+        )
         return Analysed(path, read, {}, datasets=datasets or None).with_refusal(error)
 
 
@@ -186,7 +198,7 @@ def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction
 
 
 def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions) -> Recording:
-    return guarded(path, name, lambda: format_.read(path, options))
+    return run_guarded(path, name, lambda: format_.read(path, options))
 
 
 def _empty(
@@ -194,14 +206,14 @@ def _empty(
 ) -> Recording:
     """Read the reference by its own format; its problems are reported separately from the file's."""
     if other != path:
-        format_, name = recognised(other, None, plugins)
+        format_, name = find_format(other, None, plugins)
     try:
         return _read(other, format_, name, ReadOptions(dataset))
     except RecordingError as error:
         raise RecordingError(f"the reference cannot be used: {error.reason}", remedy=error.remedy) from error
 
 
-def _analysed(
+def _build_outcome(
     path: Path,
     recording: Recording,
     reconstruction: Reconstruction,
@@ -211,8 +223,8 @@ def _analysed(
     tell: Tell,
 ) -> Analysed:
     result, unknown = _result(recording, reconstruction, request, tell)
-    analysed = replace(Analysed.of(path, result), datasets=datasets or None)
-    if (error := _no_signal(path, result)) is not None:
+    analysed = replace(Analysed.from_result(path, result), datasets=datasets or None)
+    if (error := _missing_signal_error(path, result)) is not None:
         return analysed.with_refusal(error)
     report, missing = _report(path, result, request, plugins)
     return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
@@ -232,9 +244,9 @@ def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell 
     _check_shape(recording, _sensor_type(recording, request)[0])
     tell(f"analysing {len(recording.frames)} frames")
     result, unknown = _result(recording, reconstruction, request, tell)
-    if (error := _no_signal(recording.path, result)) is not None:
+    if (error := _missing_signal_error(recording.path, result)) is not None:
         raise error
-    return replace(Analysed.of(recording.path, result), warnings=(*result.warnings, *unknown))
+    return replace(Analysed.from_result(recording.path, result), warnings=(*result.warnings, *unknown))
 
 
 def _result(
@@ -261,7 +273,7 @@ def _check_shape(recording: Recording, sensor_type: SensorType | None) -> None:
     )
 
 
-def _no_signal(path: Path, result: RecordingResult) -> RecordingError | None:
+def _missing_signal_error(path: Path, result: RecordingResult) -> RecordingError | None:
     """Return the refusal of readings that show no sensor; None if they do."""
     recording = result.recording
     if result.channels.not_connected:
@@ -282,7 +294,7 @@ def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorT
     if recording.sensor_type is None:
         return None, []
     # A name, never a path: a file of unknown origin must not open others.
-    if recording.sensor_type in shipped_names(DocumentKind.SENSOR_TYPE):
+    if recording.sensor_type in list_shipped(DocumentKind.SENSOR_TYPE):
         return load_sensor_type(recording.sensor_type).value, []
     said = f"the recording states sensor type {echo(recording.sensor_type)}, which is not a shipped one"
     return None, [f"{said}; it is imaged on a nominal disc; give the file of the sensor type with --sensor-type"]
@@ -294,12 +306,12 @@ def _report(
     if not request.report:
         return None, []
     sections, missing = report_sections((), plugins)
-    file = reports_folder() / report_name(path.stem, result.recording.dataset, _told_apart(path, request))
+    file = reports_folder() / report_name(path.stem, result.recording.dataset, _request_digest(path, request))
     write_report(file, render_recording(result, sections, warnings=missing))
     return file, missing
 
 
-def _told_apart(path: Path, request: AnalyseRequest) -> str:
+def _request_digest(path: Path, request: AnalyseRequest) -> str:
     """Return eight digits of content and request, so that reports do not overwrite each other."""
     sha = hashlib.sha256()
     for each in (path, *(() if request.reference is None else request.reference[:1])):

@@ -8,21 +8,25 @@ from typing import Annotated, Any, Final, Self
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.domain import CbsrError, Goodness, RowProblem, filled
-from cbsr_qa.domain.readings import (
+from cbsr_qa.domain.errors import CbsrError, RowProblem
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.goodness import Goodness
+from cbsr_qa.domain.imaging import ParameterChoice
+from cbsr_qa.domain.readings.frames import Recording, ScanKind
+from cbsr_qa.domain.results.findings import (
     ChannelReport,
     EventImaging,
     ImagedPlace,
     LoadEvent,
     Motion,
     NoiseReport,
-    Recording,
     RecordingResult,
-    ScanKind,
 )
-from cbsr_qa.domain.results import Block, CommandOutcome, Paragraph, ParameterChoice, Section
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report import IF_GIVEN, Refusal, fixed, plural, recording_page, text_table
+from cbsr_qa.domain.results.report import Block, CommandOutcome, Paragraph, Section
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.report.document import IF_GIVEN, Refusal
+from cbsr_qa.report.page import recording_page
+from cbsr_qa.report.tables import format_fixed, plural, text_table
 
 _USED_FOR: Final = "images of the events and their descriptions; events are found in the readings, without images"
 
@@ -38,8 +42,8 @@ class ChosenParameter:
     noise_figure: float
 
     @classmethod
-    def of(cls, choice: ParameterChoice) -> Self:
-        return filled(cls, choice, criterion=choice.criterion or None, reason=choice.how)
+    def from_choice(cls, choice: ParameterChoice) -> Self:
+        return fill_from_object(cls, choice, criterion=choice.criterion or None, reason=choice.how)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +75,10 @@ class ReadRecording:
     simulated: tuple[str, ...] | None = None
 
     @classmethod
-    def of(
+    def from_recording(
         cls, recording: Recording, frame_rate_hz: float | None = None, sensor_type: SensorType | None = None
     ) -> Self:
-        return filled(
+        return fill_from_object(
             cls,
             recording,
             dataset=recording.dataset or None,
@@ -88,7 +92,7 @@ class ReadRecording:
         )
 
     @classmethod
-    def failed(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
+    def from_problems(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
         """Return the outcome for an unreadable file; ``format_`` is None if it was not recognised."""
         return cls(format_, rows_rejected=sum(problem.rejected for problem in problems), problems=tuple(problems))
 
@@ -104,14 +108,14 @@ class EventReconstruction:
     used_for: str = _USED_FOR
 
     @classmethod
-    def of(cls, imaging: EventImaging) -> Self:
-        parameter = None if imaging.choice is None else ChosenParameter.of(imaging.choice)
+    def from_imaging(cls, imaging: EventImaging) -> Self:
+        parameter = None if imaging.choice is None else ChosenParameter.from_choice(imaging.choice)
         return cls(imaging.reconstruction.name, dict(imaging.reconstruction.options), parameter, imaging.elements)
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceInImage:
-    """Place and strength of an event in its own image; see :class:`~cbsr_qa.domain.readings.ImagedPlace`."""
+    """Place and strength of an event in its own image; see :class:`~cbsr_qa.domain.results.findings.ImagedPlace`."""
 
     x_over_R: float
     y_over_R: float
@@ -121,8 +125,8 @@ class PlaceInImage:
     area_share: float
 
     @classmethod
-    def of(cls, place: ImagedPlace) -> Self:
-        return filled(cls, place, largest_change=place.largest)
+    def from_imaged_place(cls, place: ImagedPlace) -> Self:
+        return fill_from_object(cls, place, largest_change=place.largest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +148,7 @@ class MotionEnd:
 
 @dataclass(frozen=True, slots=True)
 class TrackedMotion:
-    """How an object moves; see :class:`~cbsr_qa.domain.readings.Motion`."""
+    """How an object moves; see :class:`~cbsr_qa.domain.results.findings.Motion`."""
 
     begins: Annotated[MotionEnd, Field(serialization_alias="from")]
     ends: Annotated[MotionEnd, Field(serialization_alias="to")]
@@ -153,13 +157,13 @@ class TrackedMotion:
     words: str
 
     @classmethod
-    def of(cls, motion: Motion) -> Self:
-        return filled(cls, motion, begins=MotionEnd(*motion.begins), ends=MotionEnd(*motion.ends))
+    def from_motion(cls, motion: Motion) -> Self:
+        return fill_from_object(cls, motion, begins=MotionEnd(*motion.begins), ends=MotionEnd(*motion.ends))
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event; see :class:`~cbsr_qa.domain.readings.LoadEvent`. Places in mm, track and motion only where known."""
+    """An event; see ``LoadEvent``. Places in mm, track and motion only where known."""
 
     start_s: float
     peak_s: float
@@ -180,20 +184,20 @@ class Event:
     motion: Annotated[TrackedMotion | None, IF_GIVEN]
 
     @classmethod
-    def of(cls, event: LoadEvent) -> Self:
-        return filled(
+    def from_load_event(cls, event: LoadEvent) -> Self:
+        return fill_from_object(
             cls,
             event,
             fate=event.fate or None,
-            image=None if event.imaged is None else PlaceInImage.of(event.imaged),
+            image=None if event.imaged is None else PlaceInImage.from_imaged_place(event.imaged),
             track=tuple(TrackPoint(*point) for point in event.track) or None,
-            motion=None if event.motion is None else TrackedMotion.of(event.motion),
+            motion=None if event.motion is None else TrackedMotion.from_motion(event.motion),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A sudden change of noise or level; see :class:`~cbsr_qa.domain.readings.NoiseStep`."""
+    """A sudden change of noise or level; see :class:`~cbsr_qa.domain.results.findings.NoiseStep`."""
 
     time_s: float
     first_frame_after: int
@@ -204,7 +208,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of the quiet part of a recording; see :class:`~cbsr_qa.domain.readings.NoiseReport`."""
+    """Noise of the quiet part of a recording; see :class:`~cbsr_qa.domain.results.findings.NoiseReport`."""
 
     rms: float | None
     unit: str
@@ -215,11 +219,13 @@ class Noise:
     outliers: float | None
 
     @classmethod
-    def of(cls, noise: NoiseReport, recording: Recording) -> Self:
+    def from_noise_report(cls, noise: NoiseReport, recording: Recording) -> Self:
         """Return what a document says of it; steps with the first frame after each."""
         after = np.searchsorted(recording.frames.time_s, [step.time_s for step in noise.steps], side="right")
-        steps = (filled(Step, one, first_frame_after=int(n)) for one, n in zip(noise.steps, after, strict=True))
-        return filled(cls, noise, steps=tuple(steps))
+        steps = (
+            fill_from_object(Step, one, first_frame_after=int(n)) for one, n in zip(noise.steps, after, strict=True)
+        )
+        return fill_from_object(cls, noise, steps=tuple(steps))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,21 +255,21 @@ class Analysed:
     error: Annotated[InstanceOf[CbsrError] | None, Field(exclude=True)] = None
 
     @classmethod
-    def of(cls, file: Path, result: RecordingResult) -> Self:
-        return filled(
+    def from_result(cls, file: Path, result: RecordingResult) -> Self:
+        return fill_from_object(
             cls,
             result,
             file=file,
-            recording=ReadRecording.of(result.recording, result.frame_rate_hz, result.sensor_type),
-            reconstruction=None if result.imaging is None else EventReconstruction.of(result.imaging),
-            events=tuple(map(Event.of, result.events)),
-            noise=Noise.of(result.noise, result.recording),
+            recording=ReadRecording.from_recording(result.recording, result.frame_rate_hz, result.sensor_type),
+            reconstruction=None if result.imaging is None else EventReconstruction.from_imaging(result.imaging),
+            events=tuple(map(Event.from_load_event, result.events)),
+            noise=Noise.from_noise_report(result.noise, result.recording),
             compute_s={stage: round(seconds, 4) for stage, seconds in result.compute_s},
             result=result,
         )
 
     def with_refusal(self, error: CbsrError) -> Self:
-        return replace(self, refused=filled(Refusal, error), error=error)
+        return replace(self, refused=fill_from_object(Refusal, error), error=error)
 
     @property
     def exit_code(self) -> int:
@@ -310,11 +316,11 @@ def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
     columns = ["event", *(["from [s]", "to [s]"] * timed), "place", *(["x [mm]", "y [mm]"] * in_mm), "change", "SNR"]
     rows = []
     for number, event in enumerate(result.events, start=1):
-        times = [fixed(event.start_s, 1), fixed(event.end_s, 1)] * timed
-        mm = ["–" if length is None else fixed(length, 1) for length in (event.x_mm, event.y_mm)] * in_mm
+        times = [format_fixed(event.start_s, 1), format_fixed(event.end_s, 1)] * timed
+        mm = ["–" if length is None else format_fixed(length, 1) for length in (event.x_mm, event.y_mm)] * in_mm
         row = [f"E{number}", *times, event.place, *mm, "conducts more" if event.sign > 0 else "conducts less"]
         seen = ["not in it" if event.imaged is None else event.imaged.place] * imaged
-        rows.append([*row, fixed(event.snr, 1), *seen])
+        rows.append([*row, format_fixed(event.snr, 1), *seen])
     numeric = [place for place, column in enumerate(columns) if column.endswith("]") or column == "SNR"]
     yield text_table("Found in the readings.", [*columns, *(["in its image"] * imaged)], rows, numeric)
     choice = None if result.imaging is None else result.imaging.choice

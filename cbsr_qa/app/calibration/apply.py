@@ -8,18 +8,25 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.app.calibration.file import check_free, write_text
-from cbsr_qa.app.calibration.frame_scale import recorded_frames
-from cbsr_qa.calibration.file import check_signed_file, read_contained
-from cbsr_qa.calibration.runtime import Calibration, Flag, Forces, SettlingForces
-from cbsr_qa.config import validate_serial
-from cbsr_qa.domain import Array, CalibrationError, CbsrError, filled
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.results import CommandOutcome, Section, Table
-from cbsr_qa.plugin import discover
-from cbsr_qa.report import IF_GIVEN, Refusal, answer, fixed, plural, text_table, with_uncertainty
-from cbsr_qa.system import csv_text
+from cbsr_qa.app.calibration.frame_scale import scale_frames
+from cbsr_qa.calibration.file.hdf5 import read_contained
+from cbsr_qa.calibration.file.signing import check_signed_file
+from cbsr_qa.calibration.force.inverse import Flag, Forces
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
+from cbsr_qa.config.serials import validate_serial
+from cbsr_qa.domain.errors import CalibrationError, CbsrError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.results.report import CommandOutcome, Section, Table
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.report.document import IF_GIVEN, Refusal
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import format_fixed, plural, text_table, with_uncertainty
+from cbsr_qa.system.files import csv_text
 
 _NO_TIMES: Final = (
     "frames have no times, or not in order: whether loads had settled is not known; until then forces read low, and"
@@ -134,12 +141,12 @@ def apply_calibration(
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
-            voltages, scaled = recorded_frames(sensor, recording, request.reference)
-            in_order = _in_order(recording.frames.time_s)
+            voltages, scaled = scale_frames(sensor, recording, request.reference)
+            in_order = _is_increasing(recording.frames.time_s)
             forces = tuple(_forces(sensor, recording, voltages, request, tell, in_order=in_order))
             applied.append(Applied(path, forces, (*scaled, *remarks, *(() if in_order else (_NO_TIMES,)))))
         except CbsrError as error:
-            applied.append(Applied(path, refused=filled(Refusal, error), error=error))
+            applied.append(Applied(path, refused=fill_from_object(Refusal, error), error=error))
     return AppliedCalibration(calibration, tuple(applied))
 
 
@@ -156,7 +163,7 @@ def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
     return ()
 
 
-def _in_order(time_s: Array) -> bool:
+def _is_increasing(time_s: Array) -> bool:
     """Whether loads can be followed over the times of frames."""
     return bool(np.isfinite(time_s).all() and (np.diff(time_s) > 0).all())
 
@@ -225,17 +232,19 @@ def _table(recording: Applied) -> Table:
     rows = []
     for frame in (recording.frames[n] for n in chosen):
         force = "–" if frame.force_N is None else with_uncertainty(frame.force_N, frame.stderr_N)
-        time, x, y = ("–" if value is None else fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm))
-        rows.append((time, force, x, y, frame.flags, _settled_words(frame)))
+        time, x, y = (
+            "–" if value is None else format_fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm)
+        )
+        rows.append((time, force, x, y, frame.flags, _format_settling(frame)))
     spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
     caption = f"{spread}Force with one standard error, and where the head presses. {_SETTLED}"
     return text_table(caption, _HEADINGS, rows, (0, 1, 2, 3, 5))
 
 
-def _settled_words(frame: FrameForce) -> str:
+def _format_settling(frame: FrameForce) -> str:
     if frame.settled_in_s is None:
         return "–"
-    return fixed(frame.settled_in_s, 0) if frame.settled_in_s else ""
+    return format_fixed(frame.settled_in_s, 0) if frame.settled_in_s else ""
 
 
 def write_table(path: Path, table: str) -> None:

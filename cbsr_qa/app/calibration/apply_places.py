@@ -7,16 +7,28 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.recording import read_pressed_frames
-from cbsr_qa.calibration.file import Issued, check_signed_file, read_in_child, read_issued
-from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
-from cbsr_qa.calibration.presses import DistinctPairs, match_readings, read_pairs, read_press_readings
-from cbsr_qa.calibration.runtime import FaultFinder, Flag
-from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
-from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import answer, fixed, number, plural, text_table
-from cbsr_qa.system import csv_text
+from cbsr_qa.analysis.recording.press_files import read_pressed_frames
+from cbsr_qa.calibration.file.entries import Issued
+from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued
+from cbsr_qa.calibration.file.signing import check_signed_file
+from cbsr_qa.calibration.force.faults import FaultFinder
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.modelled import ModelledEstimator
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.place.quantity import Quantities, QuantityEstimator
+from cbsr_qa.calibration.presses.inputs import read_press_readings
+from cbsr_qa.calibration.presses.pairs import DistinctPairs, match_readings
+from cbsr_qa.calibration.presses.tables import read_pairs
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.goodness import ALLOWANCE
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.press_calibration import PRESS_QUANTITIES, PressCalibration
+from cbsr_qa.domain.results.report import CommandOutcome, Section
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import format_fixed, number, plural, text_table
+from cbsr_qa.system.files import csv_text
 
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
@@ -48,7 +60,7 @@ class FramePlace:
     Parameters
     ----------
     x_mm, y_mm, covariance_mm2 : None if no place was found.
-    flags : names of :class:`~cbsr_qa.calibration.Flag`.
+    flags : names of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
     in_model : whether the readings are like those that calibrated.
     force_N, depth_mm : None where it was not learned, or no press is detected.
     force_68_N, force_95_N, depth_68_mm, depth_95_mm : lowest and highest of the interval that holds it with that
@@ -87,12 +99,12 @@ class AppliedPlaces:
     frames: tuple[FramePlace, ...]
 
 
-def of_presses(calibration: Path) -> bool:
+def is_press_calibration(calibration: Path) -> bool:
     """Return whether a calibration file was learned from labelled presses; CalibrationError if it is damaged."""
-    return isinstance(issued_file(calibration), PressCalibration)
+    return isinstance(read_calibration_file(calibration), PressCalibration)
 
 
-def issued_file(calibration: Path, public_key: Path | None = None) -> Issued:
+def read_calibration_file(calibration: Path, public_key: Path | None = None) -> Issued:
     """Read a calibration of either kind; CalibrationError if it is damaged, or not signed by a given key."""
     issued = read_in_child(calibration, lambda: read_issued(calibration))
     if public_key is not None:
@@ -128,7 +140,7 @@ def apply_to_presses(
     RecordingError
         If a table cannot be used.
     """
-    issued = issued_file(calibration, public_key)
+    issued = read_calibration_file(calibration, public_key)
     if not isinstance(issued, PressCalibration):
         raise CalibrationError(
             f"{calibration} was issued by a run; --pattern is for calibrations from labelled presses",
@@ -279,9 +291,11 @@ def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[Applie
     rows = []
     for row in chosen:
         frame = applied.frames[row]
-        x, y = ("–" if v is None else fixed(v, 1) for v in (frame.x_mm, frame.y_mm))
+        x, y = ("–" if v is None else format_fixed(v, 1) for v in (frame.x_mm, frame.y_mm))
         ellipse = frame.covariance_mm2
-        radius = "–" if ellipse is None else fixed(float(np.sqrt(applied.q68 * np.linalg.eigvalsh(ellipse)[-1])), 1)
+        radius = (
+            "–" if ellipse is None else format_fixed(float(np.sqrt(applied.q68 * np.linalg.eigvalsh(ellipse)[-1])), 1)
+        )
         force, depth = (
             _with_interval(frame.force_N, frame.force_68_N),
             _with_interval(frame.depth_mm, frame.depth_68_mm),

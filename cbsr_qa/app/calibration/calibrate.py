@@ -8,24 +8,24 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.recording import PressFiles, read_labelled_presses
+from cbsr_qa.analysis.recording.press_files import PressFiles, read_labelled_presses
 from cbsr_qa.app.calibration.file import check_free
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.calibration.presses import Identity, LabelledPresses, PressesLearned, issue_from_presses, learn_presses
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import (
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.calibration.presses.issue import Identity, PressesLearned, issue_from_presses, learn_presses
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
+from cbsr_qa.domain.results.press_calibration import (
     PRESS_QUANTITIES,
-    CommandOutcome,
-    Figure,
-    LearnedQuantity,
     LeftOutPress,
     PressCalibration,
-    Section,
     SheetRegistration,
 )
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report import answer, fixed, plural, with_uncertainty
-from cbsr_qa.store import IdSource
+from cbsr_qa.domain.results.report import CommandOutcome, Figure, Section
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import format_fixed, plural, with_uncertainty
+from cbsr_qa.store.types import IdSource
 
 #: Rows left out that a terminal shows.
 _MOST_ROWS: Final = 10
@@ -55,7 +55,7 @@ class HeldOutQuantity:
     coverage: dict[str, float]
 
     @classmethod
-    def of(cls, learned: LearnedQuantity | None) -> "HeldOutQuantity | None":
+    def from_learned(cls, learned: LearnedQuantity | None) -> "HeldOutQuantity | None":
         if learned is None:
             return None
         coverage = dict(zip(("68", "95"), learned.covered.tolist(), strict=True))
@@ -78,10 +78,12 @@ class HeldOut:
     depth_mm: HeldOutQuantity | None
 
     @classmethod
-    def of(cls, issued: PressCalibration) -> "HeldOut":
+    def from_calibration(cls, issued: PressCalibration) -> "HeldOut":
         places = HeldOutPlaces(issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out)
         coverage = {"68": issued.covered_68, "95": issued.covered_95}
-        return cls(places, coverage, HeldOutQuantity.of(issued.force), HeldOutQuantity.of(issued.depth))
+        return cls(
+            places, coverage, HeldOutQuantity.from_learned(issued.force), HeldOutQuantity.from_learned(issued.depth)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCali
         left_out=issued.left_out,
         explained=issued.registration.signal_share,
         registration=issued.registration,
-        held_out=HeldOut.of(issued),
+        held_out=HeldOut.from_calibration(issued),
         warnings=issued.findings,
         digest=issued.digest,
         size_bytes=file.stat().st_size,
@@ -159,20 +161,20 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             ("Error of place", f"{error} mm, mean of {plural(issued.held_out, 'press', 'presses')} left out")
         )
     if issued.covered_68 is not None and issued.covered_95 is not None:
-        facts.append(("Regions hold the place", _held(issued.covered_68, issued.covered_95)))
+        facts.append(("Regions hold the place", _format_coverage(issued.covered_68, issued.covered_95)))
     for name, unit in PRESS_QUANTITIES.items():
         learned: LearnedQuantity | None = getattr(issued, name)
         if learned is not None:
             error = f"{with_uncertainty(learned.error, learned.error_stderr)} {unit}"
             facts.append((f"Error of {name}", f"{error}, mean of {len(learned.values)} presses left out"))
-            facts.append((f"Intervals hold the {name}", _held(*learned.covered.tolist())))
+            facts.append((f"Intervals hold the {name}", _format_coverage(*learned.covered.tolist())))
     explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
     facts.append(("Explained by the model", explained))
     facts.append(("Sheet", _pose_words(issued.registration)))
     return facts + [(f"Row {each.row} left out", each.why) for each in issued.left_out[:_MOST_ROWS]]
 
 
-def _held(low: float, high: float) -> str:
+def _format_coverage(low: float, high: float) -> str:
     return f"{100 * low:.0f} % (asked 68 %), {100 * high:.0f} % (asked 95 %)"
 
 
@@ -185,7 +187,7 @@ def _pose_words(pose: SheetRegistration) -> str:
 
 
 def _with(value: float, stderr: float | None, digits: int) -> str:
-    return with_uncertainty(value, stderr) if stderr else fixed(value, digits)
+    return with_uncertainty(value, stderr) if stderr else format_fixed(value, digits)
 
 
 _MAP = (
@@ -201,15 +203,15 @@ def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Secti
     places_mm = labelled.presses.place_mm[learned.used][out.presses]
 
     def draw() -> str:
-        from cbsr_qa.report.draw import left_out_figure  # loads matplotlib
+        from cbsr_qa.report.draw.presses import cross_validation_figure  # loads matplotlib
 
         sheet = _sheet_mm(labelled.sensor_type, registration) if registration.trusted else {}
-        return left_out_figure(places_mm, out.found_mm, out.levels, out.held, **sheet)
+        return cross_validation_figure(places_mm, out.found_mm, out.levels, out.held, **sheet)
 
     low, high = out.coverage
     alternative = (
-        f"{out.count} presses left out, missed by {fixed(out.mean_mm, 2)} mm in the mean; regions of 68 and 95 % hold"
-        f" {low:.0%} and {high:.0%} of them."
+        f"{out.count} presses left out, missed by {format_fixed(out.mean_mm, 2)} mm in the mean; regions of 68 and"
+        f" 95 % hold {low:.0%} and {high:.0%} of them."
     )
     return (Section("Presses left out", (Figure(_MAP, alternative, draw),), page_only=True),)
 
@@ -219,4 +221,4 @@ def _sheet_mm(sensor_type: SensorType, pose: SheetRegistration) -> dict[str, Arr
     edge = pose.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
     electrodes = sensor_type.electrodes.positions_mm()
     beyond = 1.09 * pose.radius_mm * electrodes / np.linalg.norm(electrodes, axis=1, keepdims=True)
-    return {"edge_mm": pose.labelled_mm(edge), "numbers_mm": pose.labelled_mm(beyond)}
+    return {"edge_mm": pose.to_press_frame_mm(edge), "numbers_mm": pose.to_press_frame_mm(beyond)}

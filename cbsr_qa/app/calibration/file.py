@@ -5,20 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.calibration.file import (
-    Issued,
-    firmware_document,
-    json_document,
-    read_in_child,
-    read_issued,
-    read_json_calibration,
-    require_run_calibration,
-    write_calibration,
-)
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import CommandOutcome, fingerprint
-from cbsr_qa.report import answer
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.calibration.file.entries import Issued
+from cbsr_qa.calibration.file.firmware import firmware_document
+from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued, require_run_calibration, write_calibration
+from cbsr_qa.calibration.file.json import json_document, read_json_calibration
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.signature import fingerprint
+from cbsr_qa.report.page import answer
+from cbsr_qa.system.files import write_atomically, writing
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -51,7 +46,7 @@ def export_calibration(
     Parameters
     ----------
     source, output : files; the suffix, .h5, .hdf5 or .json, says which kind.
-    stride : of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware_document`.
+    stride : of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware.firmware_document`.
 
     Raises
     ------
@@ -130,5 +125,5 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. RefusedError if it cannot be written."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as file:
+        with write_atomically(path) as file:
             file.write(text.encode())

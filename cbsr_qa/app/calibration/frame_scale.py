@@ -5,9 +5,10 @@ from typing import Final, Self
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime import Calibration
-from cbsr_qa.domain import Array, RecordingError
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, Recording, ScanKind, VoltageUnit
 
 #: Largest relative difference, once scaled, of unloaded readings of the same sheet from the calibration's: more than
 #: drift, and far less than another order of electrodes causes. Chosen by us.
@@ -39,8 +40,8 @@ class FrameScale:
         return (whole_readings(frames) - self.own) * self.ratio + self.reference
 
     @classmethod
-    def of(cls, calibration: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
-        """Find the scale of frames; see :func:`recorded_frames`.
+    def from_frames(cls, calibration: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
+        """Find the scale of frames; see :func:`scale_frames`.
 
         Parameters
         ----------
@@ -95,7 +96,7 @@ class FrameScale:
         return cls(ratio, own, reference, (remark,))
 
 
-def recorded_frames(
+def scale_frames(
     calibration: Calibration, recording: Recording, reference: int | None
 ) -> tuple[Array, tuple[str, ...]]:
     """Bring the frames of a recording to the calibration's scale.
@@ -116,7 +117,7 @@ def recorded_frames(
         of this sensor.
     """
     _check(calibration, recording)
-    scale = FrameScale.of(calibration, recording.path.name, recording.frames, reference)
+    scale = FrameScale.from_frames(calibration, recording.path.name, recording.frames, reference)
     return scale.voltages(recording.frames), scale.remarks
 
 

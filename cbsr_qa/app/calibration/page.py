@@ -4,22 +4,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, shown_presses
+from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, press_calibration_outcome
 from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
-from cbsr_qa.calibration.file import read_in_child, read_issued, verify_calibration_file
-from cbsr_qa.domain.results import (
-    Banner,
-    BaselineConductance,
-    CommandOutcome,
-    Page,
-    Paragraph,
-    PressCalibration,
-    Section,
-    Table,
-)
-from cbsr_qa.domain.run import run_named
-from cbsr_qa.report import fixed, plural, text_table
-from cbsr_qa.store import made_at
+from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued, verify_calibration_file
+from cbsr_qa.domain.results.calibration import BaselineConductance
+from cbsr_qa.domain.results.press_calibration import PressCalibration
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section, Table
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.report.tables import format_fixed, plural, text_table
+from cbsr_qa.store.types import time_of_id
 
 #: Fields with a separate line or table on the page.
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
@@ -29,8 +22,8 @@ def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOu
     """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
     verified, held = read_in_child(path, lambda: (verify_calibration_file(path), read_issued(path)))
     if isinstance(held, PressCalibration):
-        return shown_presses(path, held)
-    shown = ShownCalibration.of(path, verified, held)
+        return press_calibration_outcome(path, held)
+    shown = ShownCalibration.from_calibration(path, verified, held)
     return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
 
 
@@ -40,7 +33,7 @@ def _page(shown: ShownCalibration) -> Page:
         ("Batch", identity.batch or "not stated"),
         ("Sensor type", identity.sensor_type),
         ("Issued at", identity.issued_at),
-        ("Run", run_named(identity.serial, made_at(identity.run), identity.run)),
+        ("Run", run_named(identity.serial, time_of_id(identity.run), identity.run)),
         ("Calibration", identity.calibration),
     )
     banner = Banner("plain", "●", f"Calibration of sensor {identity.serial}", "")
@@ -82,8 +75,8 @@ def _baseline(places: tuple[BaselineConductance, ...]) -> Table:
     rows = [
         (
             place.location,
-            fixed(place.x_mm, 1),
-            fixed(place.y_mm, 1),
+            format_fixed(place.x_mm, 1),
+            format_fixed(place.y_mm, 1),
             "none" if place.value is None else f"{place.value:.4g}",
             "" if place.stderr is None else f"{place.stderr:.2g}",
             str(place.loads),

@@ -4,16 +4,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cbsr_qa.app.calibration.calibrate import HeldOut, press_facts
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import (
-    Banner,
-    CommandOutcome,
-    LeftOutPress,
-    PressCalibration,
-    SheetRegistration,
-    SourceFile,
-)
-from cbsr_qa.report import answer
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.press_calibration import LeftOutPress, PressCalibration, SheetRegistration, SourceFile
+from cbsr_qa.domain.results.report import Banner, CommandOutcome
+from cbsr_qa.report.page import answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +38,15 @@ class ShownPressCalibration:
     findings: tuple[str, ...]
 
 
-def shown_presses(path: Path, held: PressCalibration) -> CommandOutcome[ShownPressCalibration]:
+def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration from labelled presses."""
-    shown = filled(
+    shown = fill_from_object(
         ShownPressCalibration,
         held,
         file=path,
         readings=len(held.pairs),
         registration=held.registration,
-        held_out=HeldOut.of(held),
+        held_out=HeldOut.from_calibration(held),
     )
     facts = [
         ("Issued at", held.issued_at),

@@ -7,24 +7,20 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from cbsr_qa.calibration.file import (
-    FLAG,
-    INDEX,
-    PURE,
-    TEXT,
-    Entry,
-    encode,
-)
-from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolate, least_force_N, map_tables
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import (
+from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry
+from cbsr_qa.calibration.file.entries import encode
+from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.force.inverse import ForceInverse, least_force_N, map_tables
+from cbsr_qa.calibration.force.template_matching import TemplateFilter
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
     ForceModel,
     SettlingSummary,
     VerifiedFile,
 )
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Most values of an array that is shown.
 _MOST_SHOWN: Final = 8
@@ -46,7 +42,7 @@ class CalibratedSensor:
 
 @dataclass(frozen=True, slots=True)
 class RangeOfUse:
-    """Where a calibration may be used; see :class:`~cbsr_qa.domain.results.Validity`."""
+    """Where a calibration may be used; see :class:`~cbsr_qa.domain.results.calibration.Validity`."""
 
     force_N: tuple[float, float] | None
     strain: tuple[float, float]
@@ -59,7 +55,7 @@ class RangeOfUse:
 
 @dataclass(frozen=True, slots=True)
 class ShownParameter:
-    """A material parameter with its units; see :class:`~cbsr_qa.domain.sensor.Parameter`."""
+    """A material parameter with its units; see :class:`~cbsr_qa.domain.sensor.sensor_type.Parameter`."""
 
     value: float
     stderr: float | None
@@ -69,25 +65,25 @@ class ShownParameter:
 
 @dataclass(frozen=True, slots=True)
 class ShownLine:
-    """Relative conductance change against stress or strain; see :class:`~cbsr_qa.domain.sensor.QuasiStatic`."""
+    """Relative conductance change against stress or strain; see ``QuasiStatic``."""
 
     slope: ShownParameter
     intercept: ShownParameter
     covariance: float | None
 
     @classmethod
-    def of(cls, line: QuasiStatic, units: str) -> Self:
+    def from_line(cls, line: QuasiStatic, units: str) -> Self:
         """Return a line whose slope has these units."""
 
-        def shown(parameter: Parameter, units: str) -> ShownParameter:
-            return filled(ShownParameter, parameter, units=units)
+        def with_units(parameter: Parameter, units: str) -> ShownParameter:
+            return fill_from_object(ShownParameter, parameter, units=units)
 
-        return cls(shown(line.slope, units), shown(line.intercept, "1"), line.covariance)
+        return cls(with_units(line.slope, units), with_units(line.intercept, "1"), line.covariance)
 
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """Settling times of a signal; see :class:`~cbsr_qa.domain.results.SettlingSummary`."""
+    """Settling times of a signal; see :class:`~cbsr_qa.domain.results.calibration.SettlingSummary`."""
 
     signal: str
     direction: str
@@ -98,8 +94,8 @@ class Settling:
     rejected: int
 
     @classmethod
-    def of(cls, summary: SettlingSummary) -> Self:
-        return filled(cls, summary, direction="loading" if summary.loading else "unloading")
+    def from_summary(cls, summary: SettlingSummary) -> Self:
+        return fill_from_object(cls, summary, direction="loading" if summary.loading else "unloading")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +114,7 @@ class Value:
     shape: tuple[int, ...]
 
     @classmethod
-    def of(cls, entry: Entry) -> Self:
+    def from_entry(cls, entry: Entry) -> Self:
         units = "" if entry.units in (PURE, TEXT, INDEX, FLAG) else entry.units
         if isinstance(entry.value, str):
             return cls(entry.value, units, ())
@@ -171,13 +167,13 @@ class ShownForceModel:
     assumed: tuple[str, ...]
 
     @classmethod
-    def of(cls, calibration: Calibration, model: ForceModel) -> Self:
+    def from_model(cls, calibration: Calibration, model: ForceModel) -> Self:
         places = _places(calibration, model)
         response = np.exp(interpolate(model, model.log_response, places))
         stderr = interpolate(model, model.log_response_stderr, places)
         least = _least_force_N(calibration, model, places)
         worst = int(np.argmax(least))
-        return filled(
+        return fill_from_object(
             cls,
             model,
             places=len(places),
@@ -222,7 +218,7 @@ class ShownCalibration:
     no_force_model: str | None
 
     @classmethod
-    def of(cls, path: Path, verified: VerifiedFile, held: Calibration) -> Self:
+    def from_calibration(cls, path: Path, verified: VerifiedFile, held: Calibration) -> Self:
         """Return the contents of a file that was verified."""
         head = held.indenter
         return cls(
@@ -230,18 +226,20 @@ class ShownCalibration:
             digest=verified.digest,
             record_digest=verified.record_digest,
             schema_version=verified.schema_version,
-            identity=filled(
+            identity=fill_from_object(
                 CalibratedSensor, held.sensor, calibration=held.calibration, run=held.run, issued_at=held.issued_at
             ),
             simulated=held.simulated,
-            validity=filled(RangeOfUse, held.validity, indenter_diameter_mm=head.diameter_mm, indenter=head.words()),
+            validity=fill_from_object(
+                RangeOfUse, held.validity, indenter_diameter_mm=head.diameter_mm, indenter=head.words()
+            ),
             baseline_conductance=held.baseline,
-            against_stress=ShownLine.of(held.against_stress, "1/kPa"),
-            against_strain=ShownLine.of(held.against_strain, "1"),
+            against_stress=ShownLine.from_line(held.against_stress, "1/kPa"),
+            against_strain=ShownLine.from_line(held.against_strain, "1"),
             assumed=held.assumed,
-            settling=tuple(map(Settling.of, held.settling)),
-            values={path: Value.of(entry) for path, entry in sorted(encode(held).items())},
-            force_model=None if held.force is None else ShownForceModel.of(held, held.force),
+            settling=tuple(map(Settling.from_summary, held.settling)),
+            values={path: Value.from_entry(entry) for path, entry in sorted(encode(held).items())},
+            force_model=None if held.force is None else ShownForceModel.from_model(held, held.force),
             no_force_model=None if held.force else held.no_force or "issued before calibrations held force models",
         )
 

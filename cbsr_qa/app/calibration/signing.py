@@ -5,23 +5,17 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.calibration.file import is_json, read_any, write_json
-from cbsr_qa.calibration.file import (
-    Issued,
-    check_signed_file,
-    new_key,
-    passphrase,
-    public_path,
-    read_in_child,
-    sign_calibration,
-    signing_key,
-    verify_calibration_file,
-    verify_json_calibration,
-    write_calibration,
-)
-from cbsr_qa.domain import CalibrationError, RefusedError, filled
-from cbsr_qa.domain.results import CommandOutcome, fingerprint
-from cbsr_qa.report import answer
-from cbsr_qa.system import RealClock
+from cbsr_qa.calibration.file.entries import Issued
+from cbsr_qa.calibration.file.hdf5 import read_in_child, sign_calibration, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file.json import verify_json_calibration
+from cbsr_qa.calibration.file.keys import new_key, passphrase, public_path, signing_key
+from cbsr_qa.calibration.file.signing import check_signed_file
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.signature import fingerprint
+from cbsr_qa.report.page import answer
+from cbsr_qa.system.clock import RealClock
 
 _UNCHECKED: Final = "the file states no SHA-256 of its bytes, so they were not checked before HDF5 parsed them"
 _NOT_PINNED: Final = (
@@ -91,8 +85,8 @@ def verify_file(path: Path, key: Path | None = None) -> CommandOutcome[SoundFile
     verify = verify_json_calibration if is_json(path) else verify_calibration_file
     checked = read_in_child(path, lambda: verify(path))
     issued = read_any(path)
-    signature, warnings = _checked(path, issued, key)
-    verified = filled(SoundFile, checked, file=path, sound=True, digest=issued.digest, signature=signature)
+    signature, warnings = _check_signature(path, issued, key)
+    verified = fill_from_object(SoundFile, checked, file=path, sound=True, digest=issued.digest, signature=signature)
     facts = [("SHA-256", verified.digest), ("Signature", "none" if signature is None else signature.words)]
     if signature is not None:
         facts.append(("Signed at", signature.signed_at))
@@ -102,7 +96,7 @@ def verify_file(path: Path, key: Path | None = None) -> CommandOutcome[SoundFile
     return answer(verified, f"{path} is sound", content, facts, warnings=warnings)
 
 
-def _checked(path: Path, issued: Issued, key: Path | None) -> tuple[CheckedSignature | None, list[str]]:
+def _check_signature(path: Path, issued: Issued, key: Path | None) -> tuple[CheckedSignature | None, list[str]]:
     """Return a file's signature, and what a reader must know of it."""
     if issued.signature is None and key is None:
         return None, []

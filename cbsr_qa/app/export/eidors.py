@@ -9,8 +9,8 @@ from scipy.io import savemat
 from scipy.sparse import csc_array
 
 from cbsr_qa.app.export.frames import LoadStage, RunFrames
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.run.run import RunRecord
 
 #: A variable of this version of the format is smaller [bytes].
 _LARGEST: Final = 2**31
@@ -45,7 +45,7 @@ def write_eidors(file: BinaryIO, record: RunRecord, frames: RunFrames, attribute
     content = {
         "vv": _vectors(frames.readings),
         "fmdl": _model(record, float(current_A[0])),
-        "cbsr": _beside(record, frames, attributes, float(current_A[0])),
+        "cbsr": _metadata_fields(record, frames, attributes, float(current_A[0])),
     }
     savemat(cast(Any, file), content, do_compression=True, long_field_names=True, oned_as="row")
 
@@ -71,7 +71,7 @@ def _model(record: RunRecord, current_A: float) -> dict[str, Any]:
     }
 
 
-def _beside(
+def _metadata_fields(
     record: RunRecord, frames: RunFrames, attributes: Mapping[str, str | float], current_A: float
 ) -> dict[str, Any]:
     electrodes, polygon = record.sensor_type.electrodes, record.sensor_type.polygon
@@ -90,8 +90,8 @@ def _beside(
         "phase": frames.phase + 1,  # MATLAB counts from 1
         "load_stages": np.array([stage.name.lower() for stage in LoadStage], dtype=object),
         "load_stage": frames.stage,
-        "load_label": frames.of_load("label"),
-        "load_x_mm": frames.of_load("x_mm"),
-        "load_y_mm": frames.of_load("y_mm"),
+        "load_label": frames.load_values("label"),
+        "load_x_mm": frames.load_values("x_mm"),
+        "load_y_mm": frames.load_values("y_mm"),
         "strain": frames.strain,
     }

@@ -8,23 +8,31 @@ from datetime import UTC
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from cbsr_qa.analysis import write_recording
+from cbsr_qa.analysis.recording_files import write_recording
 from cbsr_qa.app.export.eidors import write_eidors
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable, check_target, format_of
-from cbsr_qa.app.export.frames import as_recording, joined_samples, run_frames
+from cbsr_qa.app.export.frames import as_recording, join_channels, run_frames
 from cbsr_qa.app.export.junit import suite, suites
 from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
 from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
-from cbsr_qa.app.run import check_listed
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import RefusedError, StoreError, did_you_mean
-from cbsr_qa.domain.results import CommandOutcome, ListedRun, Outcome, RunSelection
-from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import answer, plural
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.shift import ListRequest, RunPage, exit_code, run_pages, trust_counts, trust_notes
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.app.run.decided_again import check_listed
+from cbsr_qa.app.shift.lists import ListRequest, RunPage, run_pages, trust_counts, trust_notes
+from cbsr_qa.app.shift.report import exit_code
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.numbers import did_you_mean
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.changes import VerdictOverride
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.words import echo
 
 #: Progress is shown so many times at most.
 _STEPS: Final = 10
@@ -158,7 +166,7 @@ def _export_frames(
 
 def _sound_run(store: Repository, run: str) -> ListedRun:
     """Return a run as it is listed. StoreError if it was altered."""
-    (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
+    (listed,) = store.list_runs(RunSelection(up_to=run, latest=1))
     if listed.altered:
         raise StoreError(listed.altered, remedy=_ALTERED)
     return listed
@@ -170,11 +178,11 @@ def _write_frames(
     """Write frames for other programs; returns their number."""
     frames = run_frames(record, phases)
     attributes = run_attributes(record, listed.verdict)
-    with writing(to), written_whole(to) as file:
+    with writing(to), write_atomically(to) as file:
         if kind is ExportFormat.EIDORS:
             write_eidors(file, record, frames, attributes)
         else:
-            variables = frame_variables(record.sensor_type, frames, joined_samples(phases))
+            variables = frame_variables(record.sensor_type, frames, join_channels(phases))
             file.write(netcdf_file(variables, attributes))
     return len(frames.frames)
 
@@ -215,7 +223,7 @@ def _export_runs(
     pages = run_pages(store, of_run or chosen, AT_ONCE)
     runs = rows = 0
     altered, trusted = list[str](), Counter[str]()
-    with writing(to), written_whole(to) as file:
+    with writing(to), write_atomically(to) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
                 written, marked = write(page.runs)
@@ -256,7 +264,7 @@ def _writer(
             for run in runs:
                 if run.altered:
                     raise StoreError(run.altered, remedy=_ALTERED)
-            judged = store.judged_measurements([run.run for run in runs])
+            judged = store.read_limited_measurements([run.run for run in runs])
             for run in runs:
                 check_listed(run, judged.get(run.run, ()))
                 file.write(suite(run, judged.get(run.run, ())))

@@ -4,9 +4,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.domain import RefusedError, did_you_mean
-from cbsr_qa.plugin import echo
-from cbsr_qa.system import writing
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import did_you_mean
+from cbsr_qa.system.files import writing
+from cbsr_qa.system.words import echo
 
 
 class ExportFormat(StrEnum):

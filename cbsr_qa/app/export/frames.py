@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.readings import (
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import (
     FrameBlock,
     ReadingFlag,
     Recording,
@@ -19,7 +20,9 @@ from cbsr_qa.domain.readings import (
     join_frames,
     join_samples,
 )
-from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord, VerdictOverride
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.run.changes import VerdictOverride
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 
 
 class LoadStage(IntEnum):
@@ -57,8 +60,8 @@ class RunFrames:
     phases: tuple[str, ...]
     loads: tuple[tuple[int, LoadRecord], ...]
 
-    def of_load(self, value: str) -> NDArray[Any]:
-        """Return a field of :class:`~cbsr_qa.domain.run.Load` for each frame.
+    def load_values(self, value: str) -> NDArray[Any]:
+        """Return a field of :class:`~cbsr_qa.domain.readings.loads.Load` for each frame.
 
         Returns
         -------
@@ -86,7 +89,7 @@ def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
     """
     measured = [(p, p.frames) for p in phases if p.frames is not None and len(p.frames)]
     if not measured:
-        raise no_frames(record, phases)
+        raise missing_frames_error(record, phases)
     return frames_of([(p.name, frames, _loads(p)) for p, frames in measured])
 
 
@@ -96,18 +99,18 @@ def frames_of(measured: Sequence[tuple[str, FrameBlock, Sequence[LoadRecord]]]) 
     counts = [len(frames) for _, frames, _ in measured]
     which = np.repeat(np.arange(len(measured), dtype=np.int32), counts)
     currents = [np.nan if frames.current_A is None else frames.current_A for _, frames, _ in measured]
-    frames = _joined([frames for _, frames, _ in measured])
+    frames = _join_blocks([frames for _, frames, _ in measured])
     return RunFrames(
         frames,
         np.repeat(np.array(currents, dtype=np.float64), counts),
         which,
-        *_loaded(frames.time_s, which, loads),
+        *_assign_loads(frames.time_s, which, loads),
         tuple(name for name, _, _ in measured),
         loads,
     )
 
 
-def no_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RefusedError:
+def missing_frames_error(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RefusedError:
     """Return the refusal of phases without a frame."""
     names = ", ".join(phase.name for phase in phases) or "any phase"
     return RefusedError(
@@ -115,7 +118,7 @@ def no_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RefusedErro
     )
 
 
-def joined_samples(phases: tuple[PhaseRecord, ...]) -> tuple[SampleBlock, ...]:
+def join_channels(phases: tuple[PhaseRecord, ...]) -> tuple[SampleBlock, ...]:
     """Return the samples of each channel, of all phases together."""
     channels: dict[str, list[SampleBlock]] = {}
     for phase in phases:
@@ -128,7 +131,7 @@ def _loads(phase: PhaseRecord) -> list[LoadRecord]:
     return sorted((*phase.loads, *phase.loops), key=lambda load: load.index)
 
 
-def _joined(blocks: list[FrameBlock]) -> FrameBlock:
+def _join_blocks(blocks: list[FrameBlock]) -> FrameBlock:
     """Join blocks that may differ in current, or in whether each reading's own time was recorded."""
     current_A = blocks[0].current_A if len({block.current_A for block in blocks}) == 1 else None
     if any(block.reading_time_s is not None for block in blocks):
@@ -147,7 +150,7 @@ def _joined(blocks: list[FrameBlock]) -> FrameBlock:
         ) from error
 
 
-def _loaded(
+def _assign_loads(
     time_s: Array, phase: NDArray[np.int32], loads: tuple[tuple[int, LoadRecord], ...]
 ) -> tuple[NDArray[np.int32], NDArray[np.uint8], Array]:
     """Return load, stage and strain of each frame."""
@@ -178,7 +181,7 @@ def as_recording(
     """Join phases of a run into one recording. RefusedError if they hold no frame."""
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
-        raise no_frames(record, phases)
+        raise missing_frames_error(record, phases)
     notes = [f"run {record.identity.run} of sensor {record.identity.sensor.serial}"]
     if loops := sum(len(phase.loops) for phase in phases):
         notes.append(f"not among its presses, which are of one strain each: loops through several strains ({loops})")
@@ -193,7 +196,7 @@ def as_recording(
         still=False,
         magnitudes_only=False,
         clock="computer",
-        samples=joined_samples(phases),
+        samples=join_channels(phases),
         loads=tuple(load for phase in phases for load in phase.loads),
         layout=record.sensor_type.electrodes,
         sensor_type=record.sensor_type.name,

@@ -8,8 +8,11 @@ from datetime import UTC
 from typing import BinaryIO, Final
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from cbsr_qa.domain.results import EndReason, ListedRun, Measurement, Outcome, judged_words
-from cbsr_qa.domain.run import run_named
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.results.measurement import Measurement, describe_judgement
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.domain.run.states import EndReason
 
 _BEGIN: Final = b'<?xml version="1.0" encoding="UTF-8"?>\n<testsuites name="cbsr-qa">\n'
 _END: Final = b"</testsuites>\n"
@@ -82,7 +85,7 @@ def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str,
         names[name] += 1
         name = name if names[name] == 1 else f"{name} ({names[name]})"
         kind = {Outcome.FAIL: "failure", Outcome.NOT_MEASURED: "error"}.get(measurement.outcome, "")
-        words = judged_words(measurement)
+        words = describe_judgement(measurement)
         if kind and override and run.passed:
             kind, words = "skipped", f"{override}; {words}"
         marginal = f"marginal: {words}" if measurement.outcome is Outcome.MARGINAL else ""

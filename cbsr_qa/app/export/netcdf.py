@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.app.export.frames import LoadStage, RunFrames
-from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.readings.frames import ReadingFlag, SampleBlock
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 #: Values of a variable that are packed together; whole frames go together.
 _CHUNK_VALUES: Final = 1 << 16
@@ -34,7 +34,7 @@ def frame_variables(
     sensor_type: SensorType, frames: RunFrames, samples: Sequence[SampleBlock]
 ) -> tuple[Variable, ...]:
     """Return frames, what was going on at each, their pairs and electrodes, and the samples taken beside them."""
-    coordinates = [*_of_frames(frames), *_of_pairs(sensor_type)]
+    coordinates = [*_time_variables(frames), *_pattern_variables(sensor_type)]
     named = " ".join(variable.name for variable in coordinates)
     variables = [
         *_dimensions(sensor_type, frames),
@@ -81,7 +81,7 @@ def _readings(frames: RunFrames, coordinates: str) -> Iterator[Variable]:
     yield Variable("flags", at, frames.frames.flags, "faults of the reading", "", {**beside, **flags})
 
 
-def _of_frames(frames: RunFrames) -> Iterator[Variable]:
+def _time_variables(frames: RunFrames) -> Iterator[Variable]:
     at = ("time",)
     yield Variable("phase", at, np.array(frames.phases, dtype=object)[frames.phase], "phase of the run")
     stages = {
@@ -89,10 +89,10 @@ def _of_frames(frames: RunFrames) -> Iterator[Variable]:
         "flag_meanings": " ".join(stage.name.lower() for stage in LoadStage),
     }
     yield Variable("load_stage", at, frames.stage, "what the head was doing", "", stages)
-    yield Variable("load_label", at, frames.of_load("label"), "label of the press in progress")
-    yield Variable("load_trial", at, frames.of_load("trial"), "repetition of the press, from 0", "1")
-    yield Variable("load_x", at, frames.of_load("x_mm"), "place of the press from the sheet's centre", "mm")
-    yield Variable("load_y", at, frames.of_load("y_mm"), "place of the press from the sheet's centre", "mm")
+    yield Variable("load_label", at, frames.load_values("label"), "label of the press in progress")
+    yield Variable("load_trial", at, frames.load_values("trial"), "repetition of the press, from 0", "1")
+    yield Variable("load_x", at, frames.load_values("x_mm"), "place of the press from the sheet's centre", "mm")
+    yield Variable("load_y", at, frames.load_values("y_mm"), "place of the press from the sheet's centre", "mm")
     yield Variable("strain", at, frames.strain, "compressive strain while it is held", "1")
     yield Variable("current", at, frames.current_A, "drive current", "A")
     if frames.frames.reading_time_s is not None:
@@ -102,7 +102,7 @@ def _of_frames(frames: RunFrames) -> Iterator[Variable]:
         )
 
 
-def _of_pairs(sensor_type: SensorType) -> Iterator[Variable]:
+def _pattern_variables(sensor_type: SensorType) -> Iterator[Variable]:
     pattern = sensor_type.pattern
     drive, measure = np.array(pattern.drive, dtype=np.int32), np.array(pattern.measure, dtype=np.int32)
     yield Variable("drive_source", ("drive",), drive[:, 0], "electrode at which current flows in")

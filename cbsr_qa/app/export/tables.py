@@ -7,11 +7,12 @@ from importlib import import_module
 from typing import Any, BinaryIO, Final, Protocol, TypeAlias
 
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import ALTERED, ListedRun
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.shift import ListRequest, RunEntry, run_pages, table_cell
-from cbsr_qa.system import csv_text
+from cbsr_qa.app.shift.lists import ListRequest, RunEntry, run_pages
+from cbsr_qa.app.shift.report import table_cell
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.listed import ALTERED, ListedRun
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.files import csv_text
 
 Rows: TypeAlias = list[tuple[Any, ...]]
 
@@ -81,18 +82,18 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
     StoreError if a cell of one is damaged; the message names the run.
     """
     if table is ExportTable.RUNS:
-        entries = map(RunEntry.of, runs)
+        entries = map(RunEntry.from_run, runs)
         rows = [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
         return rows, tuple(run.run for run in runs if run.altered)
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
-    measured = store.measured_runs([*of_run])
+    measured = store.read_measurements([*of_run])
     cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
     rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
-    marked = [_altered_row(of_run[run], problem) for run, problem in measured.altered.items()]
+    marked = [_mark_altered_run(of_run[run], problem) for run, problem in measured.altered.items()]
     return rows + marked, tuple(measured.altered)
 
 
-def _altered_row(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
+def _mark_altered_run(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
     """Return the row that a run has in place of its measurements if it was altered."""
     said = {"outcome": ALTERED, "how": problem}
     return (*of_run, *(said.get(name) for name in _MEASURED))

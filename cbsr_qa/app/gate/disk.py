@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
-from cbsr_qa.station import dry_run, plan_of
-from cbsr_qa.store import parsed_url, sqlite_file
+from cbsr_qa.station.dry_runs import dry_run
+from cbsr_qa.station.setup import plan_of
+from cbsr_qa.store.engine import parse_url, sqlite_file
 
 _GB: Final = 1e9
 #: Time of a frame that is assumed: how fast the instruments are is known only once they are open. The shipped
@@ -27,8 +28,8 @@ _TWICE: Final = 2
 def enough_disk(asked: Asked) -> Finding:
     """Compare the free space where the run writes with what it needs."""
     stated = asked.settings.disk_GB
-    needed = needed_bytes(asked) if stated is None else stated * _GB
-    file = sqlite_file(parsed_url(asked.request.database))
+    needed = estimate_run_bytes(asked) if stated is None else stated * _GB
+    file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
     on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
     free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
@@ -41,7 +42,7 @@ def enough_disk(asked: Asked) -> Finding:
     return Finding(False, words, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
 
 
-def needed_bytes(asked: Asked) -> float:
+def estimate_run_bytes(asked: Asked) -> float:
     """Estimate what a run writes, from its plan [bytes]."""
     dry = dry_run(plan_of(asked.configuration, asked.plugins), _FRAME_S)
     pattern = asked.configuration.sensor_type.pattern

@@ -15,14 +15,15 @@ from cbsr_qa.app.gate.station_state import (
     golden_measured,
     instruments_in_date,
 )
-from cbsr_qa.app.gate.vetoes import no_veto
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, RefusedError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
-from cbsr_qa.plugin import Plugins
-from cbsr_qa.store import Repository, open_existing
-from cbsr_qa.system import RealClock
+from cbsr_qa.app.gate.vetoes import plugins_agree
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, CbsrError, RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.store.opening import open_existing
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import RealClock
 
 CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.SERIAL_PATTERN: serial_fits,
@@ -34,7 +35,7 @@ CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.OPERATOR: operator_known,
     GateCheck.RELEASED: files_released,
     GateCheck.BACKLOG: backlog_sent,
-    GateCheck.BEFORE_RUN: no_veto,
+    GateCheck.BEFORE_RUN: plugins_agree,
 }
 #: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others
 #: decide whether a run may begin, and this one has.
@@ -70,7 +71,7 @@ def ask_before(request: GateRequest, configuration: Configuration, plugins: Plug
         return ask_gate(request, configuration, plugins, store)
 
 
-def asked_again(
+def ask_gate_again(
     answers: Iterable[GateAnswer],
     checks: Collection[GateCheck],
     request: GateRequest,

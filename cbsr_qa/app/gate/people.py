@@ -3,8 +3,8 @@
 import unicodedata
 
 from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
-from cbsr_qa.system import pin_matches
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.system.pins import pin_matches
 
 _REMEDY = ("name an operator of the station's list", "--operator NAME")
 _TYPED = "at the terminal, or as the first line of standard input"
@@ -21,7 +21,7 @@ def operator_known(asked: Asked) -> Finding:
         )
     if not name:
         return Finding(False, "no operator was named", *_REMEDY)
-    known = _listed(asked.settings, name)
+    known = _find_operator(asked.settings, name)
     if known is None:
         return Finding(False, f"{name} is not on the list of operators", *_REMEDY)
     return _pin_finding(request, known)
@@ -45,17 +45,17 @@ def _pin_finding(request: GateRequest, known: Operator) -> Finding:
 
 def asks_pin(settings: GateSettings, operator: str) -> bool:
     """Whether a run of this operator asks for a PIN."""
-    known = _listed(settings, operator)
+    known = _find_operator(settings, operator)
     return settings.policy(GateCheck.OPERATOR) is not GatePolicy.OFF and known is not None and bool(known.pin)
 
 
 def is_pin_of(settings: GateSettings, operator: str, pin: str) -> bool:
     """Whether a PIN is that of a listed operator, who has one."""
-    known = _listed(settings, operator)
+    known = _find_operator(settings, operator)
     return known is not None and bool(known.pin) and pin_matches(pin, known.pin)
 
 
-def _listed(settings: GateSettings, name: str) -> Operator | None:
+def _find_operator(settings: GateSettings, name: str) -> Operator | None:
     return next((one for one in settings.operators if _same(one.name, name)), None)
 
 

@@ -3,12 +3,14 @@
 from dataclasses import dataclass, replace
 from typing import Final
 
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import Cell, CommandOutcome, Outcome, Section
-from cbsr_qa.domain.run import Release
-from cbsr_qa.report import answer, plural, text_table
-from cbsr_qa.store import open_store
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.report import Cell, CommandOutcome, Section
+from cbsr_qa.domain.run.gate import Release
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural, text_table
+from cbsr_qa.store.opening import open_store
 
 #: Digits of a digest that are shown; ``--json`` has all.
 _DIGITS: Final = 12
@@ -33,7 +35,9 @@ def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
     with open_store(database_url(database), create=False) as store:
         releases = store.all_releases()
     latest = {(one.kind, one.sha256): one.release for one in releases}
-    listed = tuple(filled(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases)
+    listed = tuple(
+        fill_from_object(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases
+    )
     released = sum(one.holds and one.action == "released" for one in listed)
     table = text_table(
         "Releases and withdrawals, the last one below; the latest of a content holds.",

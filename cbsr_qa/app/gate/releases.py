@@ -5,28 +5,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cbsr_qa.config import (
-    DocumentKind,
-    FileContent,
-    Loaded,
-    database_url,
-    load_material,
-    load_recipe,
-    load_scene,
-    load_sensor_type,
-    load_station,
-    open_document,
-    shipped_names,
-    validate_operator,
-    validate_reason,
-)
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.results import CommandOutcome
-from cbsr_qa.domain.run import Release
-from cbsr_qa.plugin import Plugins, discover, echo
-from cbsr_qa.report import answer
-from cbsr_qa.store import open_store
-from cbsr_qa.system import RealClock
+from cbsr_qa.config.documents import DocumentKind, list_shipped, open_document
+from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
+from cbsr_qa.config.merging import FileContent
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.gate import Release
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.report.page import answer
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.words import echo
 
 _Load = Callable[[str, Plugins], Loaded[Any]]
 _LOADERS: Final[Mapping[DocumentKind, _Load]] = {
@@ -71,7 +62,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
             raise ConfigError(f"a release needs {option}", remedy=f"say {what}")
     by, why = validate_operator(request.by), validate_reason(request.why)
     kind = _kind(request.file)
-    content = FileContent.of(kind, _LOADERS[kind](request.file, discover()).document.data)
+    content = FileContent.from_table(kind, _LOADERS[kind](request.file, discover()).document.data)
     with open_store(database_url(request.database)) as store:
         before = store.latest_release(content.kind, content.sha256)
         if request.withdraw and (before is None or before.action != "released"):
@@ -112,7 +103,7 @@ def _kinds(file: str) -> Iterator[DocumentKind]:
     if file.endswith(".toml") or "/" in file or "\\" in file:
         yield from (kind for kind in _LOADERS if _has_table(kind, file))
     else:
-        yield from (kind for kind in _LOADERS if file in shipped_names(kind))
+        yield from (kind for kind in _LOADERS if file in list_shipped(kind))
 
 
 def _has_table(kind: DocumentKind, file: str) -> bool:

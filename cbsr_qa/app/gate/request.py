@@ -7,12 +7,14 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from cbsr_qa.config import Configuration, validate_operator, validate_reason
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import GateCheck, GateSettings
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Plugins, echo
-from cbsr_qa.store import Repository
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.gate import GateCheck, GateSettings
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.words import echo
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +25,7 @@ class Override:
     by: str = ""
     why: str = ""
 
-    def checked(self) -> Self:
+    def validate(self) -> Self:
         """Return itself. ConfigError if a check is unknown, or name or reason is missing or not allowed."""
         known = [str(check) for check in GateCheck]
         for name in self.checks:

@@ -1,9 +1,10 @@
 """The sensor: its serial number, and how often it may be tested."""
 
 from cbsr_qa.app.gate.request import Asked, Finding
-from cbsr_qa.config import fits_pattern
-from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.domain.run import EarlierRun
+from cbsr_qa.config.serials import fits_pattern
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.changes import EarlierRun
+from cbsr_qa.domain.run.states import EndReason
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
 
@@ -32,19 +33,19 @@ def retest_allowed(asked: Asked) -> Finding:
         words = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
         return Finding(False, words, "wait for the verdict of that run")
     tries = () if asked.store is None else asked.store.sensor_history(asked.sensor, recipe).tries
-    elsewhere = {} if asked.store is None else asked.store.altered_elsewhere(serial)
+    elsewhere = {} if asked.store is None else asked.store.find_altered_elsewhere(serial)
     for problem in elsewhere.values():
         words = f"{problem}; it may be a run of {serial}"
         return Finding(False, words, "restore the database from a copy; cbsr-qa db check names what was altered")
     finished = [one for one in tries if one.changed or one.end is EndReason.FINISHED]
-    passed = [one for one in finished if _decided(one) in _PASSED]
+    passed = [one for one in finished if _final_outcome(one) in _PASSED]
     if passed:
         latest = passed[-1]
         words = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
         return Finding(False, words, "take the next sensor")
     most = asked.settings.retest_runs
     count = f"{len(finished)} finished run{'' if len(finished) == 1 else 's'} of {serial} with {recipe}"
-    if missing := [one.run for one in finished if not one.changed and _decided(one) is None]:
+    if missing := [one.run for one in finished if not one.changed and _final_outcome(one) is None]:
         count += f", run {missing[-1]} without a result yet (cbsr-qa run --resume {missing[-1]} computes it)"
     if most is None:
         return Finding(True, f"{count}, none of them passed" if finished else count)
@@ -57,6 +58,6 @@ def retest_allowed(asked: Asked) -> Finding:
     )
 
 
-def _decided(run: EarlierRun) -> Outcome | None:
+def _final_outcome(run: EarlierRun) -> Outcome | None:
     """Return the outcome that holds: of the latest override, if there is one."""
     return run.outcome if run.overridden is None else run.overridden[0]

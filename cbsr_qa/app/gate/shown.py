@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from cbsr_qa.app.gate.gate import gate_refusal
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
-from cbsr_qa.report import Refusal, gate_table
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.report.document import Refusal
+from cbsr_qa.report.gate import gate_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ def gate_outcome(
 ) -> CommandOutcome[GateShown]:
     """Lay out the answers; the exit code is 2 if the run would be refused."""
     error = gate_refusal(answers)
-    refused = None if error is None else filled(Refusal, error)
+    refused = None if error is None else fill_from_object(Refusal, error)
     banner = Banner("pass", "✓", "The gate lets this run begin", f"{serial} with {recipe} on {station}")
     if refused is not None:
         names = ", ".join(str(one.check) for one in answers if one.outcome is GateOutcome.REFUSED)

@@ -4,10 +4,10 @@ from datetime import date, timedelta
 from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
-from cbsr_qa.config import FileContent, configured_files
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, CheckSeal, StationCheck, worst_check
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.charts import charts_after
+from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.config.merging import FileContent, list_files
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, CheckSeal, StationCheck, worst_check
+from cbsr_qa.store.repository import Repository
 
 #: How far ahead the clock of another computer may be.
 _CLOCKS: Final = timedelta(minutes=1)
@@ -88,7 +88,7 @@ def past_due(calibration_due: str | None, today: date) -> bool:
 
 def files_released(asked: Asked) -> Finding:
     """Look for files whose content nobody released, or whose release was withdrawn."""
-    files = configured_files(asked.configuration)
+    files = list_files(asked.configuration)
     missing = [one for one in files if not _is_released(asked.store, one)]
     if not missing:
         return Finding(True, f"all {len(files)} files are released")

@@ -1,13 +1,14 @@
 """Vetoes of plugins: the hook ``cbsr_before_run``."""
 
 from cbsr_qa.app.gate.request import Asked, Finding
-from cbsr_qa.plugin import Veto, echo, printable
+from cbsr_qa.plugin.hooks import Veto
+from cbsr_qa.system.words import echo, printable
 
 #: Longer texts of plugins are cut [characters].
 _LONGEST = 300
 
 
-def no_veto(asked: Asked) -> Finding:
+def plugins_agree(asked: Asked) -> Finding:
     """Ask every plugin with the hook; one that does not answer has not agreed."""
     answers = asked.plugins.ask(
         "cbsr_before_run",

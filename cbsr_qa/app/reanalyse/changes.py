@@ -9,8 +9,10 @@ from typing import Self
 
 import numpy as np
 
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import Measurement, MetricKey, Outcome, RunLine
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import MetricKey, RunLine
+from cbsr_qa.domain.results.measurement import Measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +53,8 @@ class NamedRun:
     why: str
 
     @classmethod
-    def of(cls, line: RunLine, why: str) -> Self:
-        return filled(cls, line, why=why)
+    def from_line(cls, line: RunLine, why: str) -> Self:
+        return fill_from_object(cls, line, why=why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ class Changes:
 
     def add(self, line: RunLine, valid: Iterable[Measurement], new: Iterable[Measurement]) -> None:
         """Add a run's values of both analyses."""
-        before, after = _keyed(valid), _keyed(new)
+        before, after = _index_values(valid), _index_values(new)
         for key in dict.fromkeys((*before, *after)):
             values = self._found.setdefault(key[:2], _Values())
             was, now = before.get(key), after.get(key)
@@ -133,7 +135,7 @@ class Changes:
 _Place = tuple[MetricKey, str, str, int | None, int | None, int]
 
 
-def _keyed(measurements: Iterable[Measurement]) -> dict[_Place, float | None]:
+def _index_values(measurements: Iterable[Measurement]) -> dict[_Place, float | None]:
     """Return values by what they are of; equal ones are counted."""
     count: Counter[tuple[MetricKey, str, str, int | None, int | None]] = Counter()
     found: dict[_Place, float | None] = {}

@@ -5,25 +5,26 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
-from cbsr_qa.analysis import judge_again
+from cbsr_qa.analysis.evaluate import judge_again
 from cbsr_qa.app.reanalyse.work import Job
-from cbsr_qa.config import canonical_json, load_recipe
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import decide
-from cbsr_qa.store import Repository
-from cbsr_qa.store.results import Reanalysis, key_of
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.measurement import decide
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.reanalyses import Reanalysis, key_of
 
 #: Tables of a recipe that say nothing of how a run is imaged and measured.
 _AFTERWARDS: Final = ("limits", "limits_version", "report")
 
 
-def judged_again(store: Repository, job: Job) -> Reanalysis | None:
+def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
     """Return the result of a job from stored measurements; None if none were made as its recipe says.
 
     None by the run's own recipe too: then somebody wants to know whether its analysis can be repeated.
     """
     own, wanted = canonical_json(json.loads(store.configuration(job.run))["recipe"]), _measuring(job.recipe)
-    for stored in _stored(store, job, own) if own != job.recipe else ():
+    for stored in _list_candidates(store, job, own) if own != job.recipe else ():
         if stored.measurements and stored.software == job.software and _measuring(stored.recipe) == wanted:
             measurements = judge_again(stored.measurements, load_recipe(json.loads(job.recipe)).value.limits)
             return replace(
@@ -37,7 +38,7 @@ def judged_again(store: Repository, job: Job) -> Reanalysis | None:
     return None
 
 
-def _stored(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
+def _list_candidates(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
     """Yield the re-analyses of a run that are of the same data, then its analyses by its own recipe."""
     for name in store.reanalyses_of(job.run):
         made = store.reanalysis(name)
@@ -45,7 +46,7 @@ def _stored(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
             yield made
     for analysis in store.analyses(job.run):
         if analysis.adoption is None:
-            yield filled(Reanalysis, analysis, key_sha256="", recipe=own)
+            yield fill_from_object(Reanalysis, analysis, key_sha256="", recipe=own)
 
 
 def _measuring(recipe: str) -> dict[str, object]:

@@ -12,27 +12,30 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.app.reanalyse.changes import Changes, Flip, NamedRun
-from cbsr_qa.app.reanalyse.judging import judged_again
+from cbsr_qa.app.reanalyse.judging import judge_stored
 from cbsr_qa.app.reanalyse.report import Reanalysed
 from cbsr_qa.app.reanalyse.request import ReanalyseRequest
 from cbsr_qa.app.reanalyse.work import Job, Worked, analyse_again
 from cbsr_qa.app.reanalyse.workers import Workers, cluster_workers, local_workers
-from cbsr_qa.app.run import check_recipe
-from cbsr_qa.config import (
-    canonical_json,
-    database_url,
-    load_recipe,
-    restore,
-)
-from cbsr_qa.domain import CbsrError, RefusedError, StoreError, filled
-from cbsr_qa.domain.plan import PhaseSpec
-from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.report import duration, plural
-from cbsr_qa.store import Repository, open_store, parsed_url, sqlite_file
-from cbsr_qa.store.results import Reanalysis, StoredAnalysis, key_of
-from cbsr_qa.studies import check_names
-from cbsr_qa.system import RealClock
+from cbsr_qa.app.run.preflight import check_recipe
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.merging import canonical_json, restore
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import CbsrError, RefusedError, StoreError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import SEVERITY, Outcome
+from cbsr_qa.domain.plan.plan import PhaseSpec
+from cbsr_qa.domain.results.fleet import RunLine
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.report.tables import duration, plural
+from cbsr_qa.store.engine import parse_url, sqlite_file
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.analyses import StoredAnalysis
+from cbsr_qa.store.results.reanalyses import Reanalysis, key_of
+from cbsr_qa.studies.selection import check_names
+from cbsr_qa.system.clock import RealClock
 
 #: Least time between two lines of progress [s].
 _SPOKEN_S: Final = 5.0
@@ -118,7 +121,7 @@ class _Session:
         recipe = canonical_json(content["recipe"])
         if self._canonical is not None and self.recipe is not None:
             if differing := phase_difference(_phases(recipe), self.recipe.phases):
-                self.other_plan.append(NamedRun.of(line, differing))
+                self.other_plan.append(NamedRun.from_line(line, differing))
                 return None
             recipe = self._canonical
         data = self._store.data_sha256(line.run)
@@ -128,7 +131,7 @@ class _Session:
             self.stored[line.run] = known
             self.reused += 1
             return None
-        return Job(line.run, shared_url(self._request.database), recipe, self._software, data, key)
+        return Job(line.run, absolute_url(self._request.database), recipe, self._software, data, key)
 
     def check(self, jobs: Iterable[Job]) -> None:
         """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
@@ -140,7 +143,7 @@ class _Session:
         """Do the jobs for which stored measurements need only to be judged; return those that are left."""
         left, progress = [], _Progress("judging", len(jobs), self._tell)
         for job in jobs:
-            judged = None if self._request.fresh else judged_again(self._store, job)
+            judged = None if self._request.fresh else judge_stored(self._store, job)
             if judged is None:
                 left.append(job)
             else:
@@ -152,7 +155,7 @@ class _Session:
     def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
         """Analyse runs, and store each result as soon as it is there."""
         progress, begun_s = _Progress("analysing", len(jobs), self._tell), self._clock.now()
-        for job, worked in workers.done(jobs):
+        for job, worked in workers.run_jobs(jobs):
             line = self.lines[job.run]
             if isinstance(worked, str):
                 self._cannot(line, worked)
@@ -175,7 +178,7 @@ class _Session:
         self.stored[line.run] = self._store.save_reanalysis(worked.result)
 
     def _cannot(self, line: RunLine, why: str) -> None:
-        self.not_analysed.append(NamedRun.of(line, why.removeprefix(f"run {line.run}: ")))
+        self.not_analysed.append(NamedRun.from_line(line, why.removeprefix(f"run {line.run}: ")))
 
     def conclude(self, computed: int, where: str) -> Reanalysed:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
@@ -200,7 +203,7 @@ class _Session:
                 flips.append(_flip(line, analyses, new, overridden))
             unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)
             if self._request.adopt and overridden is not None:
-                left.append(NamedRun.of(line, f"overridden to {overridden}"))
+                left.append(NamedRun.from_line(line, f"overridden to {overridden}"))
             elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
                 self._store.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
                 adopted += 1
@@ -271,9 +274,9 @@ def _beginning(request: ReanalyseRequest, count: int) -> Begin:
     return lambda: cluster_workers(scheduler, analyse_again)
 
 
-def shared_url(option: str | None) -> str:
+def absolute_url(option: str | None) -> str:
     """Return the URL of a database for workers that may have been started elsewhere: with the file's full path."""
-    url = parsed_url(database_url(option))
+    url = parse_url(database_url(option))
     file = sqlite_file(url)
     full = url if file is None else url.set(database=str(Path(file).resolve()))
     return full.render_as_string(hide_password=False)
@@ -305,7 +308,7 @@ def _option(key: str, value: Any) -> str:
 
 
 def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, overridden: Outcome | None) -> Flip:
-    return filled(
+    return fill_from_object(
         Flip,
         line,
         was=analyses[0].verdict.outcome if analyses else None,

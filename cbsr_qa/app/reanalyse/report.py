@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from cbsr_qa.app.reanalyse.changes import Flip, NamedRun, ValueChange
-from cbsr_qa.domain.results import Banner, Cell, CommandOutcome, MetricKey, Outcome, Page, Section, Table
-from cbsr_qa.report import duration, number, plural, text_table, unit_shown
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import MetricKey
+from cbsr_qa.domain.results.report import Banner, Cell, CommandOutcome, Page, Section, Table
+from cbsr_qa.report.tables import duration, number, plural, text_table, unit_shown
 
 #: Rows of a table; JSON has all.
 MOST_SHOWN: Final = 200
@@ -76,7 +78,7 @@ class Reanalysed:
     peak_worker_mb: float | None
 
 
-def reanalysed_outcome(done: Reanalysed) -> CommandOutcome[Reanalysed]:
+def reanalysis_outcome(done: Reanalysed) -> CommandOutcome[Reanalysed]:
     """Lay out a re-analysis; exit code 3 if no run has a result."""
     results = done.computed + done.judged + done.reused
     worse = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
@@ -138,17 +140,17 @@ def _sections(done: Reanalysed) -> Iterator[Section]:
         ("Not adopted", _OVERRIDDEN, done.left_overridden),
     ):
         if runs:
-            yield Section(title, (_named_runs(caption, runs),))
+            yield Section(title, (_run_table(caption, runs),))
     if done.new_warnings:
-        yield Section("New warnings", (_counted(done.new_warnings),))
+        yield Section("New warnings", (_warning_table(done.new_warnings),))
 
 
-def _named_runs(caption: str, runs: Sequence[NamedRun]) -> Table:
+def _run_table(caption: str, runs: Sequence[NamedRun]) -> Table:
     rows = [(run.serial, f"{run.started_at:%Y-%m-%d}", run.why, run.run) for run in runs[:MOST_SHOWN]]
     return text_table(_cut(caption, len(runs)), ("sensor", "began", "reason", "run"), rows)
 
 
-def _counted(warnings: Mapping[str, int]) -> Table:
+def _warning_table(warnings: Mapping[str, int]) -> Table:
     rows = [(str(count), words) for words, count in list(warnings.items())[:MOST_SHOWN]]
     return text_table(_cut(_WARNINGS, len(warnings)), ("runs", "warning"), rows, (0,))
 

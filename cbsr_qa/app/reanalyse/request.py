@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from cbsr_qa.config import validate_operator, validate_reason
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.results.fleet import RunSelection
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,14 @@ import sys
 from dataclasses import dataclass
 from functools import cache
 
-from cbsr_qa.analysis import evaluate_run
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.store import open_store
-from cbsr_qa.store.results import Reanalysis
-from cbsr_qa.system import Stages
+from cbsr_qa.analysis.evaluate import evaluate_run
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import Reanalysis
+from cbsr_qa.system.clock import Stages
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,7 @@ class Job:
     recipe : canonical JSON of the recipe's file.
     software : versions that the result must be of.
     data_sha256 : of what was measured in the run.
-    key_sha256 : of the result, see :class:`~cbsr_qa.store.results.Reanalysis`.
+    key_sha256 : of the result, see :class:`~cbsr_qa.store.results.reanalyses.Reanalysis`.
     """
 
     run: str

@@ -7,9 +7,9 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from importlib import import_module
 from typing import Final, Generic, TypeVar
 
-from cbsr_qa.domain import BrokenError, RefusedError
-from cbsr_qa.report import plural
-from cbsr_qa.system import heard_later, worker_pool
+from cbsr_qa.domain.errors import BrokenError, RefusedError
+from cbsr_qa.report.tables import plural
+from cbsr_qa.system.workers import delay_interrupts, worker_pool
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -38,7 +38,7 @@ class Workers(Generic[Job, Result]):
     ) -> None:
         self._begin, self._count, self._work = begin, count, work
 
-    def done(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Result | str]]:
+    def run_jobs(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Result | str]]:
         """Yield each job with its result, or the reason why its worker has none.
 
         A killed worker costs its job's time: the job is done again. As any job under way may be what kills workers,
@@ -55,7 +55,7 @@ class Workers(Generic[Job, Result]):
         in_a_row = 0
         while waiting or suspects:
             lost: list[Job] = []
-            for job, result in self._until_broken(waiting, suspects, lost):
+            for job, result in self._run_until_broken(waiting, suspects, lost):
                 in_a_row = 0
                 yield job, result
             if not lost:
@@ -74,7 +74,7 @@ class Workers(Generic[Job, Result]):
                 else:
                     suspects.append(job)
 
-    def _until_broken(
+    def _run_until_broken(
         self, waiting: deque[Job], suspects: deque[Job], lost: list[Job]
     ) -> Iterator[tuple[Job, Result | str]]:
         """Work until all is done or a worker dies; the jobs it took along are then in ``lost``."""
@@ -82,7 +82,7 @@ class Workers(Generic[Job, Result]):
         with self._begin() as executor:
             while not lost:
                 queue, room = (suspects, 1) if suspects else (waiting, self._count + 1)
-                with heard_later():
+                with delay_interrupts():
                     while queue and len(under_way) < room and not lost:
                         job = queue.popleft()
                         try:
@@ -92,11 +92,11 @@ class Workers(Generic[Job, Result]):
                 if not under_way:
                     return
                 finished, _ = wait(under_way, return_when=FIRST_COMPLETED)
-                yield from self._collected(finished, under_way, lost)
+                yield from self._collect_results(finished, under_way, lost)
                 if lost:  # all others are broken too, or done
-                    yield from self._collected(set(under_way), under_way, lost)
+                    yield from self._collect_results(set(under_way), under_way, lost)
 
-    def _collected(
+    def _collect_results(
         self, finished: Set[Future[Result]], under_way: dict[Future[Result], Job], lost: list[Job]
     ) -> Iterator[tuple[Job, Result | str]]:
         for future in [one for one in under_way if one in finished]:  # in the order of the jobs

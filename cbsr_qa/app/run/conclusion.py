@@ -1,33 +1,37 @@
 """What follows a run: it is read back, evaluated and stored; report and calibration file are written."""
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-from cbsr_qa.analysis import calibrated, evaluate_run
-from cbsr_qa.app.changes import unexplained
+from cbsr_qa.analysis.evaluate import calibrate_run, evaluate_run
 from cbsr_qa.app.command_hints import report_command, resume_command
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import station_key
 from cbsr_qa.app.run.stopping import stoppable
-from cbsr_qa.calibration.file import sign_calibration
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError, filled
-from cbsr_qa.domain.results import Calibration, EndReason, RunResult
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Plugins, left_running
-from cbsr_qa.report import duration
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.charts import charts_after
-from cbsr_qa.system import RealClock, Stages
+from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.calibration.file.hdf5 import sign_calibration
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.changes import NO_REASON, ConfigurationChange
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import Plugins, name_left_threads
+from cbsr_qa.report.tables import duration
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.types import time_of_id
+from cbsr_qa.system.clock import RealClock, Stages
 
 #: How long what computes a result may take to stop; beyond numerical libraries, which hear nothing in a call [s].
 _STOPS_WITHIN_S: Final = 30.0
 
 
-def concluded(
+def conclude_run(
     run: str,
     store: Repository,
     configuration: Configuration,
@@ -46,7 +50,7 @@ def concluded(
     """
     try:
         with concluding(run, store):
-            return _concluded(run, store, configuration, plugins, stages, warnings)
+            return _conclude(run, store, configuration, plugins, stages, warnings)
     except StoreError as error:
         remedy = "; if the database then holds the run, this continues it: ".join(
             filter(None, [error.remedy, resume_command(run, store)])
@@ -65,7 +69,7 @@ def concluding(run: str, store: Repository) -> Iterator[None]:
         raise UnconcludedError(run, following, error.by) from error
 
 
-def _concluded(
+def _conclude(
     run: str,
     store: Repository,
     configuration: Configuration,
@@ -79,12 +83,12 @@ def _concluded(
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
-    paused = _paused(record)
+    paused = _pause_notes(record)
     charts = charts_after(store, record.identity.station, record.identity, conclusion.measurements)
-    calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    calibration, why = calibrate_run(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     if calibration is not None:
-        calibration = _signed(calibration, configuration, store)
-    result = filled(
+        calibration = _sign_with_key(calibration, configuration, store)
+    result = fill_from_object(
         RunResult,
         conclusion,
         record=record,
@@ -96,9 +100,9 @@ def _concluded(
             *warnings,
             *paused,
             *map(str, plugins.failures),
-            *left_running(threads),
+            *name_left_threads(threads),
             *(charts.warnings() if charts else ()),
-            *unexplained(history.of(run)),
+            *warn_unexplained(history.changes_in(run)),
             *history.warnings,
             *record.chain.warnings,
             *earlier.warnings,
@@ -114,7 +118,7 @@ def _concluded(
     return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
 
 
-def _signed(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
+def _sign_with_key(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
     """Sign a calibration with the station's key, if it has one. BrokenRunError if the key cannot be used any more."""
     try:
         key = station_key(configuration.station)
@@ -126,7 +130,7 @@ def _signed(calibration: Calibration, configuration: Configuration, store: Repos
     return calibration if key is None else sign_calibration(calibration, key, RealClock().wall())
 
 
-def _paused(record: RunRecord) -> Iterator[str]:
+def _pause_notes(record: RunRecord) -> Iterator[str]:
     """Yield a note if pauses made rests before presses longer than the recipe says."""
     lasted_s = [pause.duration_s for pause in record.pauses if pause.duration_s is not None]
     if lasted_s:
@@ -135,3 +139,18 @@ def _paused(record: RunRecord) -> Iterator[str]:
             f"the run was paused {times}, for {duration(sum(lasted_s))} in all: before the next press"
             " the sheet rested longer than the recipe states"
         )
+
+
+def warn_unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
+    """Return a warning for each change without a reason."""
+    return tuple(
+        f"{change.kind} {change.name!r} is not what {_describe_run(change.earlier_run)} used: {change.words()};"
+        f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
+        for change in changes
+        if change.why == NO_REASON
+    )
+
+
+def _describe_run(run: str) -> str:
+    began = time_of_id(run)
+    return f"run {run}" if began is None else f"the run of {began:%Y-%m-%d %H:%M} UTC ({run})"

@@ -4,12 +4,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import Press
-from cbsr_qa.domain.run import RunEvent
-from cbsr_qa.station import LoadKey, Plan, on_stderr, schedule
-from cbsr_qa.station.control import ControlDesk, RunServer, RunStatus, SensorUnderTest, station_held
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.steps import Press
+from cbsr_qa.domain.run.run import RunEvent
+from cbsr_qa.station.control.desk import ControlDesk
+from cbsr_qa.station.control.lock import station_held
+from cbsr_qa.station.control.messages import SensorUnderTest
+from cbsr_qa.station.control.server import RunServer
+from cbsr_qa.station.control.status import RunStatus
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.station.plan import LoadKey, Plan, schedule
 
 
 @dataclass(slots=True)
@@ -35,21 +40,21 @@ class Control:
     def operator(self) -> str:
         return self.sensor.operator
 
-    def begun(self, run: str) -> None:
+    def set_run(self, run: str) -> None:
         """State the run's identifier."""
         self.sensor = replace(self.sensor, run=run)
-        self._changed()
+        self._notify()
 
     def begins(self, begun: Callable[[str], None]) -> Callable[[str], None]:
         """Return what is called with a run's identifier, and states it here too."""
 
         def both(run: str) -> None:
-            self.begun(run)
+            self.set_run(run)
             begun(run)
 
         return both
 
-    def planned(self, plan: Plan, done: frozenset[LoadKey]) -> None:
+    def set_plan(self, plan: Plan, done: frozenset[LoadKey]) -> None:
         """State what will be pressed, including what an earlier session has pressed."""
         phases = schedule(plan)
         presses = [
@@ -59,20 +64,20 @@ class Control:
             if isinstance(step.step, Press) and step.load is not None
         ]
         self.status.plan({phase.index: phase.name for phase in phases}, presses, done)
-        self._changed()
+        self._notify()
 
     def telling(self, tell: Callable[[str], None]) -> Callable[[str], None]:
         """Return a listener of stages that states them here too."""
 
-        def told(stage: str) -> None:
+        def tell_both(stage: str) -> None:
             self.status.doing(stage)
-            self._changed()
+            self._notify()
             tell(stage)
 
-        return told
+        return tell_both
 
     @contextmanager
-    def served(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
+    def serve(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
         """Serve the channel while entered. ``warn``: called if there can be none.
 
         RefusedError if there can be none, and prompts are answered over it.
@@ -88,13 +93,13 @@ class Control:
             finally:
                 self._server = None
 
-    def _changed(self) -> None:
+    def _notify(self) -> None:
         if self._server is not None:
             self._server.state_changed()
 
 
 @contextmanager
-def controlled(
+def open_control(
     configuration: Configuration, *, serial: str, batch: str, operator: str, answers: bool
 ) -> Iterator[Control]:
     """Hold the station of a run and serve its channel while entered.
@@ -114,6 +119,6 @@ def controlled(
     control = Control(ControlDesk(answers=answers), status, sensor)
     with (
         station_held(station.name, who=operator, doing=f"testing {serial} with {recipe!r}"),
-        control.served(station.name, on_stderr),
+        control.serve(station.name, on_stderr),
     ):
         yield control

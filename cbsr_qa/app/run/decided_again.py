@@ -6,14 +6,18 @@ from dataclasses import replace
 from importlib.metadata import version
 from typing import Final
 
-from cbsr_qa.analysis import judge
-from cbsr_qa.config import load_recipe, restore
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.plan import Recipe
-from cbsr_qa.domain.results import EndReason, Limit, ListedRun, Measurement, Outcome, Verdict, decide
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.store import Repository
-from cbsr_qa.store.results import StoredAnalysis
+from cbsr_qa.analysis.evaluate import judge
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.merging import restore
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.plan import Recipe
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.analyses import StoredAnalysis
 
 _REMEDY: Final = "restore the database from a copy; nothing is shown of a verdict that does not follow"
 
@@ -40,13 +44,13 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     if record.end is not EndReason.FINISHED or not measurements:
         if verdict.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
             why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
-            raise _refused(stored, f"the verdict states {verdict.outcome}; the run {why}")
+            raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {why}")
         return
     _check_measurements(stored, limits if record.chain.chained else None)
     now = decide(measurements)
     same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
     if now.outcome is not verdict.outcome or (same_words and now.reason != verdict.reason):
-        raise _refused(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
+        raise _mismatch_error(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
 
 
 def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
@@ -57,9 +61,9 @@ def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
     StoreError
         If an outcome does not follow; it names the measurement.
     """
-    for was, now in zip(judged, _by_own_limits(judged), strict=True):
+    for was, now in zip(judged, _rejudge(judged), strict=True):
         if was.outcome is not now.outcome:
-            raise StoreError(f"run {run.run}: {_named(was)} {_difference(was, now)}", remedy=_REMEDY)
+            raise StoreError(f"run {run.run}: {_describe_measurement(was)} {_difference(was, now)}", remedy=_REMEDY)
     if not run.finished or run.outcome in (None, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
         return
     if decide(tuple(judged)).outcome is not run.outcome:
@@ -67,27 +71,31 @@ def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
         raise StoreError(f"run {run.run}: {said}", remedy=_REMEDY)
 
 
-def _by_own_limits(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
+def _rejudge(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
     bare = (replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in measurements)
-    return tuple(m if was.limit is None else m.judged(was.limit) for m, was in zip(bare, measurements, strict=True))
+    return tuple(m if was.limit is None else m.judge(was.limit) for m, was in zip(bare, measurements, strict=True))
 
 
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
     """Judge measurements again by the limits of the configuration, or by their own if None."""
     if limits is None:
-        again = _by_own_limits(stored.measurements)
+        again = _rejudge(stored.measurements)
     else:
         own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
         again = judge(own, [replace(limit, version="") for limit in limits])
     for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
         if (was.limit, was.outcome) != (now.limit, now.outcome):
-            raise _refused(stored, f"measurement {number} ({_named(was)}) {_difference(was, now)}")
+            raise _mismatch_error(
+                stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, now)}"
+            )
     if len(again) > len(stored.measurements):
         missing = again[len(stored.measurements)]
-        raise _refused(stored, f"no measurement is stored for the configuration's limit of {_named(missing)}")
+        raise _mismatch_error(
+            stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(missing)}"
+        )
 
 
-def _named(measurement: Measurement) -> str:
+def _describe_measurement(measurement: Measurement) -> str:
     phase = f", phase {measurement.phase}" if measurement.phase else ""
     return f"{measurement.label}{phase}"
 
@@ -112,5 +120,5 @@ def _verdict(verdict: Verdict) -> str:
     return f"{verdict.outcome} ({verdict.reason})"
 
 
-def _refused(stored: StoredAnalysis, what: str) -> StoreError:
+def _mismatch_error(stored: StoredAnalysis, what: str) -> StoreError:
     return StoreError(f"run {stored.run}: analysis {stored.analysis}: {what}", remedy=_REMEDY)

@@ -4,11 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.config import material_text, materials_folder
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import Characterisation, Outcome, RunResult
-from cbsr_qa.domain.sensor import Material, Parameter
-from cbsr_qa.report import report_name, write_report
+from cbsr_qa.config.material import material_text
+from cbsr_qa.config.paths import materials_folder
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.characterisation import Characterisation
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.sensor.sensor_type import Material, Parameter
+from cbsr_qa.report.render import report_name, write_report
 
 _LONGEST_NAME: Final = 64  # of a material
 

@@ -7,19 +7,18 @@ from typing import Annotated, Self
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis.run import PlaceErrors, run_place
-from cbsr_qa.app.analyse import ChosenParameter
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import (
-    Bound,
-    CommandOutcome,
-    EndReason,
-    Measurement,
-    Outcome,
-    RunResult,
-)
-from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, GateAnswer, SensorHistory, VerdictOverride
-from cbsr_qa.report import gate_words, run_page
+from cbsr_qa.analysis.run.place import PlaceErrors, run_place
+from cbsr_qa.app.analyse.outcome import ChosenParameter
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.report import CommandOutcome, RunResult
+from cbsr_qa.domain.run.changes import ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
+from cbsr_qa.domain.run.gate import GateAnswer
+from cbsr_qa.domain.run.run import ChainState
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.gate import gate_words
+from cbsr_qa.report.page import run_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +33,7 @@ class UsedReconstruction:
     elements: int
 
     @classmethod
-    def of(cls, result: RunResult) -> Self | None:
+    def from_result(cls, result: RunResult) -> Self | None:
         """Return the reconstruction of a run; None if nothing was imaged."""
         run = result.observation
         if run is None:
@@ -42,7 +41,7 @@ class UsedReconstruction:
         problem = run.reconstruction.problem
         return cls(
             run.reconstruction.method,
-            ChosenParameter.of(run.reconstruction.choice),
+            ChosenParameter.from_choice(run.reconstruction.choice),
             run.settings.noise_weighting,
             run.weight_ratio,
             len(problem.reference),
@@ -60,7 +59,7 @@ class PlaceCheck:
     others: PlaceErrors | None
 
     @classmethod
-    def of(cls, result: RunResult) -> Self | None:
+    def from_result(cls, result: RunResult) -> Self | None:
         """Return what a run's presses taught about place; None if its recipe does not ask for that."""
         run = result.observation
         if run is None or not run.settings.learn_place:
@@ -92,17 +91,17 @@ class MeasuredValue:
     limits_version: str | None = None
 
     @classmethod
-    def of(cls, measurement: Measurement) -> Self:
+    def from_measurement(cls, measurement: Measurement) -> Self:
         limit = measurement.limit
         if limit is None:
-            return filled(cls, measurement)
+            return fill_from_object(cls, measurement)
         bounds = {"lower": limit.lower, "upper": limit.upper, "marginal": limit.marginal}
-        return filled(cls, measurement, **bounds, limits_version=limit.version or None)
+        return fill_from_object(cls, measurement, **bounds, limits_version=limit.version or None)
 
 
 @dataclass(frozen=True, slots=True)
 class PastRun:
-    """An earlier run of the sensor; see :class:`~cbsr_qa.domain.run.EarlierRun`."""
+    """An earlier run of the sensor; see :class:`~cbsr_qa.domain.run.changes.EarlierRun`."""
 
     run: str
     started_at: datetime
@@ -118,8 +117,8 @@ class PastRun:
     chained: bool
 
     @classmethod
-    def of(cls, earlier: EarlierRun) -> Self:
-        return filled(
+    def from_earlier_run(cls, earlier: EarlierRun) -> Self:
+        return fill_from_object(
             cls,
             earlier,
             batch=earlier.sensor.batch,
@@ -139,8 +138,8 @@ class PastRuns:
     earlier_runs: tuple[PastRun, ...]
 
     @classmethod
-    def of(cls, history: SensorHistory) -> Self:
-        return cls(len(history.tries) + 1, tuple(map(PastRun.of, history.earlier)))
+    def from_history(cls, history: SensorHistory) -> Self:
+        return cls(len(history.tries) + 1, tuple(map(PastRun.from_earlier_run, history.earlier)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +187,7 @@ class RunOutcome:
     result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
 
     @classmethod
-    def of(
+    def from_result(
         cls,
         result: RunResult,
         *,
@@ -214,15 +213,15 @@ class RunOutcome:
             calibration_why=result.calibration_why,
             material=material[0],
             material_why=material[1],
-            reconstruction=UsedReconstruction.of(result),
-            place=PlaceCheck.of(result),
-            measurements=tuple(map(MeasuredValue.of, result.measurements)),
+            reconstruction=UsedReconstruction.from_result(result),
+            place=PlaceCheck.from_result(result),
+            measurements=tuple(map(MeasuredValue.from_measurement, result.measurements)),
             limits_version=None if version is None else version.version,
             overrides=result.overrides,
             gate=record.gate,
             chain=record.chain,
-            changes=result.history.of(record.identity.run),
-            sensor_history=None if result.sensor_history is None else PastRuns.of(result.sensor_history),
+            changes=result.history.changes_in(record.identity.run),
+            sensor_history=None if result.sensor_history is None else PastRuns.from_history(result.sensor_history),
             warnings=warnings,
             simulated=record.identity.simulated,
             seed=seed,

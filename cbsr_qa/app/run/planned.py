@@ -6,13 +6,17 @@ from typing import Annotated, Self
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.app.gate import gate_refusal
+from cbsr_qa.app.gate.gate import gate_refusal
 from cbsr_qa.app.run.outcome import PastRuns
-from cbsr_qa.domain import RefusedError, filled
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
-from cbsr_qa.domain.run import GateAnswer, GateOutcome, SensorHistory, gate_warnings
-from cbsr_qa.report import Refusal, duration, gate_table, plural, text_table
-from cbsr_qa.station import DryRun
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
+from cbsr_qa.domain.run.changes import SensorHistory
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome, gate_warnings
+from cbsr_qa.report.document import Refusal
+from cbsr_qa.report.gate import gate_table
+from cbsr_qa.report.tables import duration, plural, text_table
+from cbsr_qa.station.dry_runs import DryRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ class PlannedRun:
     history: Annotated[InstanceOf[SensorHistory], Field(exclude=True)]
 
     @classmethod
-    def of(
+    def from_dry_run(
         cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object], gate: tuple[GateAnswer, ...] = ()
     ) -> Self:
         refused = None
@@ -66,19 +70,19 @@ class PlannedRun:
                 raise error
             dry.refuse()
         except RefusedError as error:
-            refused = filled(Refusal, error)
-        return filled(
+            refused = fill_from_object(Refusal, error)
+        return fill_from_object(
             cls,
             dry,
             duration_s=round(dry.duration_s, 3),
             spent_s={kind: round(seconds, 3) for kind, seconds in dry.spent},
             phases=tuple(
-                filled(PlannedPhase, p.scheduled, duration_s=round(p.duration_s, 3), frames=p.frames)
+                fill_from_object(PlannedPhase, p.scheduled, duration_s=round(p.duration_s, 3), frames=p.frames)
                 for p in dry.phases
             ),
             travel_mm=round(dry.travel_mm, 1),
             peak_force_N=round(dry.peak_force_N, 3),
-            sensor_history=PastRuns.of(history),
+            sensor_history=PastRuns.from_history(history),
             warnings=(*map(str, failed_plugins), *history.differences, *gate_warnings(gate)),
             gate=gate,
             refused=refused,

@@ -4,16 +4,22 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Final
 
-from cbsr_qa.analysis.run import check_weighing
-from cbsr_qa.calibration.file import SigningKey, signing_key
-from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
-from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
-from cbsr_qa.domain.results import STRIP_MEASURES, Limit, linear
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
-from cbsr_qa.eit.loads import check_strip
-from cbsr_qa.plugin import Kind, Plugins, contained, create_plugin
-from cbsr_qa.station import Plan
+from cbsr_qa.analysis.run.reference import check_weighing
+from cbsr_qa.calibration.file.keys import SigningKey, signing_key
+from cbsr_qa.domain.errors import CbsrError, ConfigError, RefusedError
+from cbsr_qa.domain.imaging import linear
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.plan.plan import Recipe, Station
+from cbsr_qa.domain.plan.steps import AcquireFrames, MarkUnloaded, Press, Role
+from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES
+from cbsr_qa.eit.loads.bodies import check_strip
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.station.plan import Plan
 
 _WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
 _EQUAL: Final = 'set analysis.noise_weighting = "equal"'
@@ -40,7 +46,7 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
         _check_limits(recipe.limits, metrics)
         problem = imaging_problem(sensor_type)
-        with contained(f"reconstruction {recipe.reconstruction.name!r}"):
+        with blame_plugin(f"reconstruction {recipe.reconstruction.name!r}"):
             linear(reconstruction.prepare(problem))
     except CbsrError as error:
         raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
@@ -58,7 +64,7 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
     weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
     needed = max(split, weighed)
     for phase in plan.phases:
-        taken = _unloaded_frames(phase.steps(plan.context))
+        taken = _count_unloaded_frames(phase.steps(plan.context))
         if taken is None:
             continue
         if taken < needed:
@@ -126,7 +132,7 @@ def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
             )
 
 
-def _unloaded_frames(steps: Iterable[object]) -> int | None:
+def _count_unloaded_frames(steps: Iterable[object]) -> int | None:
     """Count frames between the first mark and the next press; None without a mark."""
     taken: int | None = None
     for step in steps:

@@ -7,36 +7,39 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis import characterise_run
-from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.run.outcome import RunOutcome
-from cbsr_qa.app.run.outputs import calibration_path, report_sections
-from cbsr_qa.calibration.file import calibration_of, write_calibration
-from cbsr_qa.calibration.force import prepare_force
-from cbsr_qa.config import database_url, reports_folder, restore
-from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, as_filed
-from cbsr_qa.domain.plan import Recipe
-from cbsr_qa.domain.results import (
-    Calibration,
-    Characterisation,
-    CommandOutcome,
-    EndReason,
-    Limit,
-    Measurement,
-    Outcome,
-    RunObservation,
-    RunResult,
-    Verdict,
-)
-from cbsr_qa.domain.run import ChainState, GateAnswer, RunRecord, VerdictOverride
-from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
-from cbsr_qa.report import render_run, report_name, run_page, write_report
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.store.results import StoredAnalysis
-from cbsr_qa.studies.charts import charts_after
+from cbsr_qa.app.run.outputs import calibration_path
+from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.calibration.file.hdf5 import calibration_of, write_calibration
+from cbsr_qa.calibration.force.templates import prepare_force
+from cbsr_qa.config.merging import restore
+from cbsr_qa.config.paths import database_url, reports_folder
+from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
+from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.plan import Recipe
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.characterisation import Characterisation
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.results.report import CommandOutcome, RunResult
+from cbsr_qa.domain.run.changes import VerdictOverride
+from cbsr_qa.domain.run.gate import GateAnswer
+from cbsr_qa.domain.run.run import ChainState, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.page import run_page
+from cbsr_qa.report.render import render_run, report_name, write_report
+from cbsr_qa.report.section import report_sections
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.analyses import StoredAnalysis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +112,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
     )
 
 
-def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
+def render_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     """Lay out a run's rendered report and its verdict."""
     page = run_page(rendered.result)
     facts = (("Run", rendered.result.record.identity.words), ("Stored rows", rendered.chain.words))
@@ -134,7 +137,7 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
     calibration = calibration_path(identity)
     why = "" if result.characterisation is None else why_no_material(result)
     material = None if result.characterisation is None or why else material_path(result)
-    return RunOutcome.of(
+    return RunOutcome.from_result(
         result,
         report=report if report.exists() else None,
         calibration=calibration if result.calibration is not None and calibration.exists() else None,
@@ -169,10 +172,10 @@ def rebuilt(
     history = store.change_history(record)
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
-        known = _without_result(record, resume_command(run, store))
+        known = _describe_unanalysed(record, resume_command(run, store))
         return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
+    observation, characterisation, why = _analyse_frames(record, recipe, plugins if imaged else None)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -185,7 +188,7 @@ def rebuilt(
         warnings=tuple(
             dict.fromkeys(
                 (
-                    *_adopted(analyses, recipe.name),
+                    *_adoption_notes(analyses, recipe.name),
                     *_warnings(stored, why),
                     *record.chain.warnings,
                     *earlier.changed,
@@ -204,7 +207,7 @@ def rebuilt(
     return result, recipe.sections
 
 
-def _computed(
+def _analyse_frames(
     record: RunRecord, recipe: Recipe, plugins: Plugins | None
 ) -> tuple[RunObservation | None, Characterisation | None, str]:
     """Compute images, or the material of a strip, from the stored frames; otherwise return a reason.
@@ -247,7 +250,7 @@ def _calibration(
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 
-def _without_result(record: RunRecord, resume: str) -> RunResult:
+def _describe_unanalysed(record: RunRecord, resume: str) -> RunResult:
     """Return what is known of a run that has no stored analysis: nothing that reads like a verdict."""
     finished = record.end is EndReason.FINISHED
     ended = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
@@ -273,7 +276,7 @@ def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) 
     )
 
 
-def _adopted(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator[str]:
+def _adoption_notes(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator[str]:
     """Yield what a reader must know of an adopted analysis, the first of all."""
     adoption = analyses[0].adoption
     if adoption is None:

@@ -6,31 +6,31 @@ from dataclasses import replace
 from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
-from cbsr_qa.app.gate import ASKED_AGAIN, GateRequest, Override, ask_gate, gate_refusal
-from cbsr_qa.app.run.conclusion import concluded
-from cbsr_qa.app.run.control import controlled
+from cbsr_qa.app.gate.gate import ASKED_AGAIN, ask_gate, gate_refusal
+from cbsr_qa.app.gate.request import GateRequest, Override
+from cbsr_qa.app.run.conclusion import conclude_run
+from cbsr_qa.app.run.control import open_control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, deliver_verdict
 from cbsr_qa.app.run.stopping import stoppable_outside_steps
-from cbsr_qa.config import (
-    Configuration,
-    calibrations_folder,
-    database_url,
-    load_station,
-    reports_folder,
-    restore,
-    validate_operator,
-    writable_folder,
-)
-from cbsr_qa.domain import AT_COMMAND_LINE, CbsrError, ConfigError, PluginError, StoreError
-from cbsr_qa.domain.plan import Press
-from cbsr_qa.domain.results import ResultState
-from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
-from cbsr_qa.plugin import NOT_INSTALLED, Plugins, discover, software_versions
-from cbsr_qa.station import describe, plan_of, schedule
-from cbsr_qa.store import Repository, open_existing, open_store, parsed_url, shown
-from cbsr_qa.system import RealClock, Stages
+from cbsr_qa.config.loader import load_station
+from cbsr_qa.config.merging import Configuration, restore
+from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
+from cbsr_qa.config.serials import validate_operator
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, CbsrError, ConfigError, PluginError, StoreError
+from cbsr_qa.domain.plan.steps import Press
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.run.states import ResultState
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import NOT_INSTALLED, software_versions
+from cbsr_qa.station.plan import describe, schedule
+from cbsr_qa.station.setup import plan_of
+from cbsr_qa.store.damage import name_database
+from cbsr_qa.store.engine import parse_url
+from cbsr_qa.store.opening import open_existing, open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import RealClock, Stages
 
 _ELSEWHERE: Final = (
     "a run that was begun with another database is resumed with that one\n"
@@ -57,7 +57,7 @@ def resume_run(
 
     Parameters
     ----------
-    tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run_sensor`.
+    tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run.run_sensor`.
     station : file of the run's station as it is now, for the gate alone: who may work at it, its policies, and the
         calibration dates of its instruments. None for what is stored with the run, which has no list of operators.
     override : of the gate's refusals.
@@ -71,10 +71,10 @@ def resume_run(
         If an instrument does not answer.
     """
     validate_operator(operator)
-    override = (override or Override()).checked()
+    override = (override or Override()).validate()
     url = database_url(database)
     if (existing := open_existing(url)) is None:
-        raise StoreError(f"{shown(parsed_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
+        raise StoreError(f"{name_database(parse_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
     with existing as store:
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
@@ -93,7 +93,7 @@ def resume_run(
             resumed=True,
             pin=pin,
         )
-        return _resumed(store, run, asked, station, tell, ask, answers=answers)
+        return _continue_run(store, run, asked, station, tell, ask, answers=answers)
 
 
 def _configuration(store: Repository, run: str) -> str:
@@ -107,7 +107,7 @@ def _configuration(store: Repository, run: str) -> str:
         ) from error
 
 
-def _resumed(
+def _continue_run(
     store: Repository,
     run: str,
     asked: GateRequest,
@@ -122,7 +122,7 @@ def _resumed(
     configuration = restore(store.configuration(run))
     stored, now = store.identity(run), RealClock().wall()
     identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
-    changed = changed_software(stored, identity)
+    changed = compare_software(stored, identity)
     result = store.result_state(run)
     if result is ResultState.STORED:
         raise StoreError(
@@ -132,26 +132,31 @@ def _resumed(
     if result is ResultState.MISSING:
         with naming_removed(stored, identity):
             check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        outcome = concluded(run, store, configuration, plugins, Stages(tell), changed)
+        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), changed)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
     with naming_removed(stored, identity):
         check_configuration(configuration, plugins)
-    done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
+    done = Done(
+        store.list_finished_loads(run),
+        store.list_ended_phases(run),
+        store.goes_on_at_s(run),
+        store.prompts_shown(run),
+    )
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
     with (
         naming_removed(stored, identity),
         stoppable_outside_steps(),
-        controlled(configuration, **who, answers=answers) as control,
+        open_control(configuration, **who, answers=answers) as control,
     ):
         gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
-        control.begun(run)
+        control.set_run(run)
         stages = Stages(control.telling(tell))
         with Session(configuration, plugins, stages, ask, done, gate=gate, control=control) as session:
             session.walk().refuse()
-            session.warnings += [*changed, *changed_instruments(stored, session.instruments())]
+            session.warnings += [*changed, *compare_instruments(stored, session.instruments())]
             return session.run(identity, store)
 
 
@@ -168,7 +173,7 @@ def _as_it_is_now(configuration: Configuration, station: str | None) -> Configur
     return replace(configuration, station=now)
 
 
-def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
+def compare_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
     """Return a warning if software versions differ from those at the start of the run."""
     before, after = dict(stored.software), dict(now.software)
     differing = ", ".join(
@@ -207,7 +212,7 @@ def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
         ) from error
 
 
-def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
+def compare_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
     """Return a warning for each instrument that differs from the one at the start of the run."""
     before = {instrument.role: _who(instrument) for instrument in stored.instruments}
     return [
@@ -221,14 +226,14 @@ def _who(instrument: InstrumentIdentity) -> str:
     return " ".join(filter(None, [instrument.model, instrument.serial, instrument.firmware]))
 
 
-def known_next(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
+def find_next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
     """Return the phase in which a resumed run would continue, and its next step in words.
 
     None if its configuration or one of its plugins can no longer be used.
     """
     try:
-        plan, ended = plan_of(restore(store.configuration(run)), plugins), store.ended_phases(run)
-        left = [phase for phase in schedule(plan, store.finished_loads(run), ended) if phase.index not in ended]
+        plan, ended = plan_of(restore(store.configuration(run)), plugins), store.list_ended_phases(run)
+        left = [phase for phase in schedule(plan, store.list_finished_loads(run), ended) if phase.index not in ended]
     except CbsrError:
         return None
     if not left:

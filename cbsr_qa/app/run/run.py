@@ -8,45 +8,35 @@ from itertools import count
 from pathlib import Path
 from typing import Self
 
-from cbsr_qa.app.gate import (
-    GateRequest,
-    GateShown,
-    Override,
-    ask_before,
-    asked_again,
-    asks_pin,
-    gate_outcome,
-    gate_refusal,
-)
-from cbsr_qa.app.run.control import Control, controlled
+from cbsr_qa.app.gate.gate import ask_before, ask_gate_again, gate_refusal
+from cbsr_qa.app.gate.people import asks_pin
+from cbsr_qa.app.gate.request import GateRequest, Override
+from cbsr_qa.app.gate.shown import GateShown, gate_outcome
+from cbsr_qa.app.run.control import Control, open_control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
 from cbsr_qa.app.run.stopping import stoppable_outside_steps
-from cbsr_qa.calibration.force import begin_templates
-from cbsr_qa.config import (
-    Configuration,
-    calibrations_folder,
-    check_folder,
-    configured_files,
-    database_url,
-    reports_folder,
-    validate_batch,
-    validate_operator,
-    validate_reason,
-    validate_serial,
-    writable_folder,
-)
-from cbsr_qa.domain import ConfigError, RefusedError, filled
-from cbsr_qa.domain.plan import GateCheck
-from cbsr_qa.domain.results import CommandOutcome
-from cbsr_qa.domain.run import GateAnswer, InstrumentIdentity, RunIdentity, SensorHistory
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.station import configure, on_stderr
-from cbsr_qa.station.control import refuse_busy
-from cbsr_qa.store import check_usable, open_existing, open_store, parsed_url, sqlite_file
-from cbsr_qa.system import RealClock, Stages
+from cbsr_qa.calibration.force.templates import begin_templates
+from cbsr_qa.config.merging import Configuration, list_files
+from cbsr_qa.config.paths import calibrations_folder, check_folder, database_url, reports_folder, writable_folder
+from cbsr_qa.config.serials import validate_batch, validate_operator, validate_reason, validate_serial
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.gate import GateCheck
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.changes import SensorHistory
+from cbsr_qa.domain.run.gate import GateAnswer
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.station.control.lock import refuse_busy
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.station.setup import configure
+from cbsr_qa.store.engine import parse_url, sqlite_file
+from cbsr_qa.store.opening import check_usable, open_existing, open_store
+from cbsr_qa.system.clock import RealClock, Stages
 
 #: Seeds are limited to integers that every tool can represent.
 _SEED_BITS = 31
@@ -75,13 +65,13 @@ class RunRequest:
     override: Override = field(default_factory=Override)
     golden: bool = False
 
-    def checked(self) -> Self:
+    def validate(self) -> Self:
         """Return itself. ConfigError if serial, batch, operator, reason or override is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
         validate_reason(self.why)
-        self.override.checked()
+        self.override.validate()
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
@@ -114,13 +104,13 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     RefusedError
         As :func:`run_sensor`, but violated limits of the station are listed in the result.
     """
-    plugins, _ = _checked(request.checked())
+    plugins, _ = _check_request(request.validate())
     configuration = request.configuration(_seed(request))
     refuse_busy(configuration.station.name)
     answers = _gate(request, configuration, plugins, preview=True)
     ask = _nobody_in_a_dry_run if attended else None
     with stoppable_outside_steps(), Session(configuration, plugins, Stages(), ask) as session:
-        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
+        return PlannedRun.from_dry_run(session.walk(), _history(request, configuration), plugins.failures, answers)
 
 
 def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -> CommandOutcome[GateShown]:
@@ -135,7 +125,7 @@ def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -
     RefusedError
         As :func:`run_sensor`, but what the gate refuses is listed in the result.
     """
-    plugins, _ = _checked(request.checked())
+    plugins, _ = _check_request(request.validate())
     configuration = request.configuration(0)
     answers = _gate(request, configuration, plugins, pin=pin, preview=pin is None)
     station = configuration.station
@@ -188,16 +178,16 @@ def run_sensor(
     StoppedError
         If a signal stopped it before the first step; the bench is safe and closed.
     """
-    plugins, configuration = _checked(request.checked())
+    plugins, configuration = _check_request(request.validate())
     who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
-    with stoppable_outside_steps(), controlled(configuration, **who, answers=answers) as control:
+    with stoppable_outside_steps(), open_control(configuration, **who, answers=answers) as control:
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
-        return _tested(request, plugins, configuration, gate, control, control.telling(tell), ask, begun, show)
+        return _test_sensor(request, plugins, configuration, gate, control, control.telling(tell), ask, begun, show)
 
 
-def _tested(
+def _test_sensor(
     request: RunRequest,
     plugins: Plugins,
     gated: Configuration,
@@ -211,7 +201,7 @@ def _tested(
     taken: list[int] = []
     while True:
         configuration = request.configuration(_seed(request, taken))
-        if configured_files(configuration) != configured_files(gated):
+        if list_files(configuration) != list_files(gated):
             raise ConfigError(
                 "the files of this run were changed while the gate was asked",
                 remedy="start the run again: the gate answers for the files as they are then",
@@ -222,14 +212,14 @@ def _tested(
             configuration, plugins, Stages(tell), ask, why=request.why, control=control, show=show
         ) as session:
             session.walk().refuse()
-            outcome = _stored_run(request, configuration, plugins, session, gate, control.begins(begun))
+            outcome = _run_and_store(request, configuration, plugins, session, gate, control.begins(begun))
         if outcome is not None:
             return outcome
         taken.append(configuration.seed)
         tell("another run of this sensor has begun meanwhile: opening the bench again with the next seed")
 
 
-def _stored_run(
+def _run_and_store(
     request: RunRequest,
     configuration: Configuration,
     plugins: Plugins,
@@ -255,7 +245,7 @@ def _stored_run(
         tested_by = held.enter_context(store.sensor_claimed(request.serial, identity.recipe, request.operator))
         # No other run of the sensor can begin now, and one that has ended is stored.
         asked = _gate_request(request, tested_by=tested_by)
-        session.gate = asked_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
+        session.gate = ask_gate_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
         begun(run)
         held.enter_context(store.writing_alone(run, request.operator))
         return session.run(identity, store)
@@ -265,13 +255,13 @@ def _folders() -> tuple[Path, ...]:
     return reports_folder(), calibrations_folder()
 
 
-def _checked(request: RunRequest) -> tuple[Plugins, Configuration]:
+def _check_request(request: RunRequest) -> tuple[Plugins, Configuration]:
     """Check files, then folders and database, before the bench is opened; the configuration is that of seed 0."""
     plugins = discover()
     configuration = request.configuration(0, plugins)
     check_configuration(configuration, plugins)
     url = database_url(request.database)
-    file = sqlite_file(parsed_url(url))
+    file = sqlite_file(parse_url(url))
     for folder in (*_folders(), *(() if file is None else (file.parent,))):
         check_folder(folder)
     check_usable(url)
@@ -292,7 +282,7 @@ def _gate(
 def _gate_request(
     request: RunRequest, *, pin: Callable[[str], str] | None = None, preview: bool = False, tested_by: str = ""
 ) -> GateRequest:
-    return filled(
+    return fill_from_object(
         GateRequest,
         request,
         database=database_url(request.database),

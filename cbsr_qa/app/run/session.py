@@ -8,16 +8,16 @@ from types import TracebackType
 from typing import Final, Self
 
 from cbsr_qa.app.command_hints import resume_command
-from cbsr_qa.app.run.conclusion import concluded, concluding
+from cbsr_qa.app.run.conclusion import conclude_run, concluding
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, station_key
 from cbsr_qa.app.run.stopping import stoppable
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, filled
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
-    GateAnswer,
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import AbortedError, BrokenRunError, StoreError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.run.gate import GateAnswer, gate_warnings
+from cbsr_qa.domain.run.run import (
     InstrumentIdentity,
     PhaseFinished,
     PhaseStarted,
@@ -26,28 +26,23 @@ from cbsr_qa.domain.run import (
     RunEvent,
     RunIdentity,
     RunStarted,
-    gate_warnings,
 )
-from cbsr_qa.plugin import Plugins
-from cbsr_qa.report import duration
-from cbsr_qa.station import (
-    Bench,
-    DryRun,
-    EventSinks,
-    LoadKey,
-    OperatorPrompt,
-    RunProgress,
-    check_samplers,
-    dry_run,
-    execute,
-    on_stderr,
-    open_station,
-    plan_of,
-    station_clock,
-)
-from cbsr_qa.station.control import RunStatus
-from cbsr_qa.store import Repository
-from cbsr_qa.system import Stages, WallWatch
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.report.tables import duration
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.control.status import RunStatus
+from cbsr_qa.station.dry_runs import DryRun, dry_run
+from cbsr_qa.station.event_sinks import EventSinks
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.station.limits import check_samplers
+from cbsr_qa.station.plan import LoadKey
+from cbsr_qa.station.progress import RunProgress
+from cbsr_qa.station.prompts import OperatorPrompt
+from cbsr_qa.station.setup import open_station, plan_of, station_clock
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import Stages, WallWatch
 
 Ask = Callable[[str], str]
 
@@ -139,7 +134,7 @@ class Session:
         if self._asks is None and not (desk is not None and desk.answers):
             return None
         who = "" if control is None else control.operator
-        return OperatorPrompt(self._asked, desk, operator=who, first=self._done.prompts)
+        return OperatorPrompt(self._ask_operator, desk, operator=who, first=self._done.prompts)
 
     def __enter__(self) -> Self:
         # Here, not before: a signal between opening and entering would leave the bench open.
@@ -185,15 +180,15 @@ class Session:
         ended = self._drive(identity, store)
         with concluding(identity.run, store):
             _refuse_unstored(identity.run, ended, store)
-            self.warnings += filter(None, [clock_warning(watch.moved())])
-        outcome = concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
+            self.warnings += filter(None, [clock_warning(watch.clock_change())])
+        outcome = conclude_run(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
         deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
         return outcome
 
-    def _asked(self, text: str) -> str:
+    def _ask_operator(self, text: str) -> str:
         """Ask the operator; progress display pauses meanwhile."""
         assert self._asks is not None
-        with nullcontext() if self._progress is None else self._progress.paused():
+        with nullcontext() if self._progress is None else self._progress.pause():
             return self._asks(text)
 
     def _drive(self, identity: RunIdentity, store: Repository) -> RunEnded:
@@ -233,7 +228,7 @@ class Session:
     def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
         if self._control is None:
             return ()
-        self._control.planned(self._plan, self._done.loads)
+        self._control.set_plan(self._plan, self._done.loads)
         return self._control.subscribers
 
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
@@ -276,7 +271,7 @@ def deliver_verdict(
     with suppress(AbortedError), stoppable():
         sinks = EventSinks(configuration.station.events, plugins, identity, on_stderr, first=number)
         files = {"report": str(outcome.report or ""), "calibration": str(outcome.calibration or "")}
-        sinks(filled(RunConcluded, outcome, **files))
+        sinks(fill_from_object(RunConcluded, outcome, **files))
         sinks.end()
 
 

@@ -7,8 +7,9 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
-from cbsr_qa.domain import AbortedError, StoppedError
-from cbsr_qa.system import Redelivery, end_later
+from cbsr_qa.domain.errors import AbortedError, StoppedError
+from cbsr_qa.system.redelivery import Redelivery
+from cbsr_qa.system.stubborn import end_later
 
 #: How long it may take to give up opening a bench, to make it safe and to close it [s].
 _CLOSES_WITHIN_S: Final = 45.0

@@ -7,28 +7,31 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.analysis import RING, check_ring
-from cbsr_qa.app.gate import past_due
-from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, InstrumentSpec, ReferenceRing, Station
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings
-from cbsr_qa.eit.forward import FEWEST_RESISTORS
-from cbsr_qa.plugin import Instrument, Linked, Plugins, Sampler, SelfTesting
-from cbsr_qa.report import number, unit_shown
-from cbsr_qa.station import (
+from cbsr_qa.analysis.ring import RING, check_ring
+from cbsr_qa.app.gate.station_state import past_due
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
+from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.instruments import Instrument, Linked, Sampler, SelfTesting
+from cbsr_qa.report.tables import number, unit_shown
+from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,
     FORCE_CHANNEL,
     FRAME_SOURCE,
     Action,
     Bench,
     Mounted,
-    check_clock,
     identity_of,
-    opener,
     stop_all,
 )
-from cbsr_qa.system import Clock, come_back_once
+from cbsr_qa.station.setup import check_clock, opener
+from cbsr_qa.system.clock import Clock
+from cbsr_qa.system.copies import come_back_once
 
 #: Called with a request, returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
@@ -100,19 +103,19 @@ def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) 
     """Connect a ring in place of the sheet in every world the station simulates."""
     station = configuration.station
 
-    def changed(spec: InstrumentSpec) -> InstrumentSpec:
+    def replace_scene(spec: InstrumentSpec) -> InstrumentSpec:
         if FRAME_SOURCE not in spec.provides or "scene" not in spec.options:
             return spec
-        return replace(spec, options={**spec.options, "scene": _ringed(spec.options["scene"], resistances_ohm)})
+        return replace(spec, options={**spec.options, "scene": _add_ring(spec.options["scene"], resistances_ohm)})
 
     emulated = station.emulated_scene
     if isinstance(emulated, Mapping):
-        emulated = _ringed(emulated, resistances_ohm)
-    instruments = tuple(changed(spec) for spec in station.instruments)
+        emulated = _add_ring(emulated, resistances_ohm)
+    instruments = tuple(replace_scene(spec) for spec in station.instruments)
     return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated))
 
 
-def _ringed(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
+def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
     return {**scene, "scene": {**scene["scene"], "reference_ring_ohm": list(resistances_ohm)}}
 
 
@@ -140,7 +143,7 @@ class _Look:
         except Exception as error:  # noqa: BLE001 - a stranger's driver may raise anything; it is one line
             if isinstance(error, RefusedError):
                 self.found.refused.append(error)
-            self._add(_failed(spec.role, "identity", error))
+            self._add(_error_result(spec.role, "identity", error))
             self._missing += 1
         else:
             self._mounted.append(mounted)
@@ -156,7 +159,7 @@ class _Look:
         try:
             identity = identity_of(mounted, emulated=emulated)
         except Exception as error:  # noqa: BLE001 - as above
-            self._add(_failed(role, "identity", error))
+            self._add(_error_result(role, "identity", error))
             self._missing += 1
             return
         self.found.instruments.append(identity)
@@ -174,7 +177,7 @@ class _Look:
             for line in tested:
                 self._add(replace(line, subject=mounted.spec.role))
         except Exception as error:  # noqa: BLE001 - as above
-            self._add(_failed(mounted.spec.role, "self-test", error))
+            self._add(_error_result(mounted.spec.role, "self-test", error))
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
         """Request the ring, before instruments that check their contacts are linked."""
@@ -197,7 +200,7 @@ class _Look:
                 check_clock(self.configuration, self.found.instruments)
                 self._bench = bench
         except Exception as error:  # noqa: BLE001 - as above: linking calls drivers
-            self._add(_failed(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
+            self._add(_error_result(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
 
     def sample(self) -> None:
         """Check that every channel has samples within the allowed age of data."""
@@ -209,30 +212,30 @@ class _Look:
             if isinstance(mounted.instrument, Sampler):
                 try:
                     with come_back_once():
-                        sampled = _sampled(mounted.spec, mounted.instrument, begun_s, stale_s)
+                        sampled = _check_samples(mounted.spec, mounted.instrument, begun_s, stale_s)
                     self._add(sampled)
                 except Exception as error:  # noqa: BLE001 - as above
-                    self._add(_failed(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
+                    self._add(_error_result(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
 
     def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
         """Take frames of the ring and judge them; a line says why if none are taken."""
         sensor_type = self.configuration.sensor_type
         if ring is None:
-            return self._add(_no_ring("its resistances are not given, or --no-ring", _NO_RING))
+            return self._add(_skip_ring("its resistances are not given, or --no-ring", _NO_RING))
         if not resistances_ohm:
             why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
-            return self._add(_no_ring(why, "set the station up for a sensor type with more"))
+            return self._add(_skip_ring(why, "set the station up for a sensor type with more"))
         if self._bench is None:
-            return self._add(_no_ring("the instruments do not work together", "see above"))
+            return self._add(_skip_ring("the instruments do not work together", "see above"))
         if not connected:
             why = "it is not known whether the ring is connected"
-            return self._add(_no_ring(why, "run it from a terminal, or with --ring-connected once it is"))
+            return self._add(_skip_ring(why, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
             with come_back_once():
                 frames = self._bench.frame_source.acquire(ring.frames)
         except Exception as error:  # noqa: BLE001 - as above
-            return self._add(_failed(RING, "readings", error))
+            return self._add(_error_result(RING, "readings", error))
         self.found.ring = RingReadings(frames, resistances_ohm)
         self.found.lines += check_ring(self.found.ring, sensor_type.pattern, ring)
         return None
@@ -256,7 +259,7 @@ class _Look:
         self.found.lines.append(line)
 
 
-def _failed(subject: str, name: str, error: Exception) -> CheckResult:
+def _error_result(subject: str, name: str, error: Exception) -> CheckResult:
     """Return the line of an error; an operator's stop is raised again."""
     if isinstance(error, AbortedError):
         raise error
@@ -268,17 +271,19 @@ def _failed(subject: str, name: str, error: Exception) -> CheckResult:
     )
 
 
-def _no_ring(why: str, remedy: str) -> CheckResult:
+def _skip_ring(why: str, remedy: str) -> CheckResult:
     return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
 
 
 def _who(identity: InstrumentIdentity) -> str:
     parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", f"firmware {identity.firmware}"]
     known = [part for part in parts[: 3 if identity.firmware else 2] if part]
-    return ", ".join([*known, *(f"{what} {value}".strip() for what, value in identity.notes), *_simulated(identity)])
+    return ", ".join(
+        [*known, *(f"{what} {value}".strip() for what, value in identity.notes), *_simulation_notes(identity)]
+    )
 
 
-def _simulated(identity: InstrumentIdentity) -> list[str]:
+def _simulation_notes(identity: InstrumentIdentity) -> list[str]:
     return ["simulated"] if identity.simulated else []
 
 
@@ -308,7 +313,7 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
     )
 
 
-def _sampled(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
+def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
     block, name = sampler.samples_since(begun_s), f"samples of {sampler.channel}"
     if not len(block) and FORCE_APPLICATOR in spec.provides and sampler.channel != FORCE_CHANNEL:
         why = "it says where the head is while that moves, and nothing moved"

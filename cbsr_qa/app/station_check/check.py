@@ -6,29 +6,29 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.run import RunRequest, run_sensor, stoppable
+from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.app.station_check.bench import BenchFindings, Confirm, look_at_bench, simulates_frames
 from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
 from cbsr_qa.app.station_check.outcome import CheckedStation, check_outcome
-from cbsr_qa.config import (
-    Configuration,
-    calibrations_folder,
-    database_url,
-    reports_folder,
-    validate_operator,
-    validate_serial,
-    writable_folder,
-)
-from cbsr_qa.domain import CbsrError, RefusedError, StoppedError
-from cbsr_qa.domain.plan import ReferenceRing, Station
-from cbsr_qa.domain.results import CommandOutcome, EndReason
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, RunIdentity, StationCheck
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.report import render_sections, report_name, write_report
-from cbsr_qa.station import configure, on_stderr, station_clock
-from cbsr_qa.station.control import station_held
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.system import RealClock
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
+from cbsr_qa.config.serials import validate_operator, validate_serial
+from cbsr_qa.domain.errors import CbsrError, RefusedError, StoppedError
+from cbsr_qa.domain.plan.plan import ReferenceRing, Station
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.run.run import RunIdentity
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.report.render import render_sections, report_name, write_report
+from cbsr_qa.station.control.lock import station_held
+from cbsr_qa.station.interrupts import on_stderr
+from cbsr_qa.station.setup import configure, station_clock
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import RealClock
 
 #: Shipped recipe of a golden sensor's run.
 GOLDEN_RECIPE: Final = "golden-check"
@@ -78,7 +78,7 @@ def check_station(
     ----------
     ask : shows a text to the operator and returns the answer; None without an operator: what must be connected first
         is then not measured, and instruments worked by hand do not answer.
-    pin : asks for the operator's PIN; see :func:`cbsr_qa.app.run.run_sensor`.
+    pin : asks for the operator's PIN; see :func:`cbsr_qa.app.run.run.run_sensor`.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def check_station(
     _refuse_both(request, ring, simulated)
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
-    confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
+    confirm: Confirm = None if ask is None else lambda words: _ask_confirmation(ask, words)
     # The operator is asked only once for each thing.
     placed: Confirm = None if simulated or confirm is None else cache(confirm)
     with open_store(database_url(request.database), tell=on_stderr) as store:
@@ -123,7 +123,7 @@ def check_station(
         store.save_station_check(check, findings.ring)
     named = "" if golden is None else golden.words
     outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
-    return _written(outcome, reports_folder() / report_name("station", check.station, check.check))
+    return _write_page(outcome, reports_folder() / report_name("station", check.station, check.check))
 
 
 def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
@@ -186,7 +186,7 @@ def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing 
     return ReferenceRing((ohm,), frames=_RING_FRAMES, **_RING_LIMITS)
 
 
-def _confirmed(ask: Callable[[str], str], words: str) -> bool:
+def _ask_confirmation(ask: Callable[[str], str], words: str) -> bool:
     """Ask the operator to connect something; only an empty answer confirms it."""
     return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
 
@@ -281,7 +281,7 @@ def _golden(
     return identity
 
 
-def _written(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:
+def _write_page(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:
     """Write the page; if it cannot be written, the stored check says why and stays valid."""
     try:
         write_report(path, render_sections(outcome.page, outcome.sections))

@@ -7,13 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Bound, EndReason, Measurement, metric_words
-from cbsr_qa.domain.run import CheckOutcome, CheckResult
-from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
-from cbsr_qa.stats import FEWEST_VALUES, Prediction, predict
-from cbsr_qa.store import Repository
-from cbsr_qa.studies import measuring_digest
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.results.measurement import Measurement, metric_words
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult
+from cbsr_qa.report.tables import format_fixed, number, unit_shown, with_uncertainty
+from cbsr_qa.stats.intervals import FEWEST_VALUES, Prediction, predict
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.studies.selection import measuring_digest
 
 #: Compared values: measurement, and its qualifier if any. Values at several places are averaged.
 FIGURES: Final = (
@@ -206,7 +208,7 @@ def _like(value: float, prediction: Prediction) -> str:
     """Write a bound with digits that match the spread of the values."""
     decimals = 1 - floor(log10(prediction.deviation)) if prediction.deviation > 0 else _MOST_DECIMALS
     few = abs(prediction.mean) >= 0.01 and 0 <= decimals <= _MOST_DECIMALS
-    return fixed(value, decimals) if few else number(value)
+    return format_fixed(value, decimals) if few else number(value)
 
 
 def _stations(runs: Sequence[GoldenRun]) -> str:

@@ -6,14 +6,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.analysis import RING, fit_ring
-from cbsr_qa.domain import NumericsError, filled
-from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import counted, lines_table, plural, quantity, remedies, text_table
-from cbsr_qa.report.draw import ring_figure
+from cbsr_qa.analysis.ring import RING, fit_ring
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.plan import ReferenceRing
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, Paragraph, Section
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.report.draw.channels import ring_figure
+from cbsr_qa.report.station import count_results, lines_table, remedies
+from cbsr_qa.report.tables import plural, quantity, text_table
 
 _RING_WORDS: Final = (
     "A ring of resistors between neighbouring electrodes stands in place of the sensor. What every pair must read of "
@@ -29,7 +31,7 @@ _GOLDEN_WORDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class AnsweringInstrument:
-    """See :class:`~cbsr_qa.domain.run.InstrumentIdentity`."""
+    """See :class:`~cbsr_qa.domain.run.run.InstrumentIdentity`."""
 
     role: str
     driver: str
@@ -73,8 +75,10 @@ def check_outcome(
     ring, allowed : its frames and their limits; None if not measured.
     golden_run : its name for people; empty if not run.
     """
-    instruments = tuple(filled(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments)
-    checked = filled(CheckedStation, check, instruments=instruments)
+    instruments = tuple(
+        fill_from_object(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments
+    )
+    checked = fill_from_object(CheckedStation, check, instruments=instruments)
     code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
     return CommandOutcome(checked, _head(check, golden_run), tuple(_sections(check, ring, pattern, allowed)), code)
 
@@ -85,7 +89,7 @@ def _head(check: StationCheck, golden_run: str) -> Page:
         reason = "; ".join(f"{line.subject}: {line.name}" for line in failed)
         banner = Banner("fail", "✗", "FAILED", reason)
     elif check.outcome is CheckOutcome.WARNING:
-        banner = Banner("marginal", "≈", "OK, with warnings", counted(check))
+        banner = Banner("marginal", "≈", "OK, with warnings", count_results(check))
     else:
         banner = Banner("pass", "✓", "OK", f"{plural(len(check.lines(CheckOutcome.OK)), 'check')} passed")
     facts = (

@@ -1,6 +1,6 @@
 """Readers of a stream as lines of JSON: standard output, and whoever connects to a TCP or Unix socket.
 
-Each has a queue and a thread of its own (:class:`~cbsr_qa.station.Delivery`): one that is slow, or has gone,
+Each has a queue and a thread of its own (``Delivery``): one that is slow, or has gone,
 loses its oldest messages and delays nobody.
 """
 
@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from cbsr_qa.app.stream.messages import AliveMessage, DroppedMessage, HeaderMessage, StreamMessage, json_line
-from cbsr_qa.domain import DeliveryError, RefusedError
-from cbsr_qa.station import Delivery
+from cbsr_qa.domain.errors import DeliveryError, RefusedError
+from cbsr_qa.station.event_sinks import Delivery
 
 #: Messages that wait for a client at most; beyond it the oldest are dropped.
 LARGEST_QUEUE: Final = 250
@@ -77,7 +77,7 @@ class _Client:
 
     def __init__(self, name: str, write: Callable[[bytes], None], close: Callable[[], None]) -> None:
         self.over = ""
-        self._delivery = Delivery(name, _Lines(write, close, self._ended), most=LARGEST_QUEUE)
+        self._delivery = Delivery(name, _Lines(write, close, self._note_end), most=LARGEST_QUEUE)
 
     def send(self, message: StreamMessage) -> None:
         self._delivery.put({"message": message})
@@ -90,7 +90,7 @@ class _Client:
         """Let its thread end."""
         self._delivery.end()
 
-    def _ended(self, why: str) -> None:
+    def _note_end(self, why: str) -> None:
         self.over = why
 
 
@@ -103,11 +103,11 @@ class StandardOutput(_Client):
 
     def close(self) -> None:
         super().close()
-        lost = self._delivery.lost()
+        lost = self._delivery.describe_loss()
         if lost and not self.over:
             self._tell(lost)
 
-    def _ended(self, why: str) -> None:
+    def _note_end(self, why: str) -> None:
         self.over = f"standard output: {why}"
 
 

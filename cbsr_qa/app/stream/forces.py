@@ -7,15 +7,20 @@ from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
-from cbsr_qa.analysis.recording import distinct_pairs
-from cbsr_qa.app.calibration import FrameScale, PressedPlaces, issued_file, pattern_of, whole_readings
-from cbsr_qa.calibration.runtime import NO_FORCE, Calibration, Flag, SettlingForces
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import Array, CalibrationError, RecordingError
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import Calibration as IssuedByRun, PressCalibration
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.analysis.recording.press_files import distinct_pairs
+from cbsr_qa.app.calibration.apply_places import PressedPlaces, pattern_of, read_calibration_file
+from cbsr_qa.app.calibration.frame_scale import FrameScale, whole_readings
+from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import CalibrationError, RecordingError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import Calibration as IssuedByRun
+from cbsr_qa.domain.results.press_calibration import PressCalibration
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 #: Of dᵀΣ⁻¹d that holds 68 % and 95 % of a normal distribution over two axes.
 _Q68, _Q95 = (float(-2 * np.log(1 - share)) for share in (0.6827, 0.95))
@@ -25,7 +30,7 @@ _PRESSED_AXES: Final = "mm, in the frame of the labels of the presses that calib
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one frame tells; fields as of :class:`~cbsr_qa.app.stream.FrameMessage`."""
+    """What one frame tells; fields as of :class:`~cbsr_qa.app.stream.messages.FrameMessage`."""
 
     force_N: float | None
     force_68_N: tuple[float, float] | None
@@ -41,7 +46,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationIdentity:
-    """What a header says of a calibration; fields as of :class:`~cbsr_qa.app.stream.HeaderMessage`."""
+    """What a header says of a calibration; fields as of :class:`~cbsr_qa.app.stream.messages.HeaderMessage`."""
 
     serial: str
     calibration: str
@@ -86,7 +91,7 @@ def frame_forces(calibration: Path, sensor_type: str | None = None, public_key: 
     ConfigError
         If there is no such sensor type, or the key cannot be used.
     """
-    issued = issued_file(calibration, public_key)
+    issued = read_calibration_file(calibration, public_key)
     if isinstance(issued, PressCalibration):
         return _OfPresses(calibration, issued, load_sensor_type(sensor_type or issued.sensor_type).value)
     if sensor_type is not None:
@@ -105,7 +110,7 @@ class _OfRun:
         )
 
     def scale(self, name: str, first: FrameBlock, reference: int | None) -> tuple[str, ...]:
-        self._scale = FrameScale.of(self._calibration, name, first, reference)
+        self._scale = FrameScale.from_frames(self._calibration, name, first, reference)
         return self._scale.remarks
 
     def estimates(self, frames: FrameBlock) -> list[Estimate]:
@@ -155,7 +160,7 @@ class _OfPresses:
             if not np.isfinite(rows).all():
                 raise RecordingError(f"a reading of the first {reference} frames of {name} is missing or saturated")
             self._rest = rows.mean(axis=0)
-        self._located(rows[:1])  # refuses frames that cannot be compared with anything
+        self._locate(rows[:1])  # refuses frames that cannot be compared with anything
         return ("a calibration from presses states no serial number: that it is of this sensor is not checked",)
 
     def estimates(self, frames: FrameBlock) -> list[Estimate]:
@@ -164,11 +169,11 @@ class _OfPresses:
     def _rows(self, frames: FrameBlock) -> Array:
         return whole_readings(frames)[:, self._usable]
 
-    def _located(self, rows: Array) -> Any:
+    def _locate(self, rows: Array) -> Any:
         return self._places(rows if self._rest is None else rows - self._rest, relative=self._rest is not None)
 
     def _estimate(self, row: Array) -> Estimate:
-        (frame,) = self._located(row[None])
+        (frame,) = self._locate(row[None])
         spread = frame.covariance_mm2
         radius_mm = 0.0 if spread is None else float(np.sqrt(max(np.linalg.eigvalsh(spread)[-1], 0.0)))
         blind = "unreadable" in frame.flags

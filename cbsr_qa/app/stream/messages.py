@@ -64,7 +64,7 @@ class FrameMessage:
     x_mm, y_mm : place of the press; null if nothing presses.
     radius_68_mm, radius_95_mm : of circles about the place that hold it at least with that probability.
     touch : whether something presses; null if the frame does not tell.
-    flags : names of :class:`~cbsr_qa.calibration.Flag`, in lower case.
+    flags : names of :class:`~cbsr_qa.calibration.force.inverse.Flag`, in lower case.
     settled_in_s : time until the force counts, 0 where it does; null where that is not known.
     missed : frame periods without a frame since the stream began.
     latency_ms : from the end of the frame until this message was handed to those who send it.
@@ -143,7 +143,7 @@ class EndMessage:
     exit_code: int
 
 
-StreamMessage = HeaderMessage | FrameMessage | InterruptedMessage | AliveMessage | DroppedMessage | EndMessage
+StreamMessage = HeaderMessage | FrameMessage | AliveMessage | DroppedMessage | InterruptedMessage | EndMessage
 
 
 def json_line(message: StreamMessage) -> bytes:

@@ -15,10 +15,12 @@ from urllib.parse import SplitResult, urlsplit
 
 from cbsr_qa.app.stream.clients import END_S, LARGEST_QUEUE, Server, StandardOutput, Tell
 from cbsr_qa.app.stream.messages import AliveMessage, StreamMessage
-from cbsr_qa.domain import DeliveryError, RefusedError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin
-from cbsr_qa.station import Delivery
+from cbsr_qa.domain.errors import DeliveryError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import EventSink
+from cbsr_qa.station.event_sinks import Delivery
 
 #: A second without a message is filled with one that says that the stream goes on.
 _ALIVE_S: Final = 1.0
@@ -164,6 +166,6 @@ class _Broker:
     def close(self) -> None:
         self._delivery.end()
         self._delivery.wait(END_S)
-        lost = self._delivery.lost()
+        lost = self._delivery.describe_loss()
         if lost:
             self._tell(lost)

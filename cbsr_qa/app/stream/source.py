@@ -5,28 +5,20 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from cbsr_qa.config import load_material
-from cbsr_qa.domain import ConfigError, InstrumentError, PluginError, RefusedError
-from cbsr_qa.domain.plan import InstrumentSpec
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.run import Indenter, InstrumentIdentity
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import FrameSource, Instrument, Linked, Plugins, StationContext, contained
-from cbsr_qa.station import (
-    FRAME_SOURCE,
-    MULTIPLEXER,
-    SOURCE_METER,
-    Mounted,
-    check_clock,
-    configure,
-    identity_of,
-    open_instrument,
-    opener,
-    station_clock,
-    stop_all,
-)
-from cbsr_qa.station.control import station_held
-from cbsr_qa.system import Clock, RealClock
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RefusedError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.failures import blame_plugin
+from cbsr_qa.plugin.instruments import FrameSource, Instrument, Linked, StationContext
+from cbsr_qa.station.bench import FRAME_SOURCE, MULTIPLEXER, SOURCE_METER, Mounted, identity_of, stop_all
+from cbsr_qa.station.control.lock import station_held
+from cbsr_qa.station.setup import check_clock, configure, open_instrument, opener, station_clock
+from cbsr_qa.system.clock import Clock, RealClock
 
 #: Simulated instruments want a material; those that measure something do not look at it.
 _MATERIAL: Final = "cbsr-8wt"
@@ -64,7 +56,7 @@ class OpenedSource:
         InstrumentError if the instrument fails, whatever its driver raises; NoMoreFramesError after the last one.
         """
         try:
-            with contained(f"driver {self.spec.driver}"):
+            with blame_plugin(f"driver {self.spec.driver}"):
                 return self.instrument.acquire(1)
         except PluginError as error:
             raise InstrumentError(
@@ -73,7 +65,7 @@ class OpenedSource:
 
 
 @contextmanager
-def opened_source(
+def open_source(
     frames: FramesFrom,
     plugins: Plugins,
     sensor_type: SensorType,
@@ -105,16 +97,16 @@ def opened_source(
             specs, clock, opened = _alone(frames.driver, frames.options or {}, plugins, sensor_type, indenter)
         else:
             assert frames.station is not None
-            specs, clock, opened = _of_station(frames.station, plugins, sensor_type, stack)
+            specs, clock, opened = _prepare_station(frames.station, plugins, sensor_type, stack)
         mounted = []
         for spec in specs:
             one = Mounted(spec, opened(spec))
             mounted.append(one)
-            stack.callback(_closed, one, tell)
+            stack.callback(_close_instrument, one, tell)
         yield _ready(mounted, clock)
 
 
-def _closed(one: Mounted, tell: Callable[[str], None]) -> None:
+def _close_instrument(one: Mounted, tell: Callable[[str], None]) -> None:
     for action in (one.instrument.safe_state, one.instrument.close):
         for words in stop_all([(one.name, action)]):
             tell(f"{words}: switch its current off by hand")
@@ -133,16 +125,16 @@ def _alone(
             f"{driver}: only a station emulates instruments", remedy="give --station, e.g. --station board-emulated"
         )
 
-    def opened(spec: InstrumentSpec) -> Instrument:
+    def open_alone(spec: InstrumentSpec) -> Instrument:
         context = StationContext(
             FRAME_SOURCE, clock, sensor_type, load_material(_MATERIAL).value, indenter, 0, spec.options
         )
         return open_instrument(spec.driver, plugins, context)
 
-    return [InstrumentSpec(FRAME_SOURCE, driver, (FRAME_SOURCE,), options, None)], clock, opened
+    return [InstrumentSpec(FRAME_SOURCE, driver, (FRAME_SOURCE,), options, None)], clock, open_alone
 
 
-def _of_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: ExitStack) -> _Opened:
+def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: ExitStack) -> _Opened:
     """Open no head and no load cell: whoever built the sensor in presses."""
     here = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
     _check_sensor_type(here.station.name, here.sensor_type, sensor_type)
@@ -157,13 +149,13 @@ def _of_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: 
     source = next(spec for spec in specs if FRAME_SOURCE in spec.provides)
     through = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
 
-    def checked(spec: InstrumentSpec) -> Instrument:
+    def open_checked(spec: InstrumentSpec) -> Instrument:
         instrument = opened(spec)
         if not isinstance(instrument, Linked):  # it is as real as those that it works through
             check_clock(here, [identity_of(Mounted(spec, instrument))])
         return instrument
 
-    return [*through, source], clock, checked
+    return [*through, source], clock, open_checked
 
 
 def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) -> None:
@@ -194,7 +186,7 @@ def _ready(mounted: list[Mounted], clock: Clock) -> OpenedSource:
                 f"driver {source.spec.driver!r} works through other instruments",
                 remedy="describe them in a station file, and give --station FILE",
             )
-        with contained(f"instrument {source.name}"):
+        with blame_plugin(f"instrument {source.name}"):
             instrument.link({role: one.instrument for one in mounted for role in one.spec.provides})
     emulated = any(one.spec.emulated for one in mounted)
     return OpenedSource(source.spec, instrument, clock, identity_of(source, emulated=emulated))

@@ -17,10 +17,11 @@ from cbsr_qa.app.stream.messages import (
     InterruptedMessage,
     StreamMessage,
 )
-from cbsr_qa.app.stream.source import FramesFrom, OpenedSource, opened_source
-from cbsr_qa.domain import CbsrError, InstrumentError, NoMoreFramesError, RefusedError, filled
-from cbsr_qa.domain.readings import FrameBlock, join_frames
-from cbsr_qa.plugin import Plugins, discover
+from cbsr_qa.app.stream.source import FramesFrom, OpenedSource, open_source
+from cbsr_qa.domain.errors import CbsrError, InstrumentError, NoMoreFramesError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.readings.frames import FrameBlock, join_frames
+from cbsr_qa.plugin.discovery import Plugins, discover
 
 #: Pauses between attempts of an instrument that says it may be asked again [s]: doubled, up to the longest.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 5.0
@@ -75,7 +76,7 @@ def stream_messages(
     """
     forces = frame_forces(request.calibration, request.sensor_type, request.public_key)
     plugins = plugins or discover()
-    with opened_source(request.frames, plugins, forces.sensor_type, forces.indenter, tell) as source:
+    with open_source(request.frames, plugins, forces.sensor_type, forces.indenter, tell) as source:
         tell(f"waiting for a frame of {source.spec.driver}, one every {source.instrument.frame_period_s:.3g} s")
         stream = _Stream(request, source, forces, waiting)
         yield stream.begin()
@@ -97,7 +98,7 @@ class _Stream:
         try:
             with self._waiting():
                 while len(self._taken) < count:
-                    self._taken.append(_Taken.next(source))
+                    self._taken.append(_Taken.take(source))
         except NoMoreFramesError as error:
             raise RefusedError(
                 f"{source.spec.driver} has {len(self._taken)} frames; {count} are needed before the stream begins",
@@ -105,7 +106,7 @@ class _Stream:
             ) from error
         first = join_frames([taken.block for taken in self._taken])
         remarks = self._forces.scale(source.spec.driver, first, self._request.reference)
-        return filled(
+        return fill_from_object(
             HeaderMessage,
             self._forces.identity,
             type="header",
@@ -129,7 +130,7 @@ class _Stream:
         pause_s, until_s = _FIRST_PAUSE_S, None
         while True:
             try:
-                yield from self._next()
+                yield from self._frame_messages()
                 pause_s, until_s = _FIRST_PAUSE_S, None
             except NoMoreFramesError:
                 yield self._end("over", f"{self._source.spec.driver} has no more frames", 0)
@@ -150,10 +151,10 @@ class _Stream:
                 yield self._end("stopped", str(stop) or "stopped from the keyboard", 0)
                 return
 
-    def _next(self) -> Iterator[FrameMessage]:
+    def _frame_messages(self) -> Iterator[FrameMessage]:
         if not self._taken:
             with self._waiting():
-                self._taken = [_Taken.next(self._source)]
+                self._taken = [_Taken.take(self._source)]
         taken, *self._taken = self._taken
         for estimate in self._forces.estimates(taken.block):
             yield self._message(taken, estimate)
@@ -163,7 +164,7 @@ class _Stream:
         if self._before_s is not None:
             self._missed += max(round((taken.time_s - self._before_s) / period_s) - 1, 0)
         self._before_s, self._frames = taken.time_s, self._frames + 1
-        return filled(
+        return fill_from_object(
             FrameMessage,
             estimate,
             type="frame",
@@ -203,7 +204,7 @@ class _Taken:
     ended_s: float
 
     @classmethod
-    def next(cls, source: OpenedSource) -> "_Taken":
+    def take(cls, source: OpenedSource) -> "_Taken":
         """Take the next frame."""
         block = source.frame()
         time_s, half_s = float(block.time_s[-1]), float(source.instrument.frame_period_s) / 2

@@ -23,8 +23,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import COLUMNS, Array, CalibrationError, Indices, Mask, tabulated
-from cbsr_qa.domain.results import Calibration, PressCalibration
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import COLUMNS, walk_fields
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.press_calibration import PressCalibration
 
 #: Possible values: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
 Value = Array | NDArray[np.float32] | Indices | Mask | str | tuple[str, ...]
@@ -168,12 +171,12 @@ _SINGLE_MATRIX: Final = 3
 _MATRIX_IN_STEPS: Final = 5
 _MATRIX: Final = "reconstruction/matrix"
 
-_TABLE: Final = tuple(tabulated(Calibration))
+_TABLE: Final = tuple(walk_fields(Calibration))
 #: Paths, or prefixes of paths, of entries recomputed from the others.
 PREPARED: Final = tuple(path for path, field in _TABLE if field.kept.prepared)
 #: The same for entries added in later versions of a format, with the version.
 _SINCE: Final = {
-    format_: tuple((path, field.kept.since) for path, field in tabulated(of) if field.kept.since > 1)
+    format_: tuple((path, field.kept.since) for path, field in walk_fields(of) if field.kept.since > 1)
     for format_, of in ((FORMAT, Calibration), (PRESS_FORMAT, PressCalibration))
 }
 SCHEMA_VERSION: Final = max([_MATRIX_IN_STEPS, *(since for _, since in _SINCE[FORMAT])])

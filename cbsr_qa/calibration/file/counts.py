@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.geometry import MOST_CORNERS
-from cbsr_qa.domain.results import MOST_PRESSES
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.geometry.outlines import MOST_CORNERS
+from cbsr_qa.domain.results.learned_place import MOST_PRESSES
 
 #: As a sensor type may have.
 _MOST_ELECTRODES: Final = 256
@@ -55,12 +55,12 @@ _RELAXATION: Final = "relaxation/"
 
 def check_counts(entries: Mapping[str, Entry]) -> None:
     """Raise CalibrationError, naming the entry, if a calibration holds more of something than any sensor has."""
-    for path, number, most in _counted(entries):
+    for path, number, most in _list_counts(entries):
         if number > most:
             raise CalibrationError(f"{path}: {number} is too many; a calibration has at most {most}")
 
 
-def _counted(entries: Mapping[str, Entry]) -> Iterator[tuple[str, int, int]]:
+def _list_counts(entries: Mapping[str, Entry]) -> Iterator[tuple[str, int, int]]:
     """Yield what is counted: its path, its number, and how many are allowed."""
     for path, most in _LARGEST.items():
         value = entries[path].value if path in entries else None

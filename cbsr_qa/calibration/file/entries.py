@@ -13,27 +13,21 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.file.content import INDEX, PRESS_FORMAT, PURE, TEXT, Entry, Reading, format_of
 from cbsr_qa.calibration.file.counts import check_counts
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
-from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import (
-    Calibration,
-    ForceModel,
-    LearnedPlace,
-    LearnedQuantity,
-    LoadRelaxation,
-    PressCalibration,
-    RelaxationKernel,
-)
-from cbsr_qa.domain.sensor import (
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
+from cbsr_qa.domain.results.calibration import Calibration, ForceModel, LoadRelaxation
+from cbsr_qa.domain.results.learned_place import LearnedPlace
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
+from cbsr_qa.domain.results.press_calibration import PressCalibration
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.domain.sensor.mesh import (
     INTEGERS as MESH_INTEGERS,
     NAMES as MESH_ARRAYS,
-    ElectrodeLayout,
-    Electrodes,
-    GivenMesh,
     Mesh,
-    PlacedElectrodes,
     mesh_arrays,
     mesh_of_arrays,
 )
+from cbsr_qa.domain.sensor.sensor_type import GivenMesh
 
 #: Templates have unit length, apart from rounding.
 _UNIT: Final = 1e-3
@@ -233,7 +227,9 @@ def _read_array(read: Reading, path: str, name: str) -> NDArray[Any]:
 def _read_given_mesh(read: Reading, group: str) -> GivenMesh | None:
     if not read.has(f"{group}nodes_mm"):
         return None
-    return GivenMesh.of(mesh_of_arrays({name: _read_array(read, f"{group}{name}", name) for name in MESH_ARRAYS}))
+    return GivenMesh.from_mesh(
+        mesh_of_arrays({name: _read_array(read, f"{group}{name}", name) for name in MESH_ARRAYS})
+    )
 
 
 def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxation, ...]) -> None:

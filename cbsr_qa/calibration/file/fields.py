@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry, Reading, Value
-from cbsr_qa.domain import COLUMNS, Array, Indices, Kept, KeptField, Mask, group_of, in_steps, kept_fields
+from cbsr_qa.domain.kept import COLUMNS, Kept, KeptField, group_of, list_fields, round_to_steps
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 Pairs = tuple[tuple[int, int], ...]
 Points = tuple[tuple[float, float], ...]
@@ -36,7 +37,7 @@ class Codec:
 
     def write(self, out: Entries, value: Any, within: str, own: str = PURE) -> None:
         """Write a dataclass under the path of its group; ``own`` are the units of its fields."""
-        for field in kept_fields(type(value)):
+        for field in list_fields(type(value)):
             held, group = getattr(value, field.name), group_of(field.hint)
             path, units = _place(field, within, own)
             if field.kept.not_kept or field.is_left_out(held):
@@ -55,7 +56,7 @@ class Codec:
 
     def write_list(self, out: Entries, of: Any, items: Sequence[Any], within: str, own: str = PURE) -> None:
         """Write dataclasses as a list for every field."""
-        for field in kept_fields(of):
+        for field in list_fields(of):
             path, units = _place(field, within, own)
             held, group = [getattr(item, field.name) for item in items], group_of(field.hint)
             if group is not None:
@@ -66,7 +67,7 @@ class Codec:
     def read(self, read: Reading, of: Any, within: str, above: Mapping[str, Any] | None = None) -> Any:
         """Return a dataclass; ``above`` are the fields of the enclosing one."""
         values: dict[str, Any] = {}
-        for field in kept_fields(of):
+        for field in list_fields(of):
             path, group = _place(field, within, PURE)[0], group_of(field.hint)
             known = {**(above or {}), **values, **dict(field.kept.given)}
             if field.kept.from_above:
@@ -85,9 +86,9 @@ class Codec:
 
     def read_list(self, read: Reading, of: Any, within: str, above: Mapping[str, Any]) -> Iterator[Any]:
         """Yield dataclasses from the lists of their fields; ``above`` is common to all of them."""
-        shared = {field.name: above[field.name] for field in kept_fields(of) if field.kept.from_above}
+        shared = {field.name: above[field.name] for field in list_fields(of) if field.kept.from_above}
         columns: dict[str, Sequence[Any]] = {}
-        for field in kept_fields(of):
+        for field in list_fields(of):
             path, group = _place(field, within, PURE)[0], group_of(field.hint)
             if group is not None:
                 columns[field.name] = list(self.read_list(read, group, path, above))
@@ -106,11 +107,11 @@ def item_of(hint: Any) -> Any:
 def problems(value: Any, within: str) -> Iterator[str]:
     """Describe invalid numbers of a dataclass, by the limits and axes of its fields."""
     lengths: dict[str, int] = {}
-    for field in kept_fields(type(value)):
+    for field in list_fields(type(value)):
         held, path = getattr(value, field.name), _place(field, within, PURE)[0]
         if is_dataclass(held) and not field.kept.not_kept:
             yield from problems(held, path)
-            lengths |= {part.name: getattr(held, part.name) for part in kept_fields(type(held)) if part.hint is int}
+            lengths |= {part.name: getattr(held, part.name) for part in list_fields(type(held)) if part.hint is int}
         elif held is not None and not field.kept.not_kept:
             if field.kept.limited:
                 yield from _beyond(field.kept, path, np.asarray(held))
@@ -147,7 +148,7 @@ def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dic
 
 def _is_stored_by_columns(field: KeptField, held: Any) -> bool:
     """Whether an array is kept column by column; earlier files, whose digests must stay, are not in steps."""
-    return field.kept.columns and np.array_equal(in_steps(held, field.kept.steps), held)
+    return field.kept.columns and np.array_equal(round_to_steps(held, field.kept.steps), held)
 
 
 def _place(field: KeptField, within: str, own: str) -> tuple[str, str]:

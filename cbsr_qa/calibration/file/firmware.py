@@ -13,9 +13,12 @@ import numpy as np
 from cbsr_qa.calibration.file.content import Entry
 from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.file.json import dataset
-from cbsr_qa.calibration.runtime import Flag, ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.domain import Array, CalibrationError, kept_fields
-from cbsr_qa.domain.results import Calibration, ForceModel, Lattice
+from cbsr_qa.calibration.force.inverse import Flag, ForceInverse, map_tables
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import list_fields
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import Calibration, ForceModel, Lattice
 
 FORMAT: Final = "cbsr-qa calibration for firmware"
 VERSION: Final = 1
@@ -100,7 +103,7 @@ def thin_model(model: ForceModel, stride: int) -> ForceModel:
     kept = part[part >= 0]
     steps = np.round(model.templates[kept] * _STEPS) / _STEPS
     x_mm, y_mm = (at + k * lattice.spacing_mm for at, k in zip(lattice.origin_mm, first, strict=True))
-    of_nodes = (field.name for field in kept_fields(ForceModel) if field.kept.dims.startswith("nodes"))
+    of_nodes = (field.name for field in list_fields(ForceModel) if field.kept.dims.startswith("nodes"))
     return replace(
         model,
         lattice=Lattice((x_mm, y_mm), stride * lattice.spacing_mm, part.shape[1], part.shape[0]),

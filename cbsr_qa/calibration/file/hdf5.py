@@ -38,9 +38,13 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature, with_signature
-from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import Calibration, PressCalibration, Signature, VerifiedFile
-from cbsr_qa.system import read_foreign, read_untrusted, writing, written_whole
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
+from cbsr_qa.domain.results.calibration import Calibration, VerifiedFile
+from cbsr_qa.domain.results.press_calibration import PressCalibration
+from cbsr_qa.domain.results.signature import Signature
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.untrusted import read_untrusted
 
 _Kind = TypeVar("_Kind", bound=Issued)
 _Result = TypeVar("_Result")
@@ -102,7 +106,7 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     remedy = "give a folder that exists and may be written, with room for some megabytes"
     with writing(path, refusal=CalibrationError, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as file:
+        with write_atomically(path) as file:
             file.write(data)
     return digest
 

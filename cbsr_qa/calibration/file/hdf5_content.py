@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import h5py
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.system import largest_content
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.system.untrusted import largest_content
 
 #: More than in any of our files.
 MOST_NAMES: Final = 10_000

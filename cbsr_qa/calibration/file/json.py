@@ -35,9 +35,10 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.calibration.file.hdf5_content import DEEPEST
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import Signature, VerifiedFile
-from cbsr_qa.system import parsed_json
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.results.calibration import VerifiedFile
+from cbsr_qa.domain.results.signature import Signature
+from cbsr_qa.system.json_text import parse_json
 
 #: Of a document; a file with any other is not what was written.
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
@@ -151,7 +152,7 @@ def _document(path: Path) -> dict[str, Any]:
     if sum(map(data.count, (b",", b"[", b"{"))) > _MOST_VALUES:
         raise CalibrationError(f"JSON of more than {_MOST_VALUES} values: too many for a calibration")
     try:
-        document = parsed_json(data)
+        document = parse_json(data)
     except ValueError as error:
         raise CalibrationError(f"not JSON: {error}", remedy="copy it again from where it was written") from error
     return document if isinstance(document, dict) else {}

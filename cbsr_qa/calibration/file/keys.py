@@ -9,8 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.system import read_foreign, secret_of, writing
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.system.files import writing
+from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.secret import secret_of
 
 PASSPHRASE: Final = "CBSR_QA_KEY_PASSPHRASE"
 #: Suffix of the file with the public key, after the name of the other.

@@ -16,8 +16,8 @@ from typing import Any, Final, TypeVar
 from cbsr_qa.calibration.file.content import content_digest
 from cbsr_qa.calibration.file.entries import Issued, encode
 from cbsr_qa.calibration.file.keys import SigningKey, library, public_key
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import Signature, fingerprint
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.results.signature import Signature, fingerprint
 
 _Kind = TypeVar("_Kind", bound=Issued)
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_settling_time
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FitStatus
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 #: Negligible differences: of the shape, as a share of the change, and of the settling time, as a share.
 SHAPE_MARGIN: Final = 0.1

@@ -11,8 +11,8 @@ from cbsr_qa.calibration.fits.joint import JointExponentials, TimedValues, fit_j
 from cbsr_qa.calibration.fits.relaxation import check_trace
 from cbsr_qa.calibration.fits.separable import LOG_ERROR, SEPARATION, SIGNIFICANCE, chance_of_gain
 from cbsr_qa.calibration.fits.settling import settling_time
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
 
 __all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_common_relaxation"]
 
@@ -50,7 +50,7 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     not at a bound). The fast one need not be determined, only significant, as settling depends on the slow one.
     Otherwise one exponential is kept, with the reason in ``fit.why``. The paper fits each load by itself.
 
-    NumericsError for traces that :func:`~cbsr_qa.calibration.fits.fit_relaxation` refuses.
+    NumericsError for traces that :func:`~cbsr_qa.calibration.fits.relaxation.fit_relaxation` refuses.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def common_settling_time(
 ) -> tuple[SettlingTime, float | None]:
     """Return the settling time of the mean trace and its standard error [s], or None without a plain number.
 
-    Parameters are those of :func:`~cbsr_qa.calibration.fits.settling_time`: ``loaded_change`` the mean over
+    Parameters are those of :func:`~cbsr_qa.calibration.fits.settling.settling_time`: ``loaded_change`` the mean over
     unloadings, ``window_s`` of the longest trace.
     """
     settled = partial(

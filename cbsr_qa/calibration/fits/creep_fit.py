@@ -6,9 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.sheet import Estimate, ratio_of_sums
-from cbsr_qa.domain import NumericsError, finite_numbers
-from cbsr_qa.domain.results import LoadObservation, Trace
+from cbsr_qa.calibration.fits.estimates import Estimate, ratio_of_sums
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import finite_numbers
+from cbsr_qa.domain.results.observation import LoadObservation, Trace
 
 #: Start of a hold's creep [s]: after the ramp's own transients, and two frames of 2.5 s.
 FROM_S: Final = 5.0

@@ -12,11 +12,12 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.fits.estimates import Estimate
 from cbsr_qa.calibration.fits.superposition import Levels, estimate_levels, levels_read
-from cbsr_qa.calibration.sheet import Estimate
-from cbsr_qa.domain import Array, NumericsError, finite_numbers
-from cbsr_qa.domain.results import LoopObservation
-from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.results.observation import LoopObservation
 
 #: Holds of a loop are equally long within this share, as frames are whole.
 _ALIKE: Final = 0.15

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cbsr_qa.calibration.fits.separable import best_fit
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 #: (times (n,), values (n,)) of one trace.
 TimedValues = tuple[Array, Array]

@@ -6,8 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError, finite_numbers
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Levels are one place if their places differ by less than this share of their size.
 _COLLINEAR: Final = 1e-9

@@ -13,8 +13,9 @@ from cbsr_qa.calibration.fits.separable import (
     chance_of_gain,
     fit_exponentials,
 )
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import FitStatus, RelaxationFit
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit
 
 #: Half a frame over a time constant, above which e^x would soon overflow.
 _LONGEST: Final = 500.0

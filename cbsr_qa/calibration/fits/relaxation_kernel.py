@@ -8,8 +8,9 @@ import numpy as np
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.fits.relaxation import check_trace, exponentials
-from cbsr_qa.domain import Array, Mask, NumericsError
-from cbsr_qa.domain.results import FitStatus, RelaxationKernel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
 
 #: Relative scatters tried, uniform a priori up to 1.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
@@ -191,7 +192,7 @@ def learn_kernel(
 ) -> RelaxationKernel:
     """Learn a sensor's relaxation from the loads of a calibration run, and the scatter between loads.
 
-    Time constants begin at those of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`; weights, time constants
+    Time constants begin at those of ``fit_common_relaxation``; weights, time constants
     and the scatter of the weights between loads then follow from the restricted likelihood of all loads (empirical
     Bayes). The scatter is relative, the same for all weights, and uniform a priori from 0 to 1. A single load does
     not determine it, and predictions from its kernel are correspondingly uncertain.
@@ -206,7 +207,7 @@ def learn_kernel(
     frame_s : averaging time of a value; 0 for instantaneous ones.
     released : change reversed by each release, for unloadings; None for loadings.
     start_s : earlier values are left out (an unloading spike, see
-        :func:`~cbsr_qa.calibration.fits.relaxation_start`).
+        :func:`~cbsr_qa.calibration.fits.settling.relaxation_start`).
     noise : standard deviation of a value, for each load; None to estimate it from the residuals.
 
     Returns

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 #: A second exponential is kept only if the probability of such a gain by chance is below this, if the time constants
 #: differ by this factor, and if they are determined: standard errors of their logarithms are below this.

@@ -6,8 +6,9 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import Array, NumericsError, finite_numbers
-from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
 
 _BANDS: Final = ("steady", "step")
 

@@ -7,8 +7,9 @@ from scipy.special import stdtrit
 
 from cbsr_qa.calibration.fits.relaxation import observable_share
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import RelaxationKernel, SteadyPrediction
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.relaxation import RelaxationKernel, SteadyPrediction
 
 __all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "predict_steady"]
 

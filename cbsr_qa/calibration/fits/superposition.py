@@ -15,9 +15,11 @@ import numpy as np
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.fits.creep_fit import FROM_S
 from cbsr_qa.calibration.fits.settling import relaxation_start
-from cbsr_qa.domain import Array, NumericsError, finite_numbers
-from cbsr_qa.domain.results import FitStatus, Trace
-from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.results.observation import Trace
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 _PASSES: Final = 4
 _CONVERGED: Final = 3e-3  # relative change of time constants; a third of their standard error at best
@@ -64,7 +66,7 @@ class SeparatedSteps:
 def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     """Fit every step with its own level and amplitudes, and common time constants of its direction.
 
-    NumericsError as for :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
+    NumericsError as for :func:`~cbsr_qa.calibration.fits.common_relaxation.fit_common_relaxation`.
 
     Parameters
     ----------
@@ -229,7 +231,7 @@ def _check_finite(trace: Trace) -> None:
 def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
     """Final level of every hold of some loops, without residues of earlier steps.
 
-    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step are ignored, since a fast exponential
+    Frames of the first ``FROM_S`` after a step are ignored, since a fast exponential
     hidden by noise would bend the slow one. Without a significant time constant that of the other direction is used,
     or a third of the hold.
 

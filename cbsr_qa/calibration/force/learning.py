@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.force.templates import (
     LEAST_MISFIT,
     RESIDUE_SHARE,
@@ -13,18 +14,13 @@ from cbsr_qa.calibration.force.templates import (
     TemplateBank,
     make_even_model,
 )
-from cbsr_qa.calibration.runtime import TemplateFilter
-from cbsr_qa.calibration.sheet import (
-    LARGEST_ERROR,
-    ResponseMap,
-    intercept_column,
-    learn_response,
-    predict_change,
-)
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
-from cbsr_qa.domain.results import ForceModel
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.calibration.sheet.baseline import predict_change
+from cbsr_qa.calibration.sheet.response_map import LARGEST_ERROR, ResponseMap, intercept_column, learn_response
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: The predicted change must be this many of its own standard errors from zero, and so must the observed one.
 _CLEAR: Final = 3.0

@@ -8,13 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, as_filed
-from cbsr_qa.domain.results import ForceModel, Lattice
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.estimate import MergedReadings, load_model
-from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
-from cbsr_qa.system import Ahead
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import ForceModel, Lattice
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.estimate.readings import MergedReadings, load_model
+from cbsr_qa.eit.loads.round_load import LoadReadings, RoundLoadModel, RoundLoads
+from cbsr_qa.system.beside import Ahead
 
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
@@ -45,7 +47,7 @@ class TemplateBank:
     ----------
     lattice, node : places, and the row of each, or −1.
     places_mm : (n, 2) of the rows.
-    templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.ForceModel`.
+    templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
     """
 
     lattice: Lattice
@@ -205,7 +207,7 @@ def prepare_force(
     Parameters
     ----------
     used : (drives, measures) bool with m True entries.
-    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.ForceModel`.
+    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
     reference : (drives, measures) [V], which gives the scale of the sensor against its model.
     """
     groups, _ = sensor_type.pattern.reading_groups()

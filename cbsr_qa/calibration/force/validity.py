@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.force.learning import LearnedForce
-from cbsr_qa.domain import Mask
-from cbsr_qa.domain.results import LoadObservation
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.numbers import Mask
+from cbsr_qa.domain.results.observation import LoadObservation
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: With fewer places most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.numbers import Array, Indices
 
 #: Sessions after the last press that a calibration is stated for; after a re-check it is one.
 SESSIONS: Final = 5.0

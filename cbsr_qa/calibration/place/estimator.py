@@ -5,6 +5,8 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.force.faults import FrameFaults
+from cbsr_qa.calibration.force.inverse import LEFT_OUT, Flag
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
 from cbsr_qa.calibration.place.features import (
     LEAST_LIKENESS,
@@ -21,9 +23,9 @@ from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import locate
 from cbsr_qa.calibration.place.templates import fill_missing, interpolate_at_places, likeness, match, predict_features
-from cbsr_qa.calibration.runtime import LEFT_OUT, Flag, FrameFaults
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
-from cbsr_qa.domain.results import LearnedPlace
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 _AT_ONCE: Final = 256  # frames at a time, to limit memory
 #: Presses that tell what lost readings cost, and how many sets of lost readings are kept.

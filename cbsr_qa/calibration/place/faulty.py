@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime import Flag
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.readings import FEWEST_OF_PAIR
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.rules import FEWEST_OF_PAIR
 
 #: Level of a group's changes that is compared: a front end that rectifies leaves half of a pair's readings alone.
 _LEVEL: Final = 0.75

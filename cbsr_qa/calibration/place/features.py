@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.results import FeatureScaling, PatternTurns
-from cbsr_qa.domain.sensor import ElectrodeLayout
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import FeatureScaling, PatternTurns
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 
 #: Features that spikes turn against their template are replaced by this share of it.
 LEAST_LIKENESS: Final = 0.05
@@ -140,7 +140,7 @@ def turn_by(angle: float, *, mirrored: bool) -> Array:
 
 
 def ring_axes(layout: ElectrodeLayout) -> Array:
-    """Axes (2, 2) of a ring in those of its sheet, as of :class:`~cbsr_qa.domain.results.LearnedPlace`."""
+    """Axes (2, 2) of a ring in those of its sheet, as of ``LearnedPlace``."""
     first, second = layout.angles_rad()[:2]
     axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]])
     axes[1] *= np.sign(second - first)

@@ -9,8 +9,8 @@ import numpy as np
 from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mix_places
 from cbsr_qa.calibration.place.process import condition_on_presses, leave_out, likely_scales
 from cbsr_qa.calibration.place.templates import TemplateLearning, fill_missing, likeness, match, predict_features
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
 #: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
 _FEW: Final = 120

@@ -28,16 +28,12 @@ from cbsr_qa.calibration.place.process import (
     start_scales,
 )
 from cbsr_qa.calibration.place.templates import NO_PRESS, interpolate_at_places
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
-from cbsr_qa.domain.results import (
-    FeatureScaling,
-    LearnedPlace,
-    PatternTurns,
-    PlaceScales,
-)
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import FeatureScaling, LearnedPlace, PatternTurns, PlaceScales
 
 FEWEST_PRESSES: Final = 6
-#: Powers of readings and of a frame's size; see :class:`~cbsr_qa.domain.results.FeatureScaling`. On presses left out
+#: Powers of readings and of a frame's size; see ``FeatureScaling``. On presses left out
 #: of two unlike sheets, errors are within 2 % of one another for exponents of 0.65 to 0.85; the damping that the
 #: presses make more likely is taken: half where all press alike, all of it where forces differ.
 _EXPONENT: Final = 0.7
@@ -71,7 +67,7 @@ class FoundPresses:
     Parameters
     ----------
     presses : (k,) their indices, in the order in which they were made.
-    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.Places`.
+    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.places.Places`.
     visits : (k,) the same for presses at one place.
     session : when they were made.
     drifts : whether readings were found to drift over it.
@@ -117,7 +113,7 @@ def learn_place(
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
     electrodes : how many there are around the sheet, evenly spaced.
     centre_mm : (2,) the sheet's centre in the frame of the presses; by default their middle.
-    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`, where they are known; those
+    axes : (2, 2) of the electrodes, as in ``LearnedPlace``, where they are known; those
         used are the likeliest.
     time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
     missing : (n, m) readings that are zero because they are not known; spikes are found here.

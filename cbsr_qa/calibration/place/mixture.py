@@ -7,8 +7,8 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from scipy.special import fdtri, gammaincinv
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import PlaceMixture
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.results.learned_place import PlaceMixture
 
 #: Nominal coverage of the regions.
 LEVELS: Final = (0.68, 0.95)

@@ -5,11 +5,14 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.mixture import LEVELS, quantile
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.runtime import Flag
-from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError, Indices, Mask, unlike_model
-from cbsr_qa.domain.results import ModelledPlace, SheetRegistration
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.goodness import ALLOWANCE, unlike_model
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import ModelledPlace
+from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
 #: Exponent of signed powers of readings and templates before comparison: of 0.3 to 1 it has the smallest errors of
 #: place on a sheet with spikes, and hardly any loss on one without.
@@ -66,7 +69,7 @@ class ModelledEstimator:
         whole: Mask = np.asarray(np.isfinite(changes).all(axis=1))
         changes = np.where(whole[:, None], changes, 0.0)
         alike = unit_rows(changes) @ self._bank.T
-        place = self._registration.labelled_mm(self._model.step_mm * most_alike(self._model.node, alike))
+        place = self._registration.to_press_frame_mm(self._model.step_mm * most_alike(self._model.node, alike))
         misfit, unlike = self._misfit(changes, self._templates[alike.argmax(axis=1)])
         flags = np.where(whole, 0, int(Flag.UNREADABLE))
         flags |= np.where(unlike | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from cbsr_qa.calibration.runtime import Flag
-from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +16,7 @@ class Places:
     covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
     misfit : (n,) squared misfit per reading over its limit for learned touches.
     strength : (n,) of the changes, relative to the learned ones at the place; one by the modelled sheet.
-    flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
+    flags : (n,) of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
     unsure : (n,) standard deviation of the logarithm of the strength for want of lost readings; zero in whole frames.
     """
 

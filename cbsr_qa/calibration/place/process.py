@@ -15,8 +15,8 @@ from scipy.linalg.lapack import dpotri
 from scipy.optimize import Bounds, minimize
 
 from cbsr_qa.calibration.place.features import compute_squared_distances, matern, matern_and_slope
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import PatternTurns, PlaceProcess, PlaceScales
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceProcess, PlaceScales
 
 _ITERATIONS: Final = 25  # L-BFGS steps; further ones gain less than 0.01 mm on left-out presses
 _FURTHEST: Final = 12.0  # of a logarithm from its initial value

@@ -22,14 +22,14 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
 from scipy.special import stdtrit
 
+from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.drift import Drift, Session, find_drift
 from cbsr_qa.calibration.place.features import compute_squared_distances, matern
 from cbsr_qa.calibration.place.held_out import evenly, mean_by_place
 from cbsr_qa.calibration.place.mixture import LEVELS
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.runtime import Flag
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.results import LearnedQuantity, QuantityScales
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity, QuantityScales
 
 #: Presses that are kept, and presses for hyperparameters: the modelled function is smooth.
 _KEPT: Final = 400
@@ -189,7 +189,7 @@ def _estimate_later_drift(drift: Drift, errors: Array, weak: Array) -> tuple[flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Presses as in :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
+    """Presses as in :class:`~cbsr_qa.domain.results.learned_quantity.LearnedQuantity`."""
 
     logarithmic: bool
     centre_mm: Array
@@ -204,7 +204,7 @@ class _Data:
 
 
 class _Process:
-    """Gaussian process given presses, see :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
+    """Gaussian process given presses, see :class:`~cbsr_qa.domain.results.learned_quantity.LearnedQuantity`."""
 
     def __init__(self, scales: QuantityScales, data: _Data) -> None:
         self._scales, self._logarithmic, self._centre_mm = scales, data.logarithmic, data.centre_mm

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from cbsr_qa.calibration.place.features import compute_squared_distances, matern
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceTemplates
 
 #: Power of the likelihood: the readings' errors have common causes that the covariance of a few presses does not
 #: show. Chosen on left-out presses of both kinds of sheet; 0.1 to 0.3 are within 2 % of one another.

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.numbers import Array, Indices
 
 #: Values (k,), slopes (k, p) and bends (k, p, p) at parameters (k, p) of some of the starts (k,).
 Jet = Callable[[Array, Indices], tuple[Array, Array, Array]]

@@ -6,9 +6,11 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.calibration.place import MOST_FAULTY, SPIKY, FaultyGroups, safe_ceilings, spikes_among
-from cbsr_qa.calibration.runtime import FaultFinder, Flag
-from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.calibration.force.faults import FaultFinder
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
+from cbsr_qa.calibration.place.features import SPIKY, safe_ceilings, spikes_among
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
 _FEWEST: Final = 30

@@ -11,12 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import evenly, log_likelihood
+from cbsr_qa.calibration.place.held_out import evenly
+from cbsr_qa.calibration.place.modelled import log_likelihood
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.calibration.presses.registration import Registered, maximise_over_turns, register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.numbers import Array, Indices
 
 #: Presses used to try exchanges, exchanges that are registered again, and exchanges searched for.
 _TRIED, _REGISTERED, _MOST_EXCHANGES = 60, 3, 2

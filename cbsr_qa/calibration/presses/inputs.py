@@ -10,9 +10,11 @@ from scipy.special import fdtrc
 from cbsr_qa.calibration.presses.number_tables import read_table
 from cbsr_qa.calibration.presses.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.tables import PressTable
-from cbsr_qa.domain import Array, Indices, Mask, RecordingError
-from cbsr_qa.domain.results import MOST_PRESSES, SheetRegistration
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.learned_place import MOST_PRESSES
+from cbsr_qa.domain.results.press_calibration import SheetRegistration
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 #: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
 _BEYOND = 1.15
@@ -67,7 +69,7 @@ class LabelledPresses:
         readings = replace(self.readings, changes=self.readings.changes[rows])
         return replace(self, readings=readings, presses=self.presses.some(rows))
 
-    def by_place(self) -> bool:
+    def follow_places(self) -> bool:
         """Whether presses were made in order of places, as on a raster, so that drift cannot be separated from place.
 
         Decided by the share of the times' variance explained by a quadratic function of place, and its F-test.

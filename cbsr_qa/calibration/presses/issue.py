@@ -6,15 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.calibration.place import (
-    ModelledEstimator,
-    PlaceLearned,
-    learn_place,
-    learn_quantity,
-    ring_axes,
-    with_variance,
-)
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.calibration.place.features import ring_axes
+from cbsr_qa.calibration.place.learning import PlaceLearned, learn_place
+from cbsr_qa.calibration.place.modelled import ModelledEstimator, with_variance
+from cbsr_qa.calibration.place.quantity import learn_quantity
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
@@ -26,17 +22,19 @@ from cbsr_qa.calibration.presses.odd_labels import (
     off_the_sheet,
 )
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
-from cbsr_qa.domain import Array, CalibrationError, Mask, NumericsError, RecordingError
-from cbsr_qa.domain.results import (
+from cbsr_qa.domain.errors import CalibrationError, NumericsError, RecordingError
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.results.learned_place import ModelledPlace
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
+from cbsr_qa.domain.results.press_calibration import (
     PRESS_QUANTITIES,
-    LearnedQuantity,
     LeftOutPress,
-    ModelledPlace,
     PressCalibration,
     SheetRegistration,
     SourceFile,
 )
-from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 #: Scales this close to one are within the errors of mounting and modelling.
 _SCALE_OFF: Final = 0.1
@@ -151,7 +149,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         *about_presses,
     )
     about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
-    findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
+    findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.follow_places() else [])
     modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
     left_out = zip(used.tolist(), dead.left_out, strict=True)
     why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from cbsr_qa.calibration.place import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
+from cbsr_qa.calibration.place.modelled import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
-from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Readings of one modelled polarity hardly respond if those of the other are larger by this factor, both relative to
 #: the modelled sheet.

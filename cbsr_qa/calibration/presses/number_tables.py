@@ -17,8 +17,10 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RecordingError
-from cbsr_qa.system import UnfitFileError, largest_content, open_foreign, read_untrusted
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.system.foreign import UnfitFileError, open_foreign
+from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
 #: More than a table of a hundred thousand presses.
 _LARGEST_BYTES: Final = 2**29
@@ -63,7 +65,7 @@ class NumberTable:
         chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
         values: Array = self.values if names is None else self.values[:, chosen]
         unusable = np.argwhere(~(np.abs(values) <= _LARGEST))
-        described = [self._described(row, chosen[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
+        described = [self._describe_cell(row, chosen[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
         self.refuse(described, more=len(unusable) - len(described))
         return values
 
@@ -71,7 +73,7 @@ class NumberTable:
         """Raise RecordingError with the problems of the table, if any, and how many more there are."""
         _refuse(self.path, problems, remedy, more)
 
-    def _described(self, row: int, column: int) -> str:
+    def _describe_cell(self, row: int, column: int) -> str:
         value = self.values[row, column]
         why = f"{value:g}; at most {_LARGEST:g} is allowed" if np.isfinite(value) else self.odd_cells[row, column]
         return f"row {row + 1}, column {self.columns[column]}: {why}"
@@ -88,7 +90,7 @@ def read_table(path: Path) -> NumberTable:
     """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.
 
     RecordingError if the file is missing, is not a file, takes more than the limits of
-    :func:`~cbsr_qa.system.read_untrusted`, has no header, no rows, rows of different lengths, a column twice, or more
+    ``read_untrusted``, has no header, no rows, rows of different lengths, a column twice, or more
     columns than any sensor has readings.
     """
     parquet = _parquet_reader(path) if path.suffix.lower() in (".parquet", ".pq") else None

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.presses.tables import LABELS, PressTable
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import SheetRegistration
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
 #: Times the median error of presses left out by which the place of one is doubtful. For normal errors in two
 #: dimensions one press of 10^19 errs by so much.

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Reversed pairs of the same reading: order of source, sink, plus and minus, and its sign.
 _POLARITIES = (((0, 1, 2, 3), 1), ((0, 1, 3, 2), -1), ((1, 0, 2, 3), -1), ((1, 0, 3, 2), 1))

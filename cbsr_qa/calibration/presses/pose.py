@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.place import evenly
+from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.presses.ascent import ascend
 from cbsr_qa.calibration.presses.likeness import Likeness
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.numbers import Array, Indices
 
 Complex = NDArray[np.complex128]
 

@@ -9,12 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import evenly
+from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.presses.likeness import Likeness, alikeness, answering_side
 from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, to_complex
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.results import SheetRegistration
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
 #: Most presses for the search, and for the share of the signal; evenly spread over all.
 _REFINED: Final = 300

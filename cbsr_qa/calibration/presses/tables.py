@@ -11,9 +11,10 @@ import numpy as np
 
 from cbsr_qa.calibration.presses.number_tables import NumberTable, read_table
 from cbsr_qa.calibration.presses.pairs import measures_at_driven
-from cbsr_qa.domain import Array, Indices, RecordingError
-from cbsr_qa.domain.results import SourceFile
-from cbsr_qa.system import open_foreign
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.results.press_calibration import SourceFile
+from cbsr_qa.system.foreign import open_foreign
 
 _PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
 _PLACE: Final = ("x_mm", "y_mm")

@@ -6,10 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.sensor import DrivePattern, SensorType
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.eit.loads import RoundLoadModel
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 #: Radius of the modelled load, of the sheet's: the registration hardly depends on it.
 _LOAD: Final = 0.08

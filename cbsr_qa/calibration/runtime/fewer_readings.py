@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, Mask, unlike_model
-from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain.goodness import unlike_model
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.results.calibration import ForceModel
 
 #: Fewer rows determine no place.
 FEWEST_ROWS: Final = 12

@@ -7,17 +7,19 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.runtime.faults import FaultFinder
+from cbsr_qa.calibration.force.faults import FaultFinder
+from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag
 from cbsr_qa.calibration.runtime.fewer_readings import (
     FEWEST_ROWS,
     drop_readings,
     ignore_offset,
     reading_noise,
 )
-from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag
 from cbsr_qa.calibration.runtime.spikes import SpikeFilter
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, NumericsError, real_numbers
-from cbsr_qa.domain.results import ForceModel, calibration as record
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.numbers import Array, Indices, Mask, real_numbers
+from cbsr_qa.domain.results import calibration as record
+from cbsr_qa.domain.results.calibration import ForceModel
 
 #: A frame is from another sensor if its readings as a whole are further than this from the reference's (relative),
 #: and further than the second from it where one offset is taken off all readings.

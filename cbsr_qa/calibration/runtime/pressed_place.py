@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import PlaceEstimator
-from cbsr_qa.calibration.runtime.force import Flag
-from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.results import LearnedPlace
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 #: Of dᵀΣ⁻¹d that holds 68.27 % of a normal distribution over two axes.
 _ONE_SIGMA: Final = -2 * np.log(1 - 0.6827)
@@ -20,7 +20,7 @@ def row_readings(rows: Array, merging: Array) -> Array:
 
     Parameters
     ----------
-    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.ForceModel`.
+    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
     """
     readings: Array = rows / np.abs(merging).sum(axis=1)
     return readings

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.file import check_signed_file, read_calibration
-from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
-from cbsr_qa.calibration.runtime.force import (
+from cbsr_qa.calibration.file.hdf5 import read_calibration
+from cbsr_qa.calibration.file.signing import check_signed_file
+from cbsr_qa.calibration.force.inverse import (
     LARGEST,
     NO_FORCE,
     Flag,
@@ -24,12 +24,16 @@ from cbsr_qa.calibration.runtime.force import (
     nothing_together,
     range_flags,
 )
+from cbsr_qa.calibration.force.multi_load import HeadCounter, Heads
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter, add_scatter
+from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
 from cbsr_qa.calibration.runtime.frames import SensorFrames
-from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
-from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, add_scatter
-from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, real_numbers, unlike_model
-from cbsr_qa.domain.results import ForceModel, LearnedPlace
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.goodness import unlike_model
+from cbsr_qa.domain.numbers import Array, Indices, Mask, real_numbers
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 if TYPE_CHECKING:
     from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
@@ -154,7 +158,7 @@ class Calibration(SensorFrames):
             modelled = add_scatter(found, finder.size_slope(found.place_mm), self.model.place_scatter_mm)
             learned = None if finder is not self.filter else self._pressed  # it was learned with the calibrating head
             matches = modelled if learned is None else learned(rows, matches, modelled, finder)
-        return self._forces(self._of_area(matches, head), bad, others, head, searched=places is None)
+        return self._forces(self._scale_to_area(matches, head), bad, others, head, searched=places is None)
 
     def forces(
         self,
@@ -164,7 +168,7 @@ class Calibration(SensorFrames):
         indenter: Indenter | None = None,
         current_A: float | None = None,
     ) -> tuple[SeveralForces, ...]:
-        """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibration.runtime.multi_load`).
+        """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibration.force.multi_load`).
 
         Takes tens of milliseconds for a frame with several heads, a few for one with a residual to examine.
 
@@ -259,7 +263,7 @@ class Calibration(SensorFrames):
     def _size(self, head: Indenter) -> float:
         return head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
 
-    def _of_area(self, matches: Matches, head: Indenter) -> Matches:
+    def _scale_to_area(self, matches: Matches, head: Indenter) -> Matches:
         """Strength of another head: templates are per strength for the calibrated head's area."""
         factor = self.issued.indenter.area_mm2 / head.area_mm2
         if factor == 1:

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, Forces, range_flags
+from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, Forces, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.calibration.runtime.track import kernel_at
 from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState, TrackedLoad
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 
 _RANGE: Final = int(Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE)
 #: Share of a force that may be still to come where the stream does not see the load as the frame does.

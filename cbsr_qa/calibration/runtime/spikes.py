@@ -3,9 +3,9 @@
 import numpy as np
 
 from cbsr_qa.calibration.runtime.fewer_readings import reading_noise
-from cbsr_qa.domain import Array, Mask
-from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.readings.rules import MOST_SPIKES, SPIKE_SIGMA, reciprocal_unchanged
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 _MAD_TO_SIGMA = 1.4826
 
@@ -42,7 +42,7 @@ class SpikeFilter:
         unrest = np.maximum(_MAD_TO_SIGMA * np.median(apart, axis=1), 1.0)
         larger = np.abs(first) > np.abs(other)
         large, small = np.where(larger, first, other), np.where(larger, other, first)
-        spikes = (apart > SPIKE_SIGMA * unrest[:, None]) & left_alone(large, small)
+        spikes = (apart > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
         spikes[spikes.mean(axis=1) > MOST_SPIKES] = False
         frame, pair = np.nonzero(spikes)
         changes[frame, self._first[pair]] = small[frame, pair]

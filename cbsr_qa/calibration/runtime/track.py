@@ -5,9 +5,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.fits import HoldsSoFar
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import ForceModel, RelaxationKernel
+from cbsr_qa.calibration.fits.steady_state import HoldsSoFar
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
 #: Possible durations of a press, from a tap to a slow indenter [s], and its possible end relative to the assumed one
 #: [frames], each with prior weights.
@@ -22,7 +23,7 @@ _LONGEST: Final = 20.0
 class UnsureHold:
     """One hold as observed in frames, with an unobserved ramp before it.
 
-    Each pair of a ramp's length and end has a separate regression (:class:`~cbsr_qa.calibration.fits.HoldsSoFar`);
+    Each pair of a ramp's length and end has a separate regression (``HoldsSoFar``);
     they are averaged with their likelihoods.
     """
 

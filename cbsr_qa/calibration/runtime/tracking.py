@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, range_flags
+from cbsr_qa.calibration.force.template_matching import Matches, add_scatter
 from cbsr_qa.calibration.runtime.fewer_readings import offset_between
-from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
-from cbsr_qa.calibration.runtime.template_matching import Matches, add_scatter
 from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
-from cbsr_qa.domain import Array, CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array
 
 #: Frames in a row without a residue after which it is discarded.
 _FORGOTTEN: Final = 4
@@ -45,7 +46,7 @@ class TrackedLoad:
         place.
     settled_in_s : until what is still to come of a press is less than the error of one frame, or until what is left
         of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
-    flags : as :class:`~cbsr_qa.calibration.Flag`; UNSETTLED until then.
+    flags : as :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
     """
 
     number: int

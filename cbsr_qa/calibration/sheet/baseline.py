@@ -6,9 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import BaselineConductance, Blob, LoadObservation
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+from cbsr_qa.domain.imaging import Blob
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import BaselineConductance
+from cbsr_qa.domain.results.observation import LoadObservation
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
 
 #: The predicted relative change must be this many of its own standard errors from zero.
 _CLEAR: Final = 3.0

@@ -7,14 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.fits import CommonRelaxation
+from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation
+from cbsr_qa.calibration.fits.estimates import Estimate, pool_deviations
 from cbsr_qa.calibration.sheet.baseline import measure_sensed_change
-from cbsr_qa.calibration.sheet.data_sheet import Estimate, pool_deviations
 from cbsr_qa.calibration.sheet.response_map import average_response, intercept_column, learn_response
-from cbsr_qa.domain import Array, CalibrationError, Indices, NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import LoadObservation, RunObservation
-from cbsr_qa.domain.sensor import QuasiStatic
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 
 def sheet_gauge_factor(
@@ -30,14 +31,14 @@ def sheet_gauge_factor(
     """Estimate the mean over a sheet of the local gauge factor, α_ε times the relative response of each place.
 
     κ = S (α_ε ε + β_ε) (paper Eqs 1 and 7, against strain): ln S is learned as in
-    :func:`~cbsr_qa.calibration.sheet.learn_response`, where strains differ together with an error of β_ε.
+    ``learn_response``, where strains differ together with an error of β_ε.
 
     Parameters
     ----------
     places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads, contrast with the sign of α_ε.
     line : nominal α_ε and β_ε; only β_ε remains an assumption, and only for equal strains.
     radius_mm : of the sheet.
-    sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.sheet_places`.
+    sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.response_map.sheet_places`.
 
     Raises
     ------

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from cbsr_qa.domain import Array, CalibrationError
-from cbsr_qa.domain.results import ForceModel
-from cbsr_qa.domain.sensor import QuasiStatic
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 #: Correlation lengths of the response, over the sheet's radius.
 _LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])

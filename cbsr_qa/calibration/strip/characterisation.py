@@ -7,14 +7,13 @@ from operator import attrgetter
 
 import numpy as np
 
-from cbsr_qa.calibration.fits import (
-    CommonRelaxation,
+from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, fit_common_relaxation
+from cbsr_qa.calibration.fits.settling import relaxation_start
+from cbsr_qa.calibration.fits.superposition import (
     SeparatedSteps,
     StepTrace,
     constants_of,
-    fit_common_relaxation,
     fit_step,
-    relaxation_start,
     separate_with_constants,
     shift_constants,
 )
@@ -29,10 +28,11 @@ from cbsr_qa.calibration.strip.lines import (
 )
 from cbsr_qa.calibration.strip.relaxation import DirectedTrace, settlings, strip_relaxation, unit_kernel
 from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, subtract_residue
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import (
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.results.characterisation import (
     Characterisation,
-    CharacterisationSettings,
     CycleChange,
     CycleReadings,
     FittedLine,
@@ -40,8 +40,8 @@ from cbsr_qa.domain.results import (
     StrainSettling,
     StripFacts,
 )
-from cbsr_qa.domain.sensor import Parameter, Relaxation, Response, StripRelaxation
-from cbsr_qa.eit.loads import StripModel
+from cbsr_qa.domain.sensor.sensor_type import Parameter, Relaxation, Response, StripRelaxation
+from cbsr_qa.eit.loads.bodies import StripModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.fits import QuasiStaticFit, fit_quasi_static
-from cbsr_qa.calibration.sheet import predict_change
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import Characterisation, CycleChange, FittedLine, StrainLevel
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+from cbsr_qa.calibration.fits.quasi_static import QuasiStaticFit, fit_quasi_static
+from cbsr_qa.calibration.sheet.baseline import predict_change
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.characterisation import Characterisation, CycleChange, FittedLine, StrainLevel
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
 
 #: A change differs clearly from zero if it is this many of its standard errors.
 CLEAR: Final = 3.0

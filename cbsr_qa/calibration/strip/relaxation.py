@@ -7,17 +7,19 @@ from typing import Final, Self
 import numpy as np
 from scipy.optimize import brentq
 
-from cbsr_qa.calibration.fits import (
+from cbsr_qa.calibration.fits.common_relaxation import (
     CommonRelaxation,
     TimedValues,
     common_settling_time,
     fit_common_relaxation,
-    learn_kernel,
-    window_s,
 )
-from cbsr_qa.domain import Array, finite_numbers
-from cbsr_qa.domain.results import CharacterisationSettings, FitStatus, RelaxationKernel, StrainSettling
-from cbsr_qa.domain.sensor import MeasuredKernel, Relaxation, StripRelaxation
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.fits.settling import window_s
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.results.characterisation import StrainSettling
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
+from cbsr_qa.domain.sensor.sensor_type import MeasuredKernel, Relaxation, StripRelaxation
 
 #: Readings that begin later than this many time constants do not determine an exponential's amplitude.
 _LATE: Final = 1.5
@@ -131,7 +133,7 @@ def strip_relaxation(
 ) -> StripRelaxation | None:
     """Learn the kernels of a unit step from press cycles, as those of a sheet are learned from its loads.
 
-    One estimator for both (:func:`~cbsr_qa.calibration.fits.learn_kernel`), so that later comparisons show the
+    One estimator for both (``learn_kernel``), so that later comparisons show the
     material and not the method. A possible hidden exponential is included with its uncertainty.
 
     Returns
@@ -219,12 +221,15 @@ class KernelCurve:
         covariance[: 2 * count, : 2 * count] = unloading.covariance
         covariance[2 * count :, 2 * count :] = loading.covariance
 
-        def released(of: Array) -> Array:
+        def convert_release(of: Array) -> Array:
             own, log_own, held, log_held = np.split(of, [count, 2 * count, 2 * count + more])
             left = held * np.exp(-hold_s / np.exp(log_held))
             return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
 
-        weights_and_logs, jacobian = released(values), _jacobian(released, values, np.sqrt(np.diag(covariance)))
+        weights_and_logs, jacobian = (
+            convert_release(values),
+            _jacobian(convert_release, values, np.sqrt(np.diag(covariance))),
+        )
         return cls(
             weights_and_logs[: count + more],
             np.exp(weights_and_logs[count + more :]),

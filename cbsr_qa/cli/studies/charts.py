@@ -9,15 +9,15 @@ import typer
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database, PageOutput, one_of, to_day
 from cbsr_qa.cli.output import check_page, show
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.run import ChartSettings
+    from cbsr_qa.domain.results.charts import ChartSettings
 
 _DAY = ["%Y-%m-%d"]
 
 
-@command("charts", prints="cbsr_qa.studies.charts:Charts")
+@command("charts", prints="cbsr_qa.studies.charts.charts:Charts")
 def charts(
     station: Annotated[str, typer.Option(help="Name of the station, as stored with its runs.")],
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
@@ -56,8 +56,10 @@ def charts(
 
     Exit code 1 if a chart signals.
     """
-    from cbsr_qa.domain.run import ChartKind
-    from cbsr_qa.studies.charts import ChartsRequest, ReferencePeriod, charts_outcome, control_charts
+    from cbsr_qa.domain.results.charts import ChartKind
+    from cbsr_qa.studies.charts.charts import control_charts
+    from cbsr_qa.studies.charts.report import charts_outcome
+    from cbsr_qa.studies.charts.request import ChartsRequest, ReferencePeriod
 
     period = ReferencePeriod(to_day(reference_from), reference_runs, to_day(reference_until))
     new = period != ReferencePeriod(None, None, None)
@@ -94,7 +96,7 @@ def _check_stored_holds(of_new: Mapping[str, object]) -> None:
 
 
 def _settings(chart: str | None, subgroup: int | None, rules: str | None) -> "ChartSettings":
-    from cbsr_qa.domain.run import ChartKind, ChartSettings
+    from cbsr_qa.domain.results.charts import ChartKind, ChartSettings
 
     kind = one_of(ChartKind, chart or ChartKind.INDIVIDUALS, "--chart")
     if rules is not None and kind in (ChartKind.EWMA, ChartKind.CUSUM):

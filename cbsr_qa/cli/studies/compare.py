@@ -9,7 +9,7 @@ from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until
 from cbsr_qa.cli.output import check_page, show
 
 
-@command("compare", prints="cbsr_qa.studies.compare:Comparison")
+@command("compare", prints="cbsr_qa.studies.compare.comparison:Comparison")
 def compare(
     by: Annotated[str, typer.Option(help="What the groups are: batch, material, station, software or period.")],
     groups: Annotated[
@@ -57,21 +57,21 @@ def compare(
     nothing could be compared.
     """
     from cbsr_qa.cli.options import one_of, to_day
-    from cbsr_qa.domain import RefusedError
-    from cbsr_qa.domain.results import RunSelection
-    from cbsr_qa.studies.compare import (
+    from cbsr_qa.domain.errors import RefusedError
+    from cbsr_qa.domain.results.fleet import RunSelection
+    from cbsr_qa.studies.compare.comparison import compare_groups
+    from cbsr_qa.studies.compare.report import compare_outcome
+    from cbsr_qa.studies.compare.terms import (
         Adjustment,
         By,
         Period,
         Policy,
         Quarantine,
         Terms,
-        compare_groups,
-        compare_outcome,
         read_amounts,
         read_groups,
     )
-    from cbsr_qa.system import RealClock
+    from cbsr_qa.system.clock import RealClock
 
     word = one_of(By, by, "--by")
     if period is not None and word is not By.PERIOD:

@@ -3,12 +3,12 @@
 import sys
 
 from cbsr_qa.cli.output import Counting, note, say
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.errors import CbsrError
 
 
 def main() -> int:
     """Build the fleet and print its location; return the exit code."""
-    from cbsr_qa.studies import ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet
+    from cbsr_qa.studies.fleet_demo import ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet
 
     try:
         with Counting("runs") as counting:

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, PageOutput, given_options, option_names
+from cbsr_qa.cli.options import AsJson, PageOutput, list_given_options, option_names
 from cbsr_qa.cli.output import Counting, check_page, note, show
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.analysis.recording import PressFiles
-    from cbsr_qa.domain.results import CommandOutcome
-    from cbsr_qa.studies.frontier import Frontier
+    from cbsr_qa.analysis.recording.press_files import PressFiles
+    from cbsr_qa.domain.results.report import CommandOutcome
+    from cbsr_qa.studies.frontier.study import Frontier
 
 _CLOCKS: Final = {
     "station": ("station",),
@@ -30,7 +30,7 @@ _SIMULATED: Final = frozenset({"clock", "force_error", "budget", "fresh", "recip
 _RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "place_error"})
 
 
-@command("frontier", prints="cbsr_qa.studies.frontier:Frontier")
+@command("frontier", prints="cbsr_qa.studies.frontier.study:Frontier")
 def frontier(
     context: typer.Context,
     clock: Annotated[str, typer.Option(help="Time to save: of the station, the computer or both.")] = "both",
@@ -85,7 +85,7 @@ def frontier(
 
     With --recording, learn from growing numbers of your own presses, and say how many an accuracy needs.
     """
-    given = given_options(context)
+    given = list_given_options(context)
     if recording is not None:
         _refuse(given & _SIMULATED, "is not for --recording but for the simulated sweep")
         target_mm = _amount("--place-error", place_error, _MILLIMETRES, "a distance above 0 with its unit, e.g. 2mm")
@@ -93,13 +93,18 @@ def frontier(
             missing = "--presses" if presses is None else "--sensor-type"
             raise RefusedError(f"--recording needs {missing}", remedy="give it as to cbsr-qa calibrate")
         check_page(output)
-        from cbsr_qa.analysis.recording import PressFiles
+        from cbsr_qa.analysis.recording.press_files import PressFiles
 
         files = PressFiles(recording, presses, sensor_type, pattern, differences, rest)
-        show(_of_presses(files, target_mm, quick=quick), output=output, as_json=as_json)
+        show(_study_presses(files, target_mm, quick=quick), output=output, as_json=as_json)
         return
     _refuse(given & _RECORDED, "is for presses of your own, and --recording is missing")
-    from cbsr_qa.studies.frontier import Files, Target, TimeBasis, frontier as sweep, frontier_outcome, write_png
+    from cbsr_qa.studies.frontier.figures import write_png
+    from cbsr_qa.studies.frontier.files import Files
+    from cbsr_qa.studies.frontier.point import TimeBasis
+    from cbsr_qa.studies.frontier.recommend import Target
+    from cbsr_qa.studies.frontier.report import frontier_outcome
+    from cbsr_qa.studies.frontier.study import frontier as sweep
 
     target = Target(
         _amount("--force-error", force_error, _NEWTONS, "a force above 0 with its unit, e.g. 0.5N or 80mN"),
@@ -126,9 +131,10 @@ def frontier(
     show(frontier_outcome(swept), output=output, as_json=as_json)
 
 
-def _of_presses(files: "PressFiles", target_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
-    from cbsr_qa.analysis.recording import read_labelled_presses
-    from cbsr_qa.studies.frontier.presses import press_frontier, press_outcome
+def _study_presses(files: "PressFiles", target_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
+    from cbsr_qa.analysis.recording.press_files import read_labelled_presses
+    from cbsr_qa.studies.frontier.presses.report import press_outcome
+    from cbsr_qa.studies.frontier.presses.study import press_frontier
 
     with Counting("draws of presses") as counting:
         counting.stage("what accuracy costs in presses")

@@ -6,14 +6,14 @@ from typing import Annotated, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, given_options, option_names, to_day
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, list_given_options, option_names, to_day
 from cbsr_qa.cli.output import check_page, show
 
 #: Options allowed with a study's file, which states the others.
 _BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
 
 
-@command("gauge", prints="cbsr_qa.studies.gauge:GaugeStudy")
+@command("gauge", prints="cbsr_qa.studies.gauge.study:GaugeStudy")
 def gauge(
     context: typer.Context,
     study: Annotated[
@@ -56,15 +56,11 @@ def gauge(
 
     Describe the study (sensors, stations, metrics, tolerances, days) in STUDY.toml or by options.
     """
-    from cbsr_qa.domain.results import RunSelection
-    from cbsr_qa.studies.gauge import (
-        GaugeRequest,
-        MetricWanted,
-        gauge as studied,
-        gauge_outcome,
-        read_study,
-        references_of,
-    )
+    from cbsr_qa.domain.results.fleet import RunSelection
+    from cbsr_qa.studies.gauge.references import references_of
+    from cbsr_qa.studies.gauge.report import gauge_outcome
+    from cbsr_qa.studies.gauge.request import GaugeRequest, MetricWanted, read_study
+    from cbsr_qa.studies.gauge.study import gauge as studied
 
     check_page(output)
     if study is not None:
@@ -97,7 +93,7 @@ def _check_alone(context: typer.Context, study: Path) -> None:
     typer.BadParameter
         Naming them.
     """
-    given = given_options(context) - _BESIDE_STUDY
+    given = list_given_options(context) - _BESIDE_STUDY
     if given:
         named = option_names(name for name in context.params if name in given)
         raise typer.BadParameter(

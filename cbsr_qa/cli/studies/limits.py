@@ -12,7 +12,7 @@ from cbsr_qa.cli.output import note, show
 group("limits", "Propose limits from sensors known to be good.")
 
 
-@command("limits propose", prints="cbsr_qa.studies.limits:ProposedLimits")
+@command("limits propose", prints="cbsr_qa.studies.limits.propose:ProposedLimits")
 def propose(
     serial: Annotated[
         list[str] | None, typer.Option(metavar="SERIAL", help="A sensor of the golden lot; may be repeated.")
@@ -52,9 +52,12 @@ def propose(
     as_json: AsJson = False,
 ) -> None:
     """Propose limits and guard bands from stored runs of sensors known to be good, a golden lot."""
-    from cbsr_qa.domain.results import RunSelection
-    from cbsr_qa.studies.limits import LotChoice, Terms, limits_outcome, propose_limits, read_serials
-    from cbsr_qa.system import RealClock
+    from cbsr_qa.domain.results.fleet import RunSelection
+    from cbsr_qa.studies.limits.golden_lot import LotChoice, read_serials
+    from cbsr_qa.studies.limits.proposals import Terms
+    from cbsr_qa.studies.limits.propose import propose_limits
+    from cbsr_qa.studies.limits.report import limits_outcome
+    from cbsr_qa.system.clock import RealClock
 
     named = (*(serial or ()), *(read_serials(serials) if serials else ()))
     choice = LotChoice(
@@ -71,7 +74,7 @@ def propose(
     )
     found = propose_limits(
         choice,
-        Terms.of_words(coverage, confidence, guard_factor, distribution),
+        Terms.from_words(coverage, confidence, guard_factor, distribution),
         names=tuple(measurement or ()),
         everything=everything,
         version=name,

@@ -9,7 +9,7 @@ from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, to_d
 from cbsr_qa.cli.output import check_page, note, show
 
 
-@command("reanalyse", prints="cbsr_qa.app.reanalyse:Reanalysed")
+@command("reanalyse", prints="cbsr_qa.app.reanalyse.report:Reanalysed")
 def reanalyse(
     recipe: Annotated[
         str | None, typer.Option(metavar="FILE|NAME", help="Recipe to analyse by; by default each run's own.")
@@ -50,8 +50,10 @@ def reanalyse(
     Results are stored on trial, beside the valid analyses, which stay valid unless --adopt is given. The same command
     computes only what is not stored yet. Exit code 3 if no run could be analysed.
     """
-    from cbsr_qa.app.reanalyse import ReanalyseRequest, reanalyse, reanalysed_outcome
-    from cbsr_qa.domain.results import RunSelection
+    from cbsr_qa.app.reanalyse.reanalysis import reanalyse
+    from cbsr_qa.app.reanalyse.report import reanalysis_outcome
+    from cbsr_qa.app.reanalyse.request import ReanalyseRequest
+    from cbsr_qa.domain.results.fleet import RunSelection
 
     selection = RunSelection(
         serials=tuple(serial or ()),
@@ -74,4 +76,4 @@ def reanalyse(
         database=database,
     )
     check_page(output)  # before anything is computed
-    raise typer.Exit(show(reanalysed_outcome(reanalyse(request, tell=note)), output=output, as_json=as_json))
+    raise typer.Exit(show(reanalysis_outcome(reanalyse(request, tell=note)), output=output, as_json=as_json))

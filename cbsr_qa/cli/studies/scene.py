@@ -14,7 +14,7 @@ group("scene", "Explain simulated scenes, and record them.")
 _Scene = Annotated[str, typer.Argument(help="Scene file, or the name of a shipped one.", metavar="FILE")]
 
 
-@command("scene run", prints="cbsr_qa.studies.scenes:SceneRun")
+@command("scene run", prints="cbsr_qa.studies.scenes.run:SceneRun")
 def run(
     scene: _Scene,
     output: Annotated[
@@ -38,7 +38,8 @@ def run(
 
     Only effects that are on are imported. The same scene and seed give the same bytes on any number of cores.
     """
-    from cbsr_qa.studies.scenes import SceneRunRequest, run_scene, scene_outcome
+    from cbsr_qa.studies.scenes.report import scene_outcome
+    from cbsr_qa.studies.scenes.run import SceneRunRequest, run_scene
 
     request = SceneRunRequest(scene, output, tuple(format_ or ()), seed)
     with Counting("frames") as counting:
@@ -48,7 +49,7 @@ def run(
         say(f"try: {recorded.analyse}")  # on one line, to be copied
 
 
-@command("scene explain", prints="cbsr_qa.studies.scenes:Explained")
+@command("scene explain", prints="cbsr_qa.studies.scenes.explain:Explained")
 def explain(
     scene: _Scene,
     no_measure: Annotated[bool, typer.Option("--no-measure", help="Do not measure what effects cost.")] = False,
@@ -59,8 +60,9 @@ def explain(
     The cost of an effect is its own computing time per frame. Of an effect that changes how much has to be solved, it
     is the difference between frames with and without it and the effects that need it.
     """
-    from cbsr_qa.studies.scenes import explain_scene, explained_outcome
+    from cbsr_qa.studies.scenes.explain import explain_scene
+    from cbsr_qa.studies.scenes.report import explain_outcome
 
     with Counting("measurements") as counting:
         explained = explain_scene(scene, measure=not no_measure, tell=counting.stage, progress=counting.count)
-    show(explained_outcome(explained), as_json=as_json)
+    show(explain_outcome(explained), as_json=as_json)

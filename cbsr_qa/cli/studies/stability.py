@@ -9,7 +9,7 @@ from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import Counting, check_page, show
 
 
-@command("stability", prints="cbsr_qa.studies.hard_cases:Stability")
+@command("stability", prints="cbsr_qa.studies.hard_cases.stability:Stability")
 def stability(
     area: Annotated[list[str] | None, typer.Option(help="Only cases of this area; repeatable.")] = None,
     only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")] = None,
@@ -20,7 +20,8 @@ def stability(
 
     Exit code 1 if a bound is broken.
     """
-    from cbsr_qa.studies.hard_cases import examine_cases, stability_outcome
+    from cbsr_qa.studies.hard_cases.report import stability_outcome
+    from cbsr_qa.studies.hard_cases.stability import examine_cases
 
     check_page(output)
     with Counting("cases") as counting:

@@ -54,7 +54,7 @@ class ClosedCurve:
         jump = self.heading - leaves
         return np.asarray((jump + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
 
-    def at(self, along: Array) -> Points:
+    def points_at(self, along: Array) -> Points:
         """Points at arc lengths along the curve, modulo its length: (n,) → (n, 2)."""
         begins = self.begins
         along = np.asarray(along, dtype=np.float64) % begins[-1]

@@ -16,10 +16,10 @@ from cbsr_qa.domain.geometry.polygons import (
     centroid,
     distance_to_outline,
     inside_polygon,
-    signed_area,
+    integrate_distance2,
+    integrate_radius_deviation2,
+    oriented_area,
     simple_polygon,
-    squared_deviation_integral,
-    squared_distance_integral,
 )
 
 #: A circle of this many sides is round in print.
@@ -46,7 +46,7 @@ class Footprint(Protocol):
         """
         ...
 
-    def squared_distance_mm3(self, start: Points, end: Points) -> Values:
+    def integrate_distance2_mm3(self, start: Points, end: Points) -> Values:
         """Integral of the squared distance to the footprint's outline along straight edges: (k, 2), (k, 2) → (k,)."""
         ...
 
@@ -58,7 +58,7 @@ class Footprint(Protocol):
         """Whether points (n, 2) lie inside: (n,)."""
         ...
 
-    def drawn_mm(self) -> Points:
+    def outline_mm(self) -> Points:
         """Corners (q, 2) of the drawn outline."""
         ...
 
@@ -94,10 +94,10 @@ class RoundFootprint:
         """Areas between the centre and directed edges inside the circle; exact, arcs included."""
         return area_under_edges(start - np.array(self.centre_mm), end - np.array(self.centre_mm), self.radius_mm)
 
-    def squared_distance_mm3(self, start: Points, end: Points) -> Values:
+    def integrate_distance2_mm3(self, start: Points, end: Points) -> Values:
         """∫ (‖P − F‖ − r)² along edges, in closed form."""
         centre = np.array(self.centre_mm)
-        return squared_deviation_integral(start - centre, end - centre, self.radius_mm)
+        return integrate_radius_deviation2(start - centre, end - centre, self.radius_mm)
 
     def distance_mm(self, points: Points) -> Values:
         """|‖P − F‖ − r|."""
@@ -109,7 +109,7 @@ class RoundFootprint:
         inside: NDArray[np.bool_] = np.hypot(*(points - np.array(self.centre_mm)).T) <= self.radius_mm
         return inside
 
-    def drawn_mm(self) -> Points:
+    def outline_mm(self) -> Points:
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         return np.array(self.centre_mm) + self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -140,15 +140,15 @@ class PolygonFootprint:
 
     @cached_property
     def area_mm2(self) -> float:
-        return signed_area(self.corners_mm)
+        return oriented_area(self.corners_mm)
 
     def area_under_edges_mm2(self, start: Points, end: Points) -> Values:
         """Areas of the strips under directed edges inside the polygon; exact."""
         return area_under_edges_in_polygon(start, end, self.corners_mm)
 
-    def squared_distance_mm3(self, start: Points, end: Points) -> Values:
+    def integrate_distance2_mm3(self, start: Points, end: Points) -> Values:
         """Integral of the squared distance to the nearest side, to 1e-9 of the polygon's area."""
-        return squared_distance_integral(start, end, self.corners_mm)
+        return integrate_distance2(start, end, self.corners_mm)
 
     def distance_mm(self, points: Points) -> Values:
         return distance_to_outline(points, self.corners_mm)
@@ -156,7 +156,7 @@ class PolygonFootprint:
     def contains(self, points: Points) -> NDArray[np.bool_]:
         return inside_polygon(points, self.corners_mm)
 
-    def drawn_mm(self) -> Points:
+    def outline_mm(self) -> Points:
         return self.corners_mm
 
 
@@ -171,7 +171,7 @@ def overlap_mm2(footprint: Footprint, corners_mm: Points) -> Values:
     -------
     (e,) float64 [mm²], not below 0.
     """
-    drawn = footprint.drawn_mm()
+    drawn = footprint.outline_mm()
     # A drawn circle lies inside the true one.
     margin = 0.01 * np.ptp(drawn, axis=0)
     low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin

@@ -81,7 +81,7 @@ class Polygon:
         for what in rounding_problems(self.corners_mm, self.corner_radius_mm):
             raise RefusedError(f"the outline's corner radius {what}")
         corners = [(float(x), float(y)) for x, y in self.corners_mm]
-        if _signed_area(np.array(corners)) < 0:
+        if _orient_area(np.array(corners)) < 0:
             corners = corners[:1] + corners[:0:-1]
         object.__setattr__(self, "corners_mm", tuple(corners))
 
@@ -160,8 +160,8 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
         if radius > room * (1 + 1e-9):
             yield f"is {radius:g}; the edges leave room for {room:.4g} mm at most"
             return
-        curve = polygon_curve(corners if _signed_area(corners) > 0 else corners[::-1], radius)
-        sampled = curve.at((curve.begins[:-1, None] + curve.length[:, None] * np.arange(8) / 8).ravel())
+        curve = polygon_curve(corners if _orient_area(corners) > 0 else corners[::-1], radius)
+        sampled = curve.points_at((curve.begins[:-1, None] + curve.length[:, None] * np.arange(8) / 8).ravel())
         if _crossing(sampled) is not None:
             yield f"is {radius:g}; a rounded corner would cut another edge"
 
@@ -179,7 +179,7 @@ def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
-    area = abs(_signed_area(corners))
+    area = abs(_orient_area(corners))
     size = float(np.sqrt(area / np.pi))
     inside_deg = 180 - np.rad2deg(np.abs(corner_turns(corners)))
     for index in np.flatnonzero(inside_deg < SHARPEST_DEG):
@@ -196,7 +196,7 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
         )
 
 
-def _signed_area(corners: Points) -> float:
+def _orient_area(corners: Points) -> float:
     after = np.roll(corners, -1, axis=0)
     return float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum()) / 2
 
@@ -285,29 +285,29 @@ def _centre(polygon: Polygon) -> tuple[float, float]:
     return (0.0, 0.0) if own >= deepest / 2 else (float(here[0]), float(here[1]))
 
 
-def simplified(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
+def simplify_outline(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
     """Leave out corners of a polygon that lie within a tolerance of the line between others.
 
     Rounded outlines and discs are returned as they are.
     """
     if isinstance(outline, Disc) or outline.corner_radius_mm or len(outline.corners_mm) <= 4:
         return outline
-    plain = thinned_ring(np.array(outline.corners_mm), tolerance_mm)
+    plain = thin_ring(np.array(outline.corners_mm), tolerance_mm)
     return outline if len(plain) < 3 else Polygon(tuple((x, y) for x, y in plain.tolist()))
 
 
-def thinned_ring(points: Points, tolerance: float) -> Points:
+def thin_ring(points: Points, tolerance: float) -> Points:
     """Leave out points of a closed line that lie within a tolerance of the line through the others.
 
     Douglas & Peucker (1973), from the first point to the one furthest from it and back.
     """
     furthest = int(np.hypot(*(points - points[0]).T).argmax())
     closed = np.vstack([points, points[:1]])
-    kept = _thinned(closed, 0, furthest, tolerance) | _thinned(closed, furthest, len(points), tolerance)
+    kept = _select_points(closed, 0, furthest, tolerance) | _select_points(closed, furthest, len(points), tolerance)
     return points[sorted(kept - {len(points)})]
 
 
-def _thinned(points: Points, first: int, last: int, tolerance: float) -> set[int]:
+def _select_points(points: Points, first: int, last: int, tolerance: float) -> set[int]:
     """Indices of the points that a line from the first to the last needs, both included."""
     kept, open_ = {first, last}, [(first, last)]
     while open_:

@@ -63,7 +63,7 @@ def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     return (radius**2 * (before + after) + (last - first) * across) / 2
 
 
-def squared_deviation_integral(start: Points, end: Points, radius: float) -> Array:
+def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Array:
     """Integral of (‖P‖ − r)² along straight edges, exact to rounding: (k, 2), (k, 2) → (k,).
 
     With u the coordinate along the edge's line from the foot of the perpendicular and h the line's distance,
@@ -159,10 +159,10 @@ def simple_polygon(corners_mm: Points) -> Points:
             f"sides {crossed[0] + 1} and {crossed[1] + 1} of the outline meet",
             remedy="list its corners in order around the edge",
         )
-    return corners if signed_area(corners) > 0 else corners[::-1].copy()
+    return corners if oriented_area(corners) > 0 else corners[::-1].copy()
 
 
-def signed_area(corners: Points) -> float:
+def oriented_area(corners: Points) -> float:
     """Area of a polygon, positive counterclockwise."""
     around = corners - corners[0]
     following = np.roll(around, -1, axis=0)
@@ -210,14 +210,14 @@ def area_under_edges_in_polygon(start: Points, end: Points, corners: Points) -> 
     return area
 
 
-def squared_distance_integral(start: Points, end: Points, corners: Points) -> Values:
+def integrate_distance2(start: Points, end: Points, corners: Points) -> Values:
     """Integral of the squared distance to a polygon's outline along straight edges: (k, 2), (k, 2) → (k,).
 
     By Simpson's rule, exact where one side or corner of the polygon stays the nearest. Stretches on which it and its
     halves differ by more than 1e-9 of the polygon's area, weighed by length, are halved. Sides that cannot be the
     nearest anywhere on a stretch are dropped as stretches get shorter.
     """
-    tolerance = _TOLERANCE * abs(signed_area(corners))
+    tolerance = _TOLERANCE * abs(oriented_area(corners))
     integral, owner, sides = np.zeros(len(start)), np.arange(len(start)), len(corners)
     if not len(start):
         return integral

@@ -5,7 +5,7 @@ from typing import Final
 
 from cbsr_qa.domain.plan.plan import Motion, Scene
 from cbsr_qa.domain.plan.steps import CLEARANCE_MM, lift_off_s, stroke_s
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.readings.loads import Indenter
 
 #: The rig's press speed of 40 mm/min and hover height; 600 mm/min between places is chosen by us, as in the shipped
 #: station.
@@ -42,7 +42,7 @@ class SceneLoad:
 
 @dataclass(frozen=True, slots=True)
 class ScenePlan:
-    """Content of a scene file; a station uses only its :class:`~cbsr_qa.domain.plan.Scene`.
+    """Content of a scene file; a station uses only its :class:`~cbsr_qa.domain.plan.plan.Scene`.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Final
 
 from cbsr_qa.domain.plan.plan import Motion
-from cbsr_qa.domain.run import Load
+from cbsr_qa.domain.readings.loads import Load
 
 
 class Role(StrEnum):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 
 #: A factor by place: (n, 2) [mm] to (n,), above zero.
 SheetField = Callable[[Array], Array]
@@ -214,7 +214,7 @@ class Moment:
     current_A : (drives, measures) current during each reading; None before the source is on.
     drive_ohm, measure_ohm : (drives, measures) resistance between the driven, and the measured, electrodes then; None
         until solved.
-    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`; None away from a frame.
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`; None away from a frame.
     """
 
     setting: SceneSetting

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError, RowProblem
 from cbsr_qa.domain.numbers import Array, check_encodable
-from cbsr_qa.domain.run import LoadRecord
-from cbsr_qa.domain.sensor import Electrodes
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.sensor.electrodes import Electrodes
 
 #: Largest magnitude of a reading, a sample or a current in its unit. Squares and their sums stay finite; every
 #: converter's counts and every instrument's volts, newtons and amperes are far below it.
@@ -104,7 +104,7 @@ class FrameBlock:
         own = None if self.reading_time_s is None else self.reading_time_s[which]
         return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
 
-    def between(self, start_s: float, end_s: float) -> Self:
+    def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the frames with start_s ≤ time < end_s."""
         return self.select((self.time_s >= start_s) & (self.time_s < end_s))
 
@@ -145,7 +145,7 @@ class SampleBlock:
     def __len__(self) -> int:
         return int(self.time_s.shape[0])
 
-    def between(self, start_s: float, end_s: float) -> Self:
+    def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the samples with start_s ≤ time < end_s."""
         which = (self.time_s >= start_s) & (self.time_s < end_s)
         return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])

@@ -29,6 +29,6 @@ MOST_SPIKES: Final = 0.05  #: largest share of a frame that may be spikes where 
 _GOES_ALONG: Final = 0.25  #: a reciprocal reading that moves by this share goes along
 
 
-def left_alone(change: Array, reciprocal: Array) -> Mask:
+def reciprocal_unchanged(change: Array, reciprocal: Array) -> Mask:
     """Whether the reciprocals of readings did not change with them."""
     return reciprocal * np.sign(change) < _GOES_ALONG * np.abs(change)

@@ -10,14 +10,14 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.imaging import LinearReconstruction, OverlapBand
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import Array, Indices
-from cbsr_qa.domain.results.image import LinearReconstruction
+from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.results.signature import Signature
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorType
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Response, SensorIdentity, SensorType
 
 #: Larger than any number of a force model, with a finite square; and larger than any logarithm in one.
 _LARGEST: Final = 1e12
@@ -166,7 +166,7 @@ class LoadRelaxation:
     ----------
     location, trial : of the load.
     signal, loading : as in :class:`SettlingSummary`.
-    phase, load, strain : of the load; with phase and index (as in :class:`~cbsr_qa.domain.run.LoadRecord`), loads of
+    phase, load, strain : of the load; with phase and index (as in ``LoadRecord``), loads of
         one label and trial at several strains stay apart. None if unknown.
     unit : of the trace, and so of level, amplitudes and band.
     """
@@ -200,15 +200,6 @@ class Validity:
     temperature_C: tuple[float, float] | None
     radius_mm: float
     reduced: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class OverlapBand:
-    """One band of the area-overlap scale, [lower, upper) percent."""
-
-    name: Annotated[str, Kept("band")]
-    lower: Annotated[float, Kept(units="%")]
-    upper: Annotated[float, Kept(units="%")]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
 
 #: What the characterisation of a strip measures: names of measurements → units.
 STRIP_MEASURES: Final[Mapping[str, str]] = {
@@ -33,25 +34,6 @@ STRIP_MEASURES: Final[Mapping[str, str]] = {
     "strains_excluded": "1",
     "lowest_strain": "1",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class CharacterisationSettings:
-    """Settings for the evaluation of cycles on a strip.
-
-    Parameters
-    ----------
-    contact_length_mm, contact_length_stderr_mm : contact impedance of the pins over the sheet resistance, which two
-        pins cannot measure, and its standard error.
-    settling_tolerance, settling_band : as in :class:`~cbsr_qa.domain.plan.AnalysisSettings`.
-    end_s : what counts as the end of a hold or a rest, where levels are taken as they were read [s].
-    """
-
-    contact_length_mm: float = 0.2
-    contact_length_stderr_mm: float = 0.1
-    settling_tolerance: float = 0.15
-    settling_band: str = "steady"
-    end_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

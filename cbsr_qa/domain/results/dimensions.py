@@ -35,7 +35,7 @@ class Dimensions:
     reference: str = ""
 
     @classmethod
-    def of(cls, qualifier: str) -> Self:
+    def from_qualifier(cls, qualifier: str) -> Self:
         """Read a qualifier; parts of no known form are its words."""
         words: list[str] = []
         known: dict[str, Any] = {}

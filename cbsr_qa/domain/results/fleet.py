@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.results.measurement import EndReason, Outcome, metric_words
-from cbsr_qa.domain.run import run_named
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import metric_words
+from cbsr_qa.domain.run.run import run_named
+from cbsr_qa.domain.run.states import EndReason
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -20,7 +22,7 @@ class MetricKey:
 
     Parameters
     ----------
-    name, phase, qualifier : as of a :class:`~cbsr_qa.domain.results.Measurement`.
+    name, phase, qualifier : as of a :class:`~cbsr_qa.domain.results.measurement.Measurement`.
     location : of the loads the figure is of; empty for all of them together.
     """
 
@@ -136,7 +138,7 @@ class RunLine:
 
     @property
     def words(self) -> str:
-        """The run as people name it: see :func:`~cbsr_qa.domain.run.run_named`."""
+        """The run as people name it: see :func:`~cbsr_qa.domain.run.run.run_named`."""
         return run_named(self.serial, self.started_at, self.run)
 
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
 
+from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import MetricKey
-from cbsr_qa.domain.results.measurement import EndReason, Outcome
-from cbsr_qa.domain.run import UNCHAINED, ChainState
+from cbsr_qa.domain.run.run import UNCHAINED, ChainState
+from cbsr_qa.domain.run.states import EndReason
 
 #: In place of a verdict, where a run does not match its chain.
 ALTERED: Final = "altered"

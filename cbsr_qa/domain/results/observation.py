@@ -5,95 +5,24 @@ What the measurements say about one load: where, how large, how strong, and how 
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.geometry import Footprint
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction, Region
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan import AnalysisSettings, Role
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
 from cbsr_qa.domain.results.dimensions import Dimensions
-from cbsr_qa.domain.results.image import Blob, Image, LinearReconstruction, Region
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
-from cbsr_qa.domain.run import Indenter, LoadRecord, RunRecord
-from cbsr_qa.domain.sensor import Response
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.sensor.sensor_type import Response
 
 R = TypeVar("R")
-
-
-class LoadFinding(StrEnum):
-    """Result of locating a load."""
-
-    LOCATED = "located"
-    NOT_DETECTED = "not detected"  #: no signal above the noise of the readings
-    NOT_RESOLVABLE = "not resolvable"  #: there is a load, but too weak to say where
-    NOT_AS_MODELLED = "not as modelled"  #: no round load on the modelled sheet explains the readings
-
-
-@dataclass(frozen=True, slots=True)
-class Estimated:
-    """A number with its uncertainty.
-
-    Parameters
-    ----------
-    value : the estimate.
-    stderr : its standard error.
-    low, high : 68 % interval; not symmetric about the value where the standard error itself depends on it.
-    """
-
-    value: float
-    stderr: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LoadEstimate:
-    """One round load estimated from the readings, not from an image.
-
-    Parameters
-    ----------
-    finding : everything but ``detectability``, misfit and shares is None unless the load was located.
-    why : of a refusal, and what would help; empty otherwise.
-    detectability : d′, the load's signal over the readings' noise (matched filter).
-    place_mm : (x, y).
-    place_covariance_mm2 : (2, 2); its 68 % region is the ellipse of Mahalanobis distance 1.52.
-    area_contrast_mm2 : area × contrast, counted against the mean of both conductances: π r² · 2 Δγ/(γ + γ_i). It is
-        determined whether the radius is or not; a weak load's equals π r² Δγ/γ.
-    contrast : κ = Δγ/γ; only where the radius was given.
-    radius_mm : None if it was given, or is not determined (``no_radius`` gives the reason).
-    no_radius : why there is no radius; empty where there is one.
-    misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
-    misfit_probability : of a misfit at least as large, were the model right.
-    inflation : factor on the covariance because of the misfit of the model; else 1.
-    explained : share of the readings' signal that the load explains, weighed by their noise, which is taken off.
-    explained_unweighted : the same of the readings' squares.
-    """
-
-    finding: LoadFinding
-    why: str
-    detectability: float
-    place_mm: tuple[float, float] | None
-    place_covariance_mm2: Array | None
-    area_contrast_mm2: Estimated | None
-    contrast: Estimated | None
-    radius_mm: Estimated | None
-    no_radius: str
-    misfit: float
-    misfit_probability: float
-    inflation: float
-    explained: float
-    explained_unweighted: float
-    steps: int
-
-    @property
-    def place_stderr_mm(self) -> float | None:
-        """Standard error of the place, root mean square over two axes [mm]; None if not located."""
-        covariance = self.place_covariance_mm2
-        return None if covariance is None else float(np.sqrt(np.trace(covariance) / 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +142,7 @@ class LoadObservation:
     @property
     def pressed(self) -> Footprint:
         """The head where it pressed."""
-        return self.indenter.at(*self.place_mm)
+        return self.indenter.footprint_at(*self.place_mm)
 
     @property
     def hold_s(self) -> float:
@@ -313,7 +242,7 @@ class RunObservation:
     loops: tuple[LoopObservation, ...] = ()
     _derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
-    def derived(self, compute: Callable[..., R], *args: Hashable) -> R:
+    def derive(self, compute: Callable[..., R], *args: Hashable) -> R:
         """Return what a function makes of this run: computed on first use, and kept with the run from then on.
 
         For what is costly and asked for more than once, by a metric, a section of the report and the calibration. A

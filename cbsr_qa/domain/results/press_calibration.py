@@ -75,7 +75,7 @@ class SheetRegistration:
         places: Array = (places_mm - np.array(self.shift_mm)) @ self.axes.T / self.scale
         return places
 
-    def labelled_mm(self, places_mm: Array) -> Array:
+    def to_press_frame_mm(self, places_mm: Array) -> Array:
         """Places (n, 2) in the frame of the presses of places on the sheet, from its centre."""
         labelled: Array = self.scale * places_mm @ self.axes + np.array(self.shift_mm)
         return labelled
@@ -137,7 +137,7 @@ class PressCalibration:
     modelled : the same by the modelled sheet alone; None in earlier files.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
     drive, measure : pairs by row and column of a frame of the sensor type; empty in earlier files.
-    digest, record_digest, file, signature : as of :class:`~cbsr_qa.domain.results.Calibration`.
+    digest, record_digest, file, signature : as of :class:`~cbsr_qa.domain.results.calibration.Calibration`.
     """
 
     calibration: Annotated[str, Kept("identity/calibration")]

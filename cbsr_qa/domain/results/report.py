@@ -4,11 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from cbsr_qa.domain.plan.limits import LimitsVersion, Outcome
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
-from cbsr_qa.domain.results.measurement import LimitsVersion, Measurement, Outcome, Verdict
+from cbsr_qa.domain.results.charts import StationCharts
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.results.observation import RunObservation
-from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, StationCharts, StationCheck, VerdictOverride
+from cbsr_qa.domain.run.changes import ChangeHistory, SensorHistory, VerdictOverride
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.station import StationCheck
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,9 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, Final
 
-from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 
 _ORDINALS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 #: Number of latest tries listed one by one.
@@ -239,7 +240,7 @@ class ChangeHistory:
     def warnings(self) -> tuple[str, ...]:
         return tuple(f"changes of files noted with an earlier run are not shown: {one}" for one in self.altered)
 
-    def of(self, run: str) -> tuple[ConfigurationChange, ...]:
+    def changes_in(self, run: str) -> tuple[ConfigurationChange, ...]:
         return tuple(change for change in self.changes if change.run == run)
 
 

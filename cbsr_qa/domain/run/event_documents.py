@@ -11,8 +11,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from cbsr_qa.domain.filling import filled
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
 from cbsr_qa.domain.run.run import (
     InstrumentIdentity,
@@ -26,6 +26,7 @@ from cbsr_qa.domain.run.run import (
     StepRetried,
     Unloaded,
 )
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.step_documents import (
     FramesTakenDocument,
     LoadFinishedDocument,
@@ -85,7 +86,7 @@ class RunStartedDocument:
 @document_of.register
 def _run_started(event: RunStarted) -> RunStartedDocument:
     who = event.identity
-    return filled(
+    return fill_from_object(
         RunStartedDocument,
         who,
         type="run_started",
@@ -112,7 +113,9 @@ class PhaseStartedDocument:
 
 @document_of.register
 def _phase_started(event: PhaseStarted) -> PhaseStartedDocument:
-    return filled(PhaseStartedDocument, event, type="phase_started", phase=event.index, role=str(event.role))
+    return fill_from_object(
+        PhaseStartedDocument, event, type="phase_started", phase=event.index, role=str(event.role)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +131,7 @@ class RunEndedDocument:
 
 @document_of.register
 def _run_ended(event: RunEnded) -> RunEndedDocument:
-    return filled(RunEndedDocument, event, type="run_ended", spent_s=dict(event.spent))
+    return fill_from_object(RunEndedDocument, event, type="run_ended", spent_s=dict(event.spent))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +149,7 @@ class RunConcludedDocument:
 @document_of.register
 def _run_concluded(event: RunConcluded) -> RunConcludedDocument:
     files = {"report": event.report or None, "calibration": event.calibration or None}
-    return filled(RunConcludedDocument, event, type="run_concluded", **files)
+    return fill_from_object(RunConcludedDocument, event, type="run_concluded", **files)
 
 
 #: The document of any event.

@@ -6,7 +6,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Literal
 
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 
 
 class GateOutcome(StrEnum):

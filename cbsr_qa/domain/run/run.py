@@ -8,13 +8,14 @@ from datetime import datetime
 from typing import Final, Literal
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.plan import Role, Step
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.steps import Role, Step
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
 from cbsr_qa.domain.run.attendance import AskedPrompt, AttendanceEvent, Pause
 from cbsr_qa.domain.run.gate import GateAnswer
-from cbsr_qa.domain.run.loads import Indenter, LoadRecord
-from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorIdentity, SensorType
 
 _NONE: Final = (
     "no chain: from before version 0011 of the database, or the chain was removed; changes cannot be detected"

@@ -1,14 +1,12 @@
 """Checks and control charts of a station: check results, chart references and standing signals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.numbers import of_kind
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import MetricKey
+from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.run.run import InstrumentIdentity
 
 
@@ -120,144 +118,3 @@ class RingReadings:
 def worst_check(results: Sequence[CheckResult]) -> CheckOutcome:
     """Return the worst outcome of some lines, NOT_DONE of none."""
     return min((line.outcome for line in results), key=_SEVERITY.index, default=CheckOutcome.NOT_DONE)
-
-
-class ChartKind(StrEnum):
-    """Kind of control chart."""
-
-    INDIVIDUALS = "i-mr"  #: single values and their moving range
-    MEANS = "xbar-r"  #: means and ranges of so many runs after each other
-    EWMA = "ewma"
-    CUSUM = "cusum"
-
-
-@dataclass(frozen=True, slots=True)
-class ChartSettings:
-    """Settings of a chart.
-
-    Parameters
-    ----------
-    subgroup : runs a point; 1 but for means and ranges.
-    rules : numbers of Nelson's tests, for individuals and means.
-    weight, width : of EWMA; limits are ``width`` deviations of the average wide.
-    slack, threshold : of CUSUM, in deviations.
-    """
-
-    chart: ChartKind = ChartKind.INDIVIDUALS
-    subgroup: int = 1
-    rules: tuple[int, ...] = (1, 2)
-    weight: float = 0.2
-    width: float = 3.0
-    slack: float = 0.5
-    threshold: float = 5.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChartReference(ChartSettings):
-    """Reference of a chart's limits: stored once, superseded by a new one.
-
-    Parameters
-    ----------
-    golden : serial number where only runs of this sensor are charted; None for production runs.
-    name, phase, qualifier, location : of the metric.
-    mean, deviation : of single values, in ``unit``.
-    runs, first_run, last_run : the reference period (phase I).
-    operator, made_at, why : who set it, when by the computer's clock, and for what reason.
-    retired : nothing is charted against these limits from here on; all else is what held before.
-    """
-
-    reference: str
-    station: str
-    recipe: str
-    golden: str | None
-    name: str
-    phase: str = ""
-    qualifier: str = ""
-    location: str = ""
-    unit: str
-    mean: float
-    deviation: float
-    runs: int
-    first_run: str
-    last_run: str
-    operator: str
-    made_at: datetime
-    why: str
-    retired: bool = False
-
-    @property
-    def key(self) -> MetricKey:
-        return MetricKey(self.name, self.phase, self.qualifier, self.location)
-
-    @property
-    def settings(self) -> ChartSettings:
-        return ChartSettings(**{one.name: getattr(self, one.name) for one in fields(ChartSettings)})
-
-    @property
-    def label(self) -> str:
-        """Metric and chart for people, with the golden sensor if there is one."""
-        of = f" of golden sensor {self.golden}" if self.golden else ""
-        return f"{self.key.title}{of}, chart {self.chart}"
-
-
-@dataclass(frozen=True, slots=True)
-class StandingSignal:
-    """A chart that signals.
-
-    Parameters
-    ----------
-    rules : those that spoke, the earliest first.
-    since_run, since_serial, since : the run at which it began, its sensor, and when by the station's clock.
-    runs : how many runs there were from then on, that one included.
-    at_least : it may have begun earlier than was looked back.
-    began_run, began_serial, began : of a cumulative sum the run after the last at which it was zero, about when the
-        change began; None of other charts.
-    """
-
-    label: str
-    rules: tuple[str, ...]
-    since_run: str
-    since_serial: str
-    since: datetime
-    runs: int
-    at_least: bool
-    began_run: str | None = None
-    began_serial: str | None = None
-    began: datetime | None = None
-
-    def words(self) -> str:
-        """Describe which chart signals, since when, and by which rule."""
-        return f"{self.label}, {self.since_words()}"
-
-    def since_words(self) -> str:
-        """Say since when the chart signals, and by which rule."""
-        least, many = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
-        rules = "; ".join(f"rule {rule}" if rule[0].isdigit() else rule for rule in self.rules)
-        began = "" if self.began is None else f"; the change began at about {_run(self.began_serial, self.began)}"
-        since = _run(self.since_serial, self.since)
-        return f"signals since {since} ({least}{self.runs} run{many}), {rules}{began}"
-
-
-def _run(serial: str | None, begun: datetime) -> str:
-    return f"the run of {of_kind('sensor', serial or '')} on {begun:%Y-%m-%d %H:%M}"
-
-
-@dataclass(frozen=True, slots=True)
-class StationCharts:
-    """State of a station's charts at the end of a run.
-
-    Parameters
-    ----------
-    charts : how many have a stored reference and were looked at.
-    notes : what could not be charted, and doubtful clocks, in sentences.
-    """
-
-    station: str
-    charts: int
-    signals: tuple[StandingSignal, ...]
-    notes: tuple[str, ...] = ()
-
-    def warnings(self) -> tuple[str, ...]:
-        """Return one warning per signalling chart."""
-        here = of_kind("station", self.station)
-        return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)

@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cbsr_qa.domain.filling import filled
-from cbsr_qa.domain.plan import Step
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock
-from cbsr_qa.domain.run.loads import EasedStrain
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.steps import Step
+from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import EasedStrain
 from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken, StepStarted
 
 
@@ -40,8 +40,8 @@ class StepDocument:
     text: str | None = None
 
     @classmethod
-    def of(cls, step: Step) -> "StepDocument":
-        return filled(cls, getattr(step, "load", step), kind=_snake_case(type(step).__name__))
+    def from_step(cls, step: Step) -> "StepDocument":
+        return fill_from_object(cls, getattr(step, "load", step), kind=_snake_case(type(step).__name__))
 
 
 def _snake_case(name: str) -> str:
@@ -62,7 +62,7 @@ class StepStartedDocument:
 
 @document_of.register
 def _step_started(event: StepStarted) -> StepStartedDocument:
-    return filled(StepStartedDocument, event, type="step_started", step=StepDocument.of(event.step))
+    return fill_from_object(StepStartedDocument, event, type="step_started", step=StepDocument.from_step(event.step))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +148,6 @@ class LoadFinishedDocument:
 def _load_finished(event: LoadFinished) -> LoadFinishedDocument:
     load, record = event.record.load, event.record
     place = {"label": load.label, "x_mm": load.x_mm, "y_mm": load.y_mm, "strain": load.strain, "trial": load.trial}
-    return filled(
+    return fill_from_object(
         LoadFinishedDocument, record, type="load_finished", phase=event.phase, time_s=record.rest_end_s, **place
     )

@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.geometry import Disc, SheetOutline
+from cbsr_qa.domain.geometry.outlines import Disc, SheetOutline
 from cbsr_qa.domain.kept import Kept
 from cbsr_qa.domain.numbers import Array
 

@@ -176,9 +176,9 @@ def mesh_arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
     return {
         "nodes_mm": mesh.nodes_mm,
         "elements": mesh.elements,
-        "electrode_edges": _joined([*mesh.electrode_edges]),
+        "electrode_edges": _join_pairs([*mesh.electrode_edges]),
         "electrode_edge_counts": np.array([len(edges) for edges in mesh.electrode_edges], dtype=np.int64),
-        "arc_edges": _joined([arcs.edges for arcs in mesh.arcs]),
+        "arc_edges": _join_pairs([arcs.edges for arcs in mesh.arcs]),
         "arc_edge_counts": np.array([len(arcs.edges) for arcs in mesh.arcs], dtype=np.int64),
         "arc_circles": np.array([(*a.centre_mm, a.radius_mm) for a in mesh.arcs], dtype=np.float64).reshape(-1, 3),
     }
@@ -231,7 +231,7 @@ def mesh_digest(mesh: Mesh) -> str:
     return sha.hexdigest()
 
 
-def _joined(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+def _join_pairs(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.concatenate(parts) if parts else np.zeros((0, 2), dtype=np.int64)
 
 

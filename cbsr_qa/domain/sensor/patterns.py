@@ -204,10 +204,10 @@ class DrivePattern:
 
 def adjacent_pattern(electrode_count: int) -> DrivePattern:
     """Pair k joins electrodes k and k+1, for driving and measuring (the rig's pattern)."""
-    return DrivePattern(electrode_count, *(2 * [named_pairs("adjacent", electrode_count)]))
+    return DrivePattern(electrode_count, *(2 * [list_pairs("adjacent", electrode_count)]))
 
 
-def named_pairs(name: str, electrode_count: int) -> Pairs:
+def list_pairs(name: str, electrode_count: int) -> Pairs:
     """Pairs of a named rule.
 
     Parameters

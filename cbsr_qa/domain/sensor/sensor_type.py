@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.kept import OWN, Kept
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.sensor.electrodes import Electrodes
@@ -41,7 +41,7 @@ class GivenMesh:
     mesh: Mesh = field(compare=False, repr=False)
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Self:
+    def from_mesh(cls, mesh: Mesh) -> Self:
         return cls(mesh_digest(mesh), mesh)
 
 

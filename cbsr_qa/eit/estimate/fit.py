@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.eit.estimate.readings import MergedReadings
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 #: Squared length of the last step in standard errors: a hundredth of one.
 _CLOSE_ENOUGH: Final = 1e-4
@@ -82,7 +82,7 @@ class LoadFitter:
         _, slopes = self.rows(parameters)
         return _invert(slopes.swapaxes(1, 2) @ slopes, square=square)
 
-    def bound_sizes(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
+    def limit_sizes(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
         """Shrink loads whose size is fitted until they touch no electrode and no edge.
 
         Returns
@@ -105,7 +105,7 @@ class _Run:
         count = len(data)
         self.fitter, self.data, self.square = fitter, data, square
         self.free = np.tile([True, True, True, square], (count, 1))
-        self.at, *_ = fitter.bound_sizes(start, square=square)
+        self.at, *_ = fitter.limit_sizes(start, square=square)
         rows, slopes = fitter.rows(self.at)
         self.residual = data - rows
         self.misfit = (self.residual**2).sum(axis=1)
@@ -119,7 +119,7 @@ class _Run:
     def step(self) -> None:
         which = np.flatnonzero(self.active)
         move, gain = self._moves(which)
-        aim, cut, placed = self.fitter.bound_sizes(self.at[which] + move, square=self.square)
+        aim, cut, placed = self.fitter.limit_sizes(self.at[which] + move, square=self.square)
         newly = cut & self.free[which, 3]
         self.free[which[cut], 3] = False
         self.steps[which] += 1
@@ -219,7 +219,7 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
         for side in (-1, 1):
             aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
-            beside, _, placed = fitter.bound_sizes(aim, square=square)
+            beside, _, placed = fitter.limit_sizes(aim, square=square)
             beside[~placed] = fits.parameters[~placed]
             total += fitter.covariance(beside, square=square)
     mean = np.where(fits.held[:, None, None], covariance, total / 5)

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr, ndtri
 
-from cbsr_qa.domain import LEAST_EXPLAINED, Array, Indices, Mask, NumericsError, explained_share, unlike_model
-from cbsr_qa.domain.results import Estimated, LoadEstimate, LoadFinding
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.goodness import LEAST_EXPLAINED, share_explained, unlike_model
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.load_estimates import Estimated, LoadEstimate, LoadFinding
 from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
 from cbsr_qa.eit.estimate.readings import MergedReadings
-from cbsr_qa.eit.loads import RoundLoadModel
+from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 #: Least decrease of the squared residuals for a load to be detected. Noise alone reaches it in fewer than 2 of 10 000
 #: frames (measured with 20 000, anywhere on the sheet, of any size).
@@ -47,7 +49,7 @@ class LoadFits:
     Parameters
     ----------
     fits : parameters, covariance (inflated where the misfit is the model's fault), misfits.
-    finding : (n,) indices into :class:`~cbsr_qa.domain.results.LoadFinding`'s order.
+    finding : (n,) indices into :class:`~cbsr_qa.domain.readings.load_estimates.LoadFinding`'s order.
     detectability : (n,) d′.
     place_stderr_mm : (n,) root mean square over two axes.
     has_radius : (n,) whether the radius is determined.
@@ -168,14 +170,14 @@ class LoadEstimator:
         finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
         fits = replace(fits, covariance=covariance)
         has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
-        shares = explained_share(explained, fits.misfit, freedom), self._explained_share(data, fits)
+        shares = share_explained(explained, fits.misfit, freedom), self._share_of_squares(data, fits)
         return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
 
-    def _explained_share(self, data: Array, fits: Fits) -> Array:
+    def _share_of_squares(self, data: Array, fits: Fits) -> Array:
         """Share (n,) of the readings' squares, each weighing alike, that the fits explain."""
         variance = self.readings.weight**-2.0
         left = fits.residual**2 @ variance
-        return explained_share(data**2 @ variance - left, left, float(variance.sum()))
+        return share_explained(data**2 @ variance - left, left, float(variance.sum()))
 
     def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
         unsure = seen[detectability[seen] < SURE]
@@ -193,7 +195,7 @@ class LoadEstimator:
             return stderr
         usual = fits.parameters[which].copy()
         usual[:, 3] = self.expected_radius_mm**2
-        usual, *_ = self._fitter.bound_sizes(usual, square=True)
+        usual, *_ = self._fitter.limit_sizes(usual, square=True)
         variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
         stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr

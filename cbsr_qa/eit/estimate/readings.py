@@ -6,11 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.geometry import Disc
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, SensorType
-from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM, even_model
-from cbsr_qa.eit.loads import MeshedSheet, PinnedDisc, RoundLoadModel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.outlines import Disc
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
+from cbsr_qa.eit.loads.meshed_sheet import MeshedSheet
+from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
+from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 _MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are evaluated on the edge, where meshes are finer
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import spherical_jn
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.geometry import Footprint, circle_overlap_mm2, overlap_mm2
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import Footprint, overlap_mm2
+from cbsr_qa.domain.geometry.polygons import circle_overlap_mm2
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements
 
 #: A larger share covers all of the element.
@@ -120,7 +122,7 @@ def shares(footprint: Footprint, corners: Array) -> Array:
 
 def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
     """Elements whose bounding circle overlaps the footprint's box."""
-    drawn = footprint.drawn_mm()
+    drawn = footprint.outline_mm()
     middle, half = (
         (drawn.max(axis=0) + drawn.min(axis=0)) / 2,
         0.51 * np.ptp(drawn, axis=0),
@@ -157,14 +159,14 @@ def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Arra
     step = (_STEP * size)[:, None]
     gradient = np.empty_like(places)
     for axis, direction in enumerate(np.eye(2)):
-        ahead, behind = (_signed_distance(footprint, places + s * step[..., None] * direction) for s in (1, -1))
+        ahead, behind = (_distance_outside(footprint, places + s * step[..., None] * direction) for s in (1, -1))
         gradient[..., axis] = (ahead - behind) / (2 * step)
     length = np.hypot(gradient[..., 0], gradient[..., 1])
     known = length > 0.5  # less at a ridge, where no outline is nearest
     return np.where(known[..., None], gradient / np.where(known, length, 1)[..., None], 0.0)
 
 
-def _signed_distance(footprint: Footprint, places: Array) -> Array:
+def _distance_outside(footprint: Footprint, places: Array) -> Array:
     flat = places.reshape(-1, 2)
     sign = np.where(footprint.contains(flat), -1.0, 1.0)
     return (sign * footprint.distance_mm(flat)).reshape(places.shape[:-1])

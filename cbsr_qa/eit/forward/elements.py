@@ -11,8 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)

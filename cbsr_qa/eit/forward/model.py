@@ -9,8 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError, real_numbers
-from cbsr_qa.domain.sensor import DrivePattern, Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices, real_numbers
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.eit.forward.closed_forms import project_to_ground
 from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
 from cbsr_qa.eit.forward.prepared import PreparedSheet
@@ -189,12 +191,12 @@ class ForwardModel:
         gradient = root.transpose(0, 1, 3, 2).reshape(count, 2 * q, k)
         nodal = self._fields_against(elements.cells, elements.cells[:, :1])  # nearly equal in good conductors
 
-        def of(pairs: Array) -> Array:
+        def compute_fields(pairs: Array) -> Array:
             return np.array((gradient @ (nodal @ pairs)).transpose(2, 1, 0), dtype=np.float64, order="C")
 
         driven, measured = self._pairs
-        drive = of(driven)
-        return drive, drive if self.pattern.drive == self.pattern.measure else of(measured)
+        drive = compute_fields(driven)
+        return drive, drive if self.pattern.drive == self.pattern.measure else compute_fields(measured)
 
     @property
     def _own_impedance(self) -> Array:

@@ -14,8 +14,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.elements import Contacts, FiniteElements
 
 _MOST_STEPS: Final = 12

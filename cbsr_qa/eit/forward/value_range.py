@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.results import Blob, Image, Region
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import Blob, Image, Region
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 # Two roundings separate a value meant to be on the threshold from the threshold computed here.
 _TIE: Final = 4 * np.finfo(np.float64).eps

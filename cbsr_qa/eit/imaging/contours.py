@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 from scipy.sparse import csr_array
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
 
 _SPECK: Final = 1e-9  # of a mean element's area

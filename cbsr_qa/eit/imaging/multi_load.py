@@ -8,10 +8,12 @@ from typing import Final
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.geometry import Footprint, inside_edges, overlap_mm2
-from cbsr_qa.domain.results import Blob, Image, ImagingProblem, PreparedReconstruction, Region
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import Footprint, overlap_mm2
+from cbsr_qa.domain.geometry.polygons import inside_edges
+from cbsr_qa.domain.imaging import Blob, Image, ImagingProblem, PreparedReconstruction, Region
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.eit.imaging.blobs import find_blobs_by_mask
 from cbsr_qa.eit.imaging.contours import contour_regions
 
@@ -201,7 +203,7 @@ def two_touch_resolution(
 ) -> TwoTouch:
     """Move two equal loads apart along x, about the origin, until they stay resolved.
 
-    They are resolved if :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is closer to it than
+    They are resolved if ``assign_regions`` finds a region for each that is closer to it than
     to the other. Readings are those of the linearised model, without noise.
 
     Parameters
@@ -218,7 +220,7 @@ def two_touch_resolution(
     problem = reconstruction.problem
     furthest_mm = 0.8 * problem.sensor_type.radius_mm if furthest_mm is None else furthest_mm
     along = np.array([1.0, 0.0])
-    width = float(np.ptp(indenter.at(0.0, 0.0).drawn_mm() @ along))
+    width = float(np.ptp(indenter.footprint_at(0.0, 0.0).outline_mm() @ along))
     if not (step_mm > 0 and width + step_mm <= furthest_mm):
         raise NumericsError(
             f"two heads {width:.3g} mm wide are not told apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
@@ -238,7 +240,7 @@ def loads_change(problem: ImagingProblem, loads: list[Footprint]) -> Array:
 
 
 def _pair(reconstruction: PreparedReconstruction, indenter: Indenter, half: Array, mask: float | None) -> Assignment:
-    loads = [indenter.at(float(x), float(y)) for x, y in (half, -half)]
+    loads = [indenter.footprint_at(float(x), float(y)) for x, y in (half, -half)]
     values = reconstruction.images(loads_change(reconstruction.problem, loads)[None])[0]
     image = Image(reconstruction.problem.mesh, np.maximum(values, 0.0))
     regions: tuple[Region, ...]

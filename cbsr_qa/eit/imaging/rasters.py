@@ -9,9 +9,10 @@ import skimage.measure
 import skimage.segmentation
 from scipy.ndimage import gaussian_filter
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.blobs import percentage_mask, threshold
 
 # scikit-image has no type stubs for these.

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 
 _FEWEST: Final = 3  # places: any two are fitted exactly by a similarity
 _ROUNDING: Final = 1e-12  # of squared distances

@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.geometry import Footprint, RoundFootprint, overlap_mm2
-from cbsr_qa.domain.results import Blob, Image, OverlapBand, Region
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import Footprint, RoundFootprint, overlap_mm2
+from cbsr_qa.domain.imaging import Blob, Image, OverlapBand, Region
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.eit.imaging.blobs import threshold
 
 
@@ -126,7 +127,7 @@ def _deviations_mm2(
     start, end, first = _join_rims(rims)
     along = end - start
     length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
-    mean = np.add.reduceat(indenter.squared_distance_mm3(start, end), first) / np.add.reduceat(length, first)
+    mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first) / np.add.reduceat(length, first)
     deviations: list[float] = mean.tolist()
     return deviations
 

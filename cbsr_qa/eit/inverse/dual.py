@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from scipy import linalg
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.priors import Prior
 
 #: Of the dual system, or of its root if that is decomposed: ten digits are lost.

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.dual import DualSpectrum
 from cbsr_qa.eit.inverse.problem import target_signal
 from cbsr_qa.eit.inverse.readings import ReadingFold

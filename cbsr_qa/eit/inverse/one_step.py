@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import (
     Evidence,

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward import reaches_mm
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.forward.elements import reaches_mm
 
 _SLIVER = 1e-12  # of a mean element's area: smaller pieces have no accurate centroid
 

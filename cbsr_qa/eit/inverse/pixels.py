@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError, RefusedError
-from cbsr_qa.domain.results import LinearReconstruction
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.imaging import LinearReconstruction
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.inverse.overlap import overlap_pieces
 from cbsr_qa.eit.inverse.readings import ReadingFold
 

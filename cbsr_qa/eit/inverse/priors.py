@@ -9,8 +9,9 @@ from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial.distance import cdist
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.mesh import Mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)

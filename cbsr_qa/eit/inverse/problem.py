@@ -11,14 +11,18 @@ from typing import Final
 import numpy as np
 from scipy import sparse
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError, real_numbers
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import FEWEST_INDEPENDENT, DrivePattern, Mesh, SensorType
-from cbsr_qa.eit.forward import ForwardModel, cover
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices, Mask, real_numbers
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import FEWEST_INDEPENDENT, DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.inverse.overlap import Pieces, overlap_pieces
-from cbsr_qa.eit.loads import LocalUpdate
-from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
 
 
 def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Indices) -> Array:

@@ -19,9 +19,10 @@ from typing import Final, Self
 import numpy as np
 from scipy.special import digamma, polygamma
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 _SAME = 1e-6  # reference readings that are folded must agree within this, relative to the largest
 

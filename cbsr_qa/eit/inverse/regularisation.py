@@ -7,8 +7,9 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, ParameterAnswer, ParameterCurve
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem, ParameterAnswer, ParameterCurve
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
 
 

@@ -4,8 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError, real_numbers
-from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, real_numbers
 from cbsr_qa.eit.inverse.problem import reading_name
 
 _LEAST_ALIKE: Final = 0.9  # cosine between a sensor's reference and the model's, in size

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
+from cbsr_qa.domain.imaging import ImagingProblem, ParameterChoice, check_readings
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.dual import DualSpectrum
 from cbsr_qa.eit.inverse.noise_figures import central_signal
 
@@ -90,7 +90,7 @@ def _smooth_backwards(filtered: Array, back: Array, a: float, lag: int | None) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TemporalImages:
-    """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
+    """A prepared method, see :class:`~cbsr_qa.domain.imaging.PreparedReconstruction`.
 
     Images of a block are linear in the block. Frames are assumed evenly spaced.
 
@@ -112,7 +112,7 @@ class TemporalImages:
 
         RefusedError if readings do not fit or are not finite.
         """
-        readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
+        readings = check_readings(changes, self.problem) @ self.spectrum.analysis.T
         coefficients = smooth(readings, self.spectrum.values, self.choice.value**2, self.correlation)
         return coefficients @ self.spectrum.basis.T
 

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import Evidence, central_signal
 from cbsr_qa.eit.inverse.one_step import noise_level

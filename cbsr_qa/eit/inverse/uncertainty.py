@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.problem import find_masked_electrodes
 

@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.special import ive
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import DrivePattern, SensorType
-from cbsr_qa.eit.forward import ForwardModel, cover
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.local import LocalUpdate
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -66,7 +69,7 @@ class StripModel:
         mesh = sheet_mesh(sensor_type, size_mm=_SIZE * sensor_type.radius_mm, order=2)
         contact = np.full(2, float(contact_length_mm))
         model = ForwardModel(mesh, pattern, np.ones(len(mesh.elements)), contact, order=2)
-        covered = cover(model.elements, indenter.at(*place_mm))
+        covered = cover(model.elements, indenter.footprint_at(*place_mm))
         if not covered.elements.size:
             raise NumericsError(f"the head at ({place_mm[0]:g}, {place_mm[1]:g}) mm does not touch the strip")
         update = LocalUpdate(model)

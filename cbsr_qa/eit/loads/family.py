@@ -11,8 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
 from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, own_rim
 

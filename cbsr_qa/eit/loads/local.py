@@ -21,8 +21,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.eit.forward import ForwardModel, check_values
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward.value_range import check_values
 from cbsr_qa.eit.loads.patches import Patches, check_change, dense_work
 from cbsr_qa.eit.loads.rims import InverseEntries
 
@@ -45,7 +47,7 @@ class LocalUpdate:
     @property
     def nbytes(self) -> int:
         """Memory kept between calls [bytes]."""
-        return self._inverse.nbytes + self._cached_bytes()
+        return self._inverse.nbytes + self._cache_bytes()
 
     def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
         """Readings (drives, measures) [V/A] after conductances of some elements, or contacts, have changed.
@@ -122,7 +124,7 @@ class LocalUpdate:
             short = dense_work(self.model, elements) < _MOST_WORK
             short = short and (not contacts or self.contacts_can_be_patches(elements))
             self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
-            while len(self._kept) > 1 and self._cached_bytes() > KEPT_BYTES:
+            while len(self._kept) > 1 and self._cache_bytes() > KEPT_BYTES:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
@@ -136,5 +138,5 @@ class LocalUpdate:
         lengths = self.model.prepared.contacts.lengths_mm
         return bool((self.model.contact_impedance * mean >= _LEAST_CONTACT * lengths).all())
 
-    def _cached_bytes(self) -> int:
+    def _cache_bytes(self) -> int:
         return sum(patches.nbytes for patches in self._kept.values() if patches is not None)

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.round_load import Expansion
 
 Complex = NDArray[np.complex128]

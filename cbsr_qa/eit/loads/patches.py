@@ -7,8 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.eit.forward import ForwardModel, conducts
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward.value_range import conducts
 from cbsr_qa.eit.loads.rims import (
     InverseEntries,
     couple,

@@ -11,9 +11,10 @@ from math import ceil, comb, log
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes
-from cbsr_qa.eit.forward import project_to_ground
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, Electrodes
+from cbsr_qa.eit.forward.closed_forms import project_to_ground
 from cbsr_qa.eit.loads.round_load import Expansion
 
 Complex = NDArray[np.complex128]

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.eit.forward.model import ForwardModel
 
 #: Most nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048

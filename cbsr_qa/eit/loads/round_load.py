@@ -17,8 +17,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 _ERROR = 1e-5  # of the series if every order were as strong as the first; usually below 1e-6
 _FEWEST, _MOST = 4, 16  # orders

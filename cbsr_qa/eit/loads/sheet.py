@@ -1,6 +1,6 @@
 """Voltages of a sheet under many loads of fixed shape and varying strength.
 
-Like :class:`~cbsr_qa.eit.loads.LocalUpdate`, with which it agrees to eight digits, but for sequences of frames:
+Like :class:`~cbsr_qa.eit.loads.local.LocalUpdate`, with which it agrees to eight digits, but for sequences of frames:
 responses are tabulated over strength (:mod:`cbsr_qa.eit.loads.family`), contacts are eliminated once for many
 strengths, and fields at a rim below a part in 10⁸ are left out.
 """
@@ -11,8 +11,8 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.family import TERMS, LoadFamily, Patch, polynomials
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.patches import ContactStack

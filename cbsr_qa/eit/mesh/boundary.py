@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.geometry import ClosedCurve
-from cbsr_qa.domain.sensor import CircleArcs
+from cbsr_qa.domain.geometry.curve import ClosedCurve
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import CircleArcs
 from cbsr_qa.eit.mesh.triangulate import Points
 
 Lengths = Array
@@ -169,7 +169,7 @@ def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
     """
     count = min(max(int(np.ceil(4 * curve.perimeter / size)), 16), 4000)
     along = curve.perimeter * np.arange(count) / count
-    points = curve.at(along)
+    points = curve.points_at(along)
     pairs = cKDTree(points).query_pairs(_ACROSS * size, output_type="ndarray")
     between = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
     between = np.minimum(between, curve.perimeter - between)
@@ -216,7 +216,7 @@ def find_fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: f
     """Positions along an edge that need a node, rising: corners, ends of arcs, ends of strips."""
     begins, ends = curve.begins[:-1], curve.begins[1:]
     middles = (begins + ends) / 2
-    short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.at(middles)))
+    short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.points_at(middles)))
     smooth = np.abs(curve.turns) < 1e-6
     free = smooth & (short | np.roll(short, 1))  # start or end of a short arc
     corners = np.concatenate([begins[~free], middles[short]])
@@ -254,8 +254,8 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
         if owner >= 0:
             least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
         places = begin + _SAMPLES * (end - begin)
-        chosen = _spread(1 / sizes(curve.at(places)), places, least)[:-1]
-        points.append(curve.at(chosen))
+        chosen = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
+        points.append(curve.points_at(chosen))
         owners += [owner] * len(chosen)
         pieces += [piece] * len(chosen)
     edges = ring_edges(len(owners))

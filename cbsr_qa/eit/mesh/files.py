@@ -13,22 +13,18 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import CbsrError, Indices, NumericsError
-from cbsr_qa.domain.geometry import Polygon, inside_polygon, signed_area, thinned_ring
-from cbsr_qa.domain.sensor import (
-    DrivePattern,
-    ElectrodeKind,
-    GivenMesh,
-    Mesh,
-    PlacedElectrodes,
-    Response,
-    SensorType,
-    edge_lists,
-    mesh_arrays,
-    mesh_of_arrays,
-)
+from cbsr_qa.domain.errors import CbsrError, NumericsError
+from cbsr_qa.domain.geometry.outlines import Polygon, thin_ring
+from cbsr_qa.domain.geometry.polygons import inside_polygon, oriented_area
+from cbsr_qa.domain.numbers import Indices
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.mesh import Mesh, edge_lists, mesh_arrays, mesh_of_arrays
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import GivenMesh, Response, SensorType
 from cbsr_qa.eit.mesh.imported import ElectrodeGiven, import_mesh
-from cbsr_qa.system import largest_content, open_foreign, read_untrusted, writing, written_whole
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import open_foreign
+from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
 #: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
 LARGEST_BYTES: Final = 200_000_000
@@ -37,18 +33,18 @@ _ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)
 
 
 def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as ``.npz``: arrays by the names of :func:`cbsr_qa.domain.sensor.mesh_arrays`.
+    """Write a mesh as ``.npz``: arrays by the names of :func:`cbsr_qa.domain.sensor.mesh.mesh_arrays`.
 
     NumericsError if the file cannot be written.
     """
     remedy = "choose an existing, writable folder"
-    with writing(path, refusal=NumericsError, remedy=remedy), written_whole(path) as file:
+    with writing(path, refusal=NumericsError, remedy=remedy), write_atomically(path) as file:
         arrays: dict[str, Any] = mesh_arrays(mesh)
         np.savez_compressed(file, **arrays)
 
 
 def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, fix: bool = False) -> Mesh:
-    """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.import_mesh` does.
+    """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.imported.import_mesh` does.
 
     Parameters
     ----------
@@ -61,7 +57,7 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     ------
     NumericsError
         If the file is missing or not a mesh, takes more than the limits of
-        :func:`~cbsr_qa.system.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
+        :func:`~cbsr_qa.system.untrusted.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
     meshio = None if path.suffix == ".npz" else _meshio(path.suffix)
     files = 1 if meshio is None else 2  # numpy.fromfile duplicates the one that meshio has open
@@ -193,7 +189,7 @@ def mesh_sensor(
     # The furthest node from the middle is a corner, if there are corners.
     middle = mesh.nodes_mm[ring].mean(axis=0)
     ring = np.roll(ring, -int(np.hypot(*(mesh.nodes_mm[ring] - middle).T).argmax()))
-    corners = thinned_ring(mesh.nodes_mm[ring], _OUTLINE * float(np.sqrt(mesh.areas_mm2.sum() / np.pi)))
+    corners = thin_ring(mesh.nodes_mm[ring], _OUTLINE * float(np.sqrt(mesh.areas_mm2.sum() / np.pi)))
     polygon = Polygon(tuple((x, y) for x, y in corners.tolist()))
     on_edge = np.zeros(len(mesh.nodes_mm), dtype=np.bool_)
     on_edge[ring] = True
@@ -202,13 +198,13 @@ def mesh_sensor(
     width = float(np.mean(lengths)) / (1 if kind is ElectrodeKind.ARC else np.pi)
     electrodes = PlacedElectrodes(kind, tuple(middles), width)
     return SensorType(
-        name, polygon.radius_mm, thickness_mm, electrodes, pattern, response, polygon, GivenMesh.of(mesh)
+        name, polygon.radius_mm, thickness_mm, electrodes, pattern, response, polygon, GivenMesh.from_mesh(mesh)
     )
 
 
 def outer_ring(mesh: Mesh) -> Indices:
     """Nodes of the outer boundary, counterclockwise: the closed line of the largest area."""
-    return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
+    return max(_rings(mesh), key=lambda ring: oriented_area(mesh.nodes_mm[ring]))
 
 
 def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
@@ -216,7 +212,7 @@ def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
     inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):
         corners = sheet.nodes_mm[ring]
-        if signed_area(corners) < 0:
+        if oriented_area(corners) < 0:
             nodes = inside_polygon(image.nodes_mm, corners)
             inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
     used, elements = np.unique(image.elements[~inside], return_inverse=True)

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Indices, NumericsError, array_of, real_numbers
-from cbsr_qa.domain.sensor import FARTHEST_MM, Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Indices, array_of, real_numbers
+from cbsr_qa.domain.sensor.mesh import FARTHEST_MM, Mesh
 from cbsr_qa.eit.mesh.triangulate import Points, twice_area
 
 _SAME: Final = 1e-9  # of the mesh's size: closer nodes coincide

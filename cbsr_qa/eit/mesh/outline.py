@@ -11,9 +11,13 @@ from typing import Final, Self
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import Indices, Mask, RefusedError
-from cbsr_qa.domain.geometry import ClosedCurve, Disc, SheetOutline, circle_curve, polygon_curve, simplified
-from cbsr_qa.domain.sensor import CircleArcs, ElectrodeKind, Mesh, SensorType, placement_problems, width_problem
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.geometry.curve import ClosedCurve, circle_curve, polygon_curve
+from cbsr_qa.domain.geometry.outlines import Disc, SheetOutline, simplify_outline
+from cbsr_qa.domain.numbers import Indices, Mask
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, placement_problems, width_problem
+from cbsr_qa.domain.sensor.mesh import CircleArcs, Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.mesh.boundary import (
     EDGES_PER_ARC,
     EDGES_PER_PIN,
@@ -46,7 +50,7 @@ _OUT_OF_LINE: Final = 0.03
 
 
 def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> Mesh:
-    """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet_mesh`, also for errors."""
+    """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet.sheet_mesh`, also for errors."""
     electrodes = sensor_type.electrodes
     for number, what in placement_problems(electrodes, sensor_type.outline):
         which = "its ring of electrodes" if number is None else f"electrode {number}"
@@ -71,13 +75,13 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
 
 
 def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
-    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.image_mesh`, also for errors."""
-    plain = simplified(outline, _OUT_OF_LINE * size_mm)
+    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.sheet.image_mesh`, also for errors."""
+    plain = simplify_outline(outline, _OUT_OF_LINE * size_mm)
     frame = _Frame.for_outline(plain)
     curve = frame.curve
     sizes = SizeField(size_mm, growth(size_mm, frame.radius), (), *narrow_places(curve, size_mm))
     start = _lattice(curve, size_mm)
-    start = start[_signed_distance(curve, start) > 0.7 * size_mm]
+    start = start[_distance_inside(curve, start) > 0.7 * size_mm]
     mesh = _fill(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
     return frame.from_frame(replace(mesh, electrode_edges=(), arcs=()))
 
@@ -187,7 +191,7 @@ class _Contacts:
         for centre, finest in zip(self.pins.centres, self.pins.finest, strict=True):
             yield Source(centre, self.pins.radius, float(finest), grade)
         finest_of = finest_of_arc if order == 1 else finest_smoothly
-        for end in curve.at(np.concatenate([self.strips - self.width / 2, self.strips + self.width / 2])):
+        for end in curve.points_at(np.concatenate([self.strips - self.width / 2, self.strips + self.width / 2])):
             yield Source(end, 0.0, finest_of(size, radius, self.width), grade)
 
 
@@ -270,7 +274,7 @@ def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]
     return distance
 
 
-def _signed_distance(curve: ClosedCurve, points: Points) -> Lengths:
+def _distance_inside(curve: ClosedCurve, points: Points) -> Lengths:
     distance = curve.nearest(points)[1]
     return np.where(curve.contains(points), distance, -distance)
 

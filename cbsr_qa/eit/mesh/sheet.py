@@ -5,16 +5,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices, RefusedError
-from cbsr_qa.domain.sensor import (
-    CircleArcs,
-    ElectrodeKind,
-    ElectrodeLayout,
-    Mesh,
-    SensorType,
-    widest_ring_mm,
-    width_problem,
-)
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, widest_ring_mm, width_problem
+from cbsr_qa.domain.sensor.mesh import CircleArcs, Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.mesh.boundary import (
     EDGES_PER_ARC,
     EDGES_PER_PIN,

@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 Points = Array
 

@@ -10,8 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.system import FileLock, HeldError, RealClock, parsed_json
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.files import FileLock, HeldError
+from cbsr_qa.system.json_text import parse_json
 
 #: Below the computer's directory for temporary files, so that programs of all its users meet there.
 _FOLDER: Final = "cbsr-qa-locks"
@@ -21,7 +23,7 @@ _LONGEST_COMMAND: Final = 160
 class AddressLock:
     """Holds an address until it is released or the process ends, however it ends.
 
-    See :class:`~cbsr_qa.system.FileLock`. A second instrument of the same program is refused like another program's.
+    See ``FileLock``. A second instrument of the same program is refused like another program's.
     InstrumentError if it is held, naming the holder; or if its file cannot be created.
 
     Parameters
@@ -66,7 +68,7 @@ def _self(role: str) -> dict[str, Any]:
 def _holder(text: bytes) -> str:
     """Describe the holder of a lock, which may not have written its name yet."""
     try:
-        who = parsed_json(text)
+        who = parse_json(text)
     except ValueError:
         return "another program"
     kinds = {"pid": int, "command": str, "role": str, "since": str}

@@ -9,9 +9,9 @@ from typing import Final
 import serial
 from serial.tools import list_ports
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links.locks import AddressLock
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
 
 _USB: Final = "usb:"
 #: A waiting reader lets others have the line this often [s, real time].
@@ -49,7 +49,7 @@ class SerialLink:
         self._held = bytearray()
         self._reading = threading.RLock()
         self._writing = threading.Lock()
-        self._port = self._opened()
+        self._port = self._open_port()
 
     @property
     def port(self) -> str:
@@ -57,7 +57,7 @@ class SerialLink:
 
     def write(self, data: bytes) -> None:
         """Send all of this. InstrumentError if the line is down, or does not take the bytes in time (retryable)."""
-        with self._writing, self._mapped():
+        with self._writing, self._convert_errors():
             sent = self._port.write(data)
         if sent is not None and sent < len(data):
             raise self.error(f"took {sent} of {len(data)} bytes within {_WRITE_S:g} s", retryable=True)
@@ -71,7 +71,7 @@ class SerialLink:
         for _ in self._filling(allowed_s):
             with self._reading:
                 if len(self._held) >= count:
-                    return self._taken(count)
+                    return self._take(count)
         reason = f"answered {len(self._held)} of {count} bytes within {allowed_s:g} s"
         raise self.error(reason, remedy=_SILENT, retryable=True)
 
@@ -85,7 +85,7 @@ class SerialLink:
             with self._reading:
                 end = self._held.find(b"\n")
                 if end >= 0:
-                    return self._taken(end + 1).rstrip(b"\r\n")
+                    return self._take(end + 1).rstrip(b"\r\n")
                 if len(self._held) > _LONGEST_LINE:
                     self._held.clear()
                     raise self.error(f"sent more than {_LONGEST_LINE} bytes without a line end", remedy=_BAUD)
@@ -96,10 +96,10 @@ class SerialLink:
         """Return what has come, without waiting; may be nothing."""
         with self._reading:
             self._receive(0.0)
-            return self._taken(len(self._held))
+            return self._take(len(self._held))
 
     def flush_input(self) -> None:
-        with self._reading, self._mapped():
+        with self._reading, self._convert_errors():
             self._held.clear()
             self._port.reset_input_buffer()
 
@@ -111,7 +111,7 @@ class SerialLink:
         self.close()
         with self._reading:
             self._held.clear()
-            self._port = self._opened()
+            self._port = self._open_port()
             self.down = False
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class SerialLink:
         self._port.close()
         self._lock.release()
 
-    def _taken(self, count: int) -> bytes:
+    def _take(self, count: int) -> bytes:
         data = bytes(self._held[:count])
         del self._held[:count]
         return data
@@ -133,7 +133,7 @@ class SerialLink:
             yield
 
     def _receive(self, wait_s: float) -> None:
-        with self._reading, self._mapped():
+        with self._reading, self._convert_errors():
             waiting = self._port.in_waiting
             if not waiting and wait_s <= 0:
                 return
@@ -141,14 +141,14 @@ class SerialLink:
                 self._port.timeout = wait_s
             self._held += self._port.read(max(waiting, 1))
 
-    def _opened(self) -> serial.Serial:
+    def _open_port(self) -> serial.Serial:
         path = self._path()
         self._lock = AddressLock(self.role, path)
         try:
             return serial.Serial(path, self._baud, timeout=self.timeout_s, write_timeout=_WRITE_S, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             self._lock.release()
-            raise self._not_opened(path, error) from error
+            raise self._opening_error(path, error) from error
 
     def _path(self) -> str:
         """Return the path of the port, where a usb: device is plugged in at the moment."""
@@ -169,7 +169,7 @@ class SerialLink:
             remedy="say which by its serial number: usb:VID:PID:SERIAL",
         )
 
-    def _not_opened(self, path: str, error: Exception) -> InstrumentError:
+    def _opening_error(self, path: str, error: Exception) -> InstrumentError:
         number = getattr(error, "errno", None)
         if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error).lower():
             return self.error("another program has the port", remedy="end the other program, or wait for it")
@@ -182,7 +182,7 @@ class SerialLink:
         return self.error(f"port {path} does not open: {error}", remedy=_ports())
 
     @contextmanager
-    def _mapped(self) -> Iterator[None]:
+    def _convert_errors(self) -> Iterator[None]:
         try:
             yield
         except serial.SerialTimeoutException as error:

@@ -11,9 +11,10 @@ from pyvisa import rname
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
-from cbsr_qa.domain import Array, ConfigError, InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin.links.locks import AddressLock
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
 
 #: A resynchronisation waits this many times the timeout for its token: the late answer comes first.
 _PATIENCE: Final = 4.0
@@ -57,14 +58,14 @@ class VisaLink:
         self._down = False
         self._lock = AddressLock(role, address, device=_device(address))
         try:
-            self._resource = self._opened()
+            self._resource = self._open_resource()
         except BaseException:
             self._lock.release()
             raise
 
     def write(self, text: str) -> None:
         """Send one line. InstrumentError if the link is down (retryable: it is opened again by :meth:`recover`)."""
-        with self._mapped():
+        with self._convert_errors():
             self._resource.write_raw(text.encode("ascii") + b"\n")
 
     def query(self, text: str, *, mark: str = "") -> str:
@@ -116,7 +117,7 @@ class VisaLink:
                     raise
         with suppress(Exception):
             self._resource.close()
-        self._resource = self._opened()
+        self._resource = self._open_resource()
         self._down = False
         self.resynchronise()
 
@@ -141,14 +142,14 @@ class VisaLink:
         self._lock.release()
 
     def _line(self) -> str:
-        with self._mapped():
+        with self._convert_errors():
             return bytes(self._resource.read_raw()).decode("ascii", "replace").rstrip("\r\n")
 
     def _bytes(self, count: int) -> bytes:
-        with self._mapped():
+        with self._convert_errors():
             return bytes(self._resource.read_bytes(count))
 
-    def _opened(self) -> Any:
+    def _open_resource(self) -> Any:
         try:
             if self._backend not in _managers:
                 _managers[self._backend] = pyvisa.ResourceManager(self._backend)
@@ -163,17 +164,17 @@ class VisaLink:
             )
             resource.read_termination = "\n"
         except Exception as error:
-            raise self._not_opened(error) from error
+            raise self._opening_error(error) from error
         return resource
 
-    def _not_opened(self, error: Exception) -> ConfigError | InstrumentError:
+    def _opening_error(self, error: Exception) -> ConfigError | InstrumentError:
         named = (StatusCode.error_invalid_resource_name, StatusCode.error_invalid_setup)
         if isinstance(error, AttributeError) or getattr(error, "error_code", None) in named:
             return ConfigError(f"instrument {self.role!r}: {self.address!r} is not a VISA resource", remedy=_EXAMPLE)
         return self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
 
     @contextmanager
-    def _mapped(self) -> Iterator[None]:
+    def _convert_errors(self) -> Iterator[None]:
         """Convert errors of pyvisa and the libraries below it to one error."""
         try:
             yield
@@ -181,16 +182,16 @@ class VisaLink:
             if error.error_code == StatusCode.error_timeout:
                 reason = f"no answer within {self.timeout_s:g} s"
                 raise _LateError(self.role, self.address, reason, remedy=_SILENT, retryable=True) from error
-            raise self._lost(error) from error
+            raise self._link_error(error) from error
         except ConnectionRefusedError as error:
             self._down = True
             reason = "nothing listens there (connection refused)"
             raise self.error(reason, remedy=_SILENT, retryable=True) from error
         except (pyvisa.Error, OSError, AttributeError, TypeError, ValueError) as error:
             # A session that another thread closes while it is read leaks AttributeError or ValueError.
-            raise self._lost(error) from error
+            raise self._link_error(error) from error
 
-    def _lost(self, error: Exception) -> InstrumentError:
+    def _link_error(self, error: Exception) -> InstrumentError:
         self._down = True
         return self.error(f"the link is down ({error})", remedy=_CABLE, retryable=True)
 

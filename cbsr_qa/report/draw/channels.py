@@ -10,8 +10,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import Figure
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.report import Figure
 from cbsr_qa.report.draw.sheet import add_scale
 from cbsr_qa.report.draw.style import (
     AMOUNT_MAP,
@@ -22,10 +22,10 @@ from cbsr_qa.report.draw.style import (
     VERMILION,
     WIDTH_IN,
     canvas,
-    drawn,
+    draw_svg,
     plot,
 )
-from cbsr_qa.report.tables import scaled_unit, unit_column
+from cbsr_qa.report.tables import scale_unit, unit_column
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class ChannelMark:
     label: str
 
 
-@drawn
+@draw_svg
 def channel_map_figure(
     values: Array,
     *,
@@ -71,7 +71,7 @@ def channel_map_figure(
     return figure
 
 
-@drawn
+@draw_svg
 def pair_bar_figure(
     values: Array,
     names: Sequence[str],
@@ -168,10 +168,10 @@ def ring_figure(
     """
     kinds = [("touches no driven electrode", used & ~driven, BLUE), ("touches one", used & driven, VERMILION)]
 
-    @drawn
+    @draw_svg
     def build() -> Canvas:
         figure = canvas(2.6)
-        _compared(figure, expected, mean, kinds, unit)
+        _draw_comparison(figure, expected, mean, kinds, unit)
         axes = plot(figure, (0.52, 0.17, 0.46, 0.66), "Gain, offset and leads taken out")
         axes.set_xlabel("reading, drive pair after drive pair")
         axes.set_ylabel("residual of the reading [%]")
@@ -191,7 +191,7 @@ def ring_figure(
     )
 
 
-def _compared(
+def _draw_comparison(
     figure: Canvas,
     expected: Array,
     mean: Array,
@@ -199,7 +199,7 @@ def _compared(
     unit: str,
 ) -> None:
     """Left half: readings over the closed form, with the line of equality."""
-    scale, shown = scaled_unit(float(np.abs(expected).max()), unit)
+    scale, shown = scale_unit(float(np.abs(expected).max()), unit)
     labels = {"x": f"closed form [{shown}]", "y": f"mean reading [{shown}]"}
     axes = plot(figure, (0.09, 0.17, 0.33, 0.66), "Readings", grid="both", **labels)
     ends = np.array([expected.min(), expected.max()]) / scale

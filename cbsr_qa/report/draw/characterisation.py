@@ -8,14 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import (
-    Characterisation,
-    FitStatus,
-    FittedLine,
-    StrainLevel,
-    StrainSettling,
-)
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.characterisation import Characterisation, FittedLine, StrainLevel, StrainSettling
+from cbsr_qa.domain.results.relaxation import FitStatus
 from cbsr_qa.report.draw.relaxation import relaxation_value
 from cbsr_qa.report.draw.style import (
     BLUE,
@@ -24,10 +19,10 @@ from cbsr_qa.report.draw.style import (
     INK,
     QUIET,
     VERMILION,
-    beside,
+    annotate,
     canvas,
     dots,
-    drawn,
+    draw_svg,
     fit_left,
     note,
     plot,
@@ -38,7 +33,7 @@ _BAND: Final = 1.96  # standard errors to each side of a line: 95 %
 _STRAINS: Final = LinearSegmentedColormap.from_list("cbsr_strain", ["#9ecae1", "#2171b5", "#08306b"])
 
 
-@drawn
+@draw_svg
 def lines_figure(characterised: Characterisation) -> Canvas:
     """Draw changes between the pins and under the head against stress and strain, with line and band."""
     figure = canvas(4.3)
@@ -98,16 +93,16 @@ def _draw_level(axes: Axes, level: StrainLevel, points: Array) -> None:
     axes.plot(points[:, 0], points[:, 1], linestyle="none", marker="o", markersize=2, color=FAINT, zorder=2.5)
     dots(axes, x, y, VERMILION if level.why else INK, errors=deviation, hollow=bool(level.why), capsize=2)
     if level.why:
-        beside(axes, f"{100 * level.strain:g} % left out", (x, y), (5, -2), VERMILION, va="top")
+        annotate(axes, f"{100 * level.strain:g} % left out", (x, y), (5, -2), VERMILION, va="top")
 
 
-@drawn
+@draw_svg
 def relaxations_figure(characterised: Characterisation) -> Canvas:
     """Draw the mean trace of every strain after press and release with its fit, over its steady change."""
     signals = (
-        ("conductance after the press", _of(characterised, "conductance", True)),
-        ("conductance after the release", _of(characterised, "conductance", False)),
-        ("stress after the press", _of(characterised, "stress", True)),
+        ("conductance after the press", _select_settlings(characterised, "conductance", True)),
+        ("conductance after the release", _select_settlings(characterised, "conductance", False)),
+        ("stress after the press", _select_settlings(characterised, "stress", True)),
     )
     panels = [(title, members) for title, members in signals if members]
     figure = canvas(2.35)
@@ -125,7 +120,7 @@ def relaxations_figure(characterised: Characterisation) -> Canvas:
     return figure
 
 
-def _of(characterised: Characterisation, signal: str, loading: bool) -> list[StrainSettling]:
+def _select_settlings(characterised: Characterisation, signal: str, loading: bool) -> list[StrainSettling]:
     return [
         settling
         for settling in characterised.settlings
@@ -161,7 +156,7 @@ def _name_strains(axes: Axes, members: Sequence[StrainSettling], ends: Sequence[
         axes.text(1.01 * x, place, f"{100 * (settling.strain or 0):g} %", va="center", fontsize=7, color=QUIET)
 
 
-@drawn
+@draw_svg
 def settling_by_strain_figure(characterised: Characterisation) -> Canvas:
     """Draw settling times against strain, for loading and unloading (paper: Fig D.19)."""
     figure = canvas(2.3)
@@ -177,7 +172,11 @@ def settling_by_strain_figure(characterised: Characterisation) -> Canvas:
 
 def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loading: bool) -> None:
     colour, shift = (BLUE, -0.15) if loading else (VERMILION, 0.15)
-    members = [settling for settling in _of(characterised, signal, loading) if settling.settling.value_s is not None]
+    members = [
+        settling
+        for settling in _select_settlings(characterised, signal, loading)
+        if settling.settling.value_s is not None
+    ]
     for settling in members:
         at = (100 * (settling.strain or 0) + shift, settling.settling.value_s or 0.0)
         symbol, error = "^" if settling.settling.censored else "o", settling.stderr_s or 0.0

@@ -10,9 +10,10 @@ from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 
-from cbsr_qa.calibration.fits import LoopCurve
-from cbsr_qa.calibration.sheet import Characteristic, StraightLine
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.calibration.fits.estimates import StraightLine
+from cbsr_qa.calibration.fits.hysteresis_fit import LoopCurve
+from cbsr_qa.calibration.sheet.characteristic import Characteristic
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.sheet import MOST_NAMES, add_scale, disc_radius_mm, sheet_axes
 from cbsr_qa.report.draw.style import (
     AMOUNT_MAP,
@@ -24,7 +25,7 @@ from cbsr_qa.report.draw.style import (
     VERMILION,
     canvas,
     dots,
-    drawn,
+    draw_svg,
     plot,
 )
 
@@ -40,7 +41,7 @@ def _stress_pair(figure: Canvas, end_kPa: float, titles: tuple[str, str], labels
     return panels
 
 
-@drawn
+@draw_svg
 def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canvas:
     """Draw the branches of every place, and their difference at equal stress.
 
@@ -92,7 +93,7 @@ class PlaceMap:
     about: float | None = None
 
 
-@drawn
+@draw_svg
 def characteristic_figure(
     curves: Sequence[Characteristic], mean: Characteristic, line: StraightLine, scatter: float | None
 ) -> Canvas:
@@ -117,7 +118,7 @@ def characteristic_figure(
     return figure
 
 
-@drawn
+@draw_svg
 def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
     """Draw one or two sheets beside each other with a coloured disc at every place."""
     figure = canvas(3.05)

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.sheet import draw_heads, head_path, sheet_axes
 from cbsr_qa.report.draw.style import (
     BLUE,
@@ -20,7 +20,7 @@ from cbsr_qa.report.draw.style import (
     QUIET,
     VERMILION,
     canvas,
-    drawn,
+    draw_svg,
     name_rows,
     plot,
 )
@@ -68,7 +68,7 @@ class PlacedLoad:
         return bool(error @ np.linalg.solve(self.covariance_mm2, error) <= ELLIPSE_68**2)
 
 
-@drawn
+@draw_svg
 def estimates_figure(loads: Sequence[PlacedLoad], sensor: SensorType) -> Canvas:
     """Draw the sheet with both places of every load and their errors, lengthened by :func:`error_scale`."""
     figure = canvas(3.75)

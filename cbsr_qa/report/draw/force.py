@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, dots, drawn, plot
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, dots, draw_svg, plot
 
 #: Errors of one response for the sheet that exceed all others by more than this are marks at the edge: drawn to scale
 #: they would flatten what the panel is about.
@@ -47,7 +47,7 @@ class ForcePanel:
     missed_N: Array
 
 
-@drawn
+@draw_svg
 def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canvas:
     """Draw estimated against measured force, and below it the errors with bands of one and two stated errors.
 
@@ -90,7 +90,7 @@ class RatioPoints:
     band: Array
 
 
-@drawn
+@draw_svg
 def ratio_figure(points: RatioPoints) -> Canvas:
     """Draw the ratio of at least one load against force: as seen, and with what the map explains taken out."""
     figure = canvas(2.5)
@@ -134,7 +134,7 @@ def _draw_estimates(axes: Axes, panel: ForcePanel, largest_N: float) -> None:
 
 def _draw_errors(axes: Axes, panel: ForcePanel, flat: ForcePanel | None, largest_N: float, reach_N: float) -> None:
     force = np.linspace(0, largest_N, _STEPS)
-    stated = stated_error(panel.measured_N, panel.stderr_N, force)
+    stated = fit_stated_error(panel.measured_N, panel.stderr_N, force)
     for times, alpha in _BANDS:
         axes.fill_between(force, -times * stated, times * stated, color=BLUE, alpha=alpha, linewidth=0, zorder=1)
     axes.axhline(0.0, color=INK, linewidth=0.7, zorder=2)
@@ -155,7 +155,7 @@ def _points(axes: Axes, panel: ForcePanel, values: Array, errors: Array | None) 
         dots(axes, panel.measured_N[which], values[which], BLUE, errors=stderr, size=3.3, hollow=hollow, zorder=4)
 
 
-def stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
+def fit_stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
     """Stated standard error against force (k,), as √(a + b F²) with a, b ≥ 0 by least squares of the squares.
 
     Noise of the readings does not grow with force, errors of the map and the line do.

@@ -11,10 +11,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import SheetOutline
-from cbsr_qa.domain.results import SEVERITY, Image, Outcome
-from cbsr_qa.domain.sensor import Electrodes, Mesh, SensorType
+from cbsr_qa.domain.geometry.outlines import SheetOutline
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.limits import SEVERITY, Outcome
+from cbsr_qa.domain.sensor.electrodes import Electrodes
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.sheet import (
     MOST_NAMES,
     Raster,
@@ -26,8 +29,8 @@ from cbsr_qa.report.draw.sheet import (
     reach,
     show_sheet,
 )
-from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn, note
-from cbsr_qa.report.select import SIGNS, LocationVerdict, outcome_counts
+from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, draw_svg, note
+from cbsr_qa.report.location_verdicts import SIGNS, LocationVerdict, outcome_counts
 
 _ACROSS: Final = 3
 #: Darker in grey print for worse outcomes; edges differ as well.
@@ -44,7 +47,7 @@ _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
 }
 
 
-@drawn
+@draw_svg
 def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> Canvas:
     """Draw a sheet for each phase with the outcome of every place."""
     phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
@@ -98,7 +101,7 @@ class ImagePanel:
     track: Array | None = None
 
 
-@drawn
+@draw_svg
 def image_figure(
     panels: Sequence[ImagePanel],
     *,

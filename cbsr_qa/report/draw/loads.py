@@ -10,9 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 
-from cbsr_qa.domain.geometry import Footprint, SheetOutline
-from cbsr_qa.domain.results import Image, Outcome, Region
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.geometry.outlines import SheetOutline
+from cbsr_qa.domain.imaging import Image, Region
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.sheet import (
     Raster,
     add_scale,
@@ -35,12 +37,12 @@ from cbsr_qa.report.draw.style import (
     QUIET,
     VERMILION,
     WIDTH_IN,
+    annotate,
     bare,
-    beside,
     canvas,
     change_norm,
     dots,
-    drawn,
+    draw_svg,
     name_rows,
     plot,
     spread_labels,
@@ -83,7 +85,7 @@ class SeenLoad:
     group: str
 
 
-@drawn
+@draw_svg
 def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns: int = 6) -> Canvas:
     """Draw every load's image with the indenter over the outline of the sensed blob, by group."""
     rows, sheet = ceil(len(loads) / columns), sensor.outline
@@ -121,7 +123,7 @@ def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns
     return figure
 
 
-@drawn
+@draw_svg
 def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas:
     """Draw the sheet with indenter (dashed), blob outlines, error arrows, and each location's metrics beside it.
 
@@ -145,7 +147,7 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas
     return figure
 
 
-@drawn
+@draw_svg
 def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas:
     """Draw random loads on a polar plot, discs growing with strain, and the error against strain beside it (Fig 11).
 
@@ -161,7 +163,7 @@ def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas
             side.plot(*at, marker="x", color=VERMILION, clip_on=False, zorder=4)
         else:
             dots(side, *at, BLUE)
-            beside(side, load.label, at, (3.5, 2.5), QUIET, fontsize=6.5)
+            annotate(side, load.label, at, (3.5, 2.5), QUIET, fontsize=6.5)
     largest_mm = max([load.error_mm for load in loads if load.error_mm is not None], default=0.0)
     side.set_xlim(0, max(32.0, 105 * max(load.strain for load in loads)))
     side.set_ylim(0, 1.2 * largest_mm or 1.0)

@@ -12,10 +12,10 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import BaselineConductance
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import BaselineConductance
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.sheet import (
     add_scale,
     draw_circles,
@@ -37,14 +37,14 @@ from cbsr_qa.report.draw.style import (
     bare,
     canvas,
     dots,
-    drawn,
+    draw_svg,
     name_rows,
     plot,
 )
 from cbsr_qa.report.tables import with_uncertainty
 
 
-@drawn
+@draw_svg
 def baseline_figure(places: Sequence[BaselineConductance], sensor: SensorType, indenter: Indenter) -> Canvas:
     """Draw ρ̄₀ at its places on the sheet, and the same values with error bars around their mean."""
     figure = canvas(3.5)
@@ -54,7 +54,9 @@ def baseline_figure(places: Sequence[BaselineConductance], sensor: SensorType, i
     norm = Normalize(low - room, high + room)
     axes = sheet_axes(figure, (0.0, 0.01, 0.5, 0.98), sensor)
     for place in places:
-        _draw_head(axes, place, head_path(indenter.at(place.x_mm, place.y_mm)), norm, 0.02 * sensor.radius_mm)
+        _draw_head(
+            axes, place, head_path(indenter.footprint_at(place.x_mm, place.y_mm)), norm, 0.02 * sensor.radius_mm
+        )
     add_scale(figure, axes, norm, AMOUNT_MAP, label="ρ̄₀ [relative]", place="right")
     side = plot(figure, (0.685, 0.13, 0.3, 0.78), "ρ̄₀ ± its uncertainty; line: mean", grid="x")
     _draw_values(side, places, sum(values) / len(values))
@@ -109,7 +111,7 @@ class SheetField:
     least_reach: float = 1e-3
 
 
-@drawn
+@draw_svg
 def force_map_figure(
     fields: Sequence[SheetField], sensor: SensorType, *, used_mm: Array, refused_mm: Array, radius_mm: float
 ) -> Canvas:

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import MetricTimeline
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.results.observation import MetricTimeline
 from cbsr_qa.report.draw.style import (
     BLUE,
     CYCLE,
@@ -20,15 +20,15 @@ from cbsr_qa.report.draw.style import (
     INK,
     ORDERED,
     QUIET,
-    beside,
+    annotate,
     canvas,
-    drawn,
+    draw_svg,
     fit_left,
     note,
     plot,
     spread_labels,
 )
-from cbsr_qa.report.draw.time import thinned
+from cbsr_qa.report.draw.time import thin_trace
 
 _FORCE = "#f6d7a7"  # light orange, as in the paper
 _FORCE_INK = "#a86400"
@@ -43,7 +43,7 @@ class Held:
     end_s: float
 
 
-@drawn
+@draw_svg
 def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canvas:
     """Draw the three spatial metrics of every frame for every mask, while a load was held, with the force behind."""
     figure = canvas(5.0)
@@ -69,7 +69,7 @@ def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canv
     return figure
 
 
-@drawn
+@draw_svg
 def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) -> Canvas:
     """Draw error and overlap of one mask against the time held: what waiting buys."""
     figure = canvas(1.95)
@@ -77,7 +77,7 @@ def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) ->
     rows = (("error E_CoM [mm]", timeline.error_mm[mask]), ("overlap A_OL [%]", timeline.overlap_percent[mask]))
     for column, (name, values) in enumerate(rows):
         axes = plot(figure, grid[column], name, x="time held [s]")
-        time_s, mean, low, high = held_profile(timeline.time_s, values, held)
+        time_s, mean, low, high = average_over_holds(timeline.time_s, values, held)
         axes.fill_between(time_s, low, high, color=BLUE, alpha=0.16, linewidth=0)
         axes.plot(time_s, mean, color=BLUE, marker="o", markersize=2.2)
         axes.set_xlim(left=0)
@@ -86,7 +86,7 @@ def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) ->
     return figure
 
 
-def held_profile(time_s: Array, values: Array, held: Sequence[Held]) -> tuple[Array, Array, Array, Array]:
+def average_over_holds(time_s: Array, values: Array, held: Sequence[Held]) -> tuple[Array, Array, Array, Array]:
     """Average a metric over loads at the same number of frames into the hold.
 
     Parameters
@@ -152,7 +152,7 @@ def _draw_force(
     behind.set_zorder(1)
     end_s = held[-1].end_s + 5 if held else float(force.time_s[-1])
     inside = (force.time_s >= start_s - 5) & (force.time_s <= end_s)
-    time_s, newtons = thinned(force.time_s[inside], force.values[inside], 700)
+    time_s, newtons = thin_trace(force.time_s[inside], force.values[inside], 700)
     behind.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
     behind.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
     behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
@@ -195,7 +195,7 @@ class SizeSeries:
     regions_mm: tuple[float, ...]
 
 
-@drawn
+@draw_svg
 def size_figure(series: Sequence[SizeSeries], head_mm: float) -> Canvas:
     """Draw regions' diameters against targets', with the line on which they are equal and the head's size marked."""
     figure = canvas(2.1)
@@ -204,13 +204,13 @@ def size_figure(series: Sequence[SizeSeries], head_mm: float) -> Canvas:
     largest = 1.12 * max(max((*place.targets_mm, *place.regions_mm)) for place in series)
     axes.plot([0, largest], [0, largest], color=FAINT, linestyle=DASHED, zorder=1)
     equal = (0.9 * largest, 0.97 * largest)
-    beside(axes, "as large as the target", equal, (-4, 0), QUIET, ha="right", va="top")
+    annotate(axes, "as large as the target", equal, (-4, 0), QUIET, ha="right", va="top")
     axes.axvline(head_mm, color=FAINT, linewidth=0.6, zorder=1)
-    beside(axes, "head", (head_mm, 0), (3, 3), QUIET)
+    annotate(axes, "head", (head_mm, 0), (3, 3), QUIET)
     for number, (place, colour) in enumerate(zip(series, CYCLE, strict=False)):
         axes.plot(place.targets_mm, place.regions_mm, color=colour, marker="os^"[number % 3], markersize=4, zorder=3)
         end = (place.targets_mm[-1], place.regions_mm[-1])
-        beside(axes, place.title, end, (6, 0), va="center", annotation_clip=False)
+        annotate(axes, place.title, end, (6, 0), va="center", annotation_clip=False)
     ticks = np.arange(0, largest, 5 if largest < 40 else 10 if largest < 80 else 20)
     axes.set(xlim=(0, largest), ylim=(0, largest), xticks=ticks, yticks=ticks)
     return figure

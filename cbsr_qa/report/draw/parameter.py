@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import ParameterCurve
+from cbsr_qa.domain.imaging import ParameterCurve
 from cbsr_qa.report.draw.style import (
     BLUE,
     CYCLE,
@@ -20,9 +20,9 @@ from cbsr_qa.report.draw.style import (
     HAIR,
     INK,
     QUIET,
-    beside,
+    annotate,
     canvas,
-    drawn,
+    draw_svg,
     note,
     plot,
 )
@@ -45,7 +45,7 @@ class ParameterMark:
     chosen: bool
 
 
-@drawn
+@draw_svg
 def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name: str) -> Canvas:
     """Draw the noise figure over all that was searched, with the chosen value, and again large around all marks.
 
@@ -155,7 +155,7 @@ def _look(order: int, *, chosen: bool) -> dict[str, Any]:
 def _name_target(axes: Axes, curve: ParameterCurve) -> None:
     if curve.target is not None:
         look = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-        beside(axes, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
+        annotate(axes, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
 
 
 def _name_marks(axes: Axes, marks: Sequence[ParameterMark], *, discrete: bool) -> None:

@@ -9,16 +9,16 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
 from scipy.stats import binom
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.report.draw.sheet import add_scale
-from cbsr_qa.report.draw.style import AMOUNT_MAP, BLUE, HAIR, INK, QUIET, bare, canvas, dots, drawn, note, plot
+from cbsr_qa.report.draw.style import AMOUNT_MAP, BLUE, HAIR, INK, QUIET, bare, canvas, dots, draw_svg, note, plot
 
 #: Share of what chance does inside the band.
 _BAND: Final = 0.95
 
 
-@drawn
-def left_out_figure(
+@draw_svg
+def cross_validation_figure(
     places_mm: Array,
     found_mm: Array,
     levels: Array,
@@ -42,12 +42,12 @@ def left_out_figure(
         axes.fill(*edge_mm.T, facecolor="#fbfbfb", edgecolor=QUIET, linewidth=0.7, zorder=0)
     for number, (x, y) in enumerate(() if numbers_mm is None else numbers_mm):
         axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
-    _missed(figure, axes, places_mm, found_mm)
+    _draw_errors(figure, axes, places_mm, found_mm)
     _coverage(plot(figure, (0.63, 0.14, 0.35, 0.78), x="stated [%]", y="found [%]"), levels, held, len(places_mm))
     return figure
 
 
-def _missed(figure: Canvas, axes: Axes, places_mm: Array, found_mm: Array) -> None:
+def _draw_errors(figure: Canvas, axes: Axes, places_mm: Array, found_mm: Array) -> None:
     distance = np.linalg.norm(found_mm - places_mm, axis=1)
     norm = Normalize(0.0, max(float(np.quantile(distance, 0.98)), 1e-6))
     ways = LineCollection(list(np.stack([places_mm, found_mm], axis=1)), colors=INK, linewidths=0.5, zorder=2)

@@ -10,10 +10,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from matplotlib.gridspec import GridSpec
 
-from cbsr_qa.analysis.run import DirectedAgreement
-from cbsr_qa.calibration.fits import SHAPE_MARGIN, ComparedCurves, estimate_restricted_mean
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationObservation
+from cbsr_qa.analysis.run.agreement import DirectedAgreement
+from cbsr_qa.calibration.fits.agreement import SHAPE_MARGIN, ComparedCurves
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.observation import RelaxationObservation
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.report.draw.style import (
     BLUE,
     DASHED,
@@ -21,21 +23,21 @@ from cbsr_qa.report.draw.style import (
     INK,
     QUIET,
     VERMILION,
-    beside,
+    annotate,
     canvas,
-    drawn,
+    draw_svg,
     fit_left,
     note,
     plot,
 )
-from cbsr_qa.report.draw.time import thinned
+from cbsr_qa.report.draw.time import thin_trace
 from cbsr_qa.report.tables import unit_shown
 
 #: Standard errors of an interval of 90 %: the one that two one-sided tests at 5 % compare with the margin.
 _NINETY: Final = 1.6449
 
 
-@drawn
+@draw_svg
 def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
     """Draw both curves (above) and their difference with its 90 % interval and the margin (below), by direction."""
     figure, grid = _panels(3.3, 2, len(compared), hspace=0.18, height_ratios=(1.2, 1.0))
@@ -117,7 +119,7 @@ def relaxation_value(fit: RelaxationFit, time_s: Array) -> Array:
     return fit.offset + sum((a * np.exp(-time_s / tau) for a, tau in terms), np.zeros_like(time_s))
 
 
-@drawn
+@draw_svg
 def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Canvas:
     """Draw a row for each signal: all loads in grey, one with its fit, settling band and settling time."""
     figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
@@ -137,7 +139,7 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
     return figure
 
 
-@drawn
+@draw_svg
 def settling_figure(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Canvas:
     """Draw settling times in the order of the loads, or against strain where there are several strains.
 
@@ -160,7 +162,7 @@ def _draw_quiet(axes: Axes, relaxations: Sequence[RelaxationObservation | None])
     lines = []
     for relaxation in relaxations:
         if relaxation is not None and len(relaxation.trace.values):
-            lines.append(np.column_stack(thinned(relaxation.trace.time_s, relaxation.trace.values, _QUIET_POINTS)))
+            lines.append(np.column_stack(thin_trace(relaxation.trace.time_s, relaxation.trace.values, _QUIET_POINTS)))
     if lines:
         axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.5, zorder=1.5))
         axes.autoscale_view()
@@ -171,7 +173,7 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
         note(axes, 0.5, 0.5, "not recorded", QUIET, ha="center")
         axes.set_axis_off()
         return
-    time_s, values = thinned(relaxation.trace.time_s, relaxation.trace.values, 240)
+    time_s, values = thin_trace(relaxation.trace.time_s, relaxation.trace.values, 240)
     axes.plot(time_s, values, linestyle="none", marker="o", markersize=2, color=BLUE, markeredgewidth=0, zorder=3)
     fit, settling = relaxation.fit, relaxation.settling
     if fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING):
@@ -191,7 +193,7 @@ def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> Non
     axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=DASHED, zorder=2)
     ha, shift = ("right", (-3, -2)) if settled_s > 0.6 * end_s else ("left", (3, -2))
     words, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
-    beside(axes, words, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
+    annotate(axes, words, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
 
 
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
@@ -233,7 +235,7 @@ def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> No
         axes.axvline(start - 0.5, color=FAINT, linewidth=0.6)
     for start in starts if last else ():
         under = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 6.5}
-        beside(axes, loads[start].group, (start - 0.4, 0), (0, -15), QUIET, **under)
+        annotate(axes, loads[start].group, (start - 0.4, 0), (0, -15), QUIET, **under)
 
 
 def _axis_label(signal: str, loads: Sequence[SettledLoad]) -> str:

@@ -14,10 +14,13 @@ from matplotlib.path import Path
 from matplotlib.tri import Triangulation
 from scipy.spatial import KDTree
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import Disc, Footprint, SheetOutline
-from cbsr_qa.domain.results import Region
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh, SensorType
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.geometry.outlines import Disc, SheetOutline
+from cbsr_qa.domain.imaging import Region
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.draw.style import FAINT, INK, QUIET, Box, bare
 
 Point = tuple[float, float]
@@ -55,7 +58,7 @@ def region_path(region: Region, shift_mm: tuple[float, float] = (0.0, 0.0)) -> P
 
 def head_path(head: Footprint, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Path:
     """Return a head's outline as a path, moved."""
-    corners = head.drawn_mm()
+    corners = head.outline_mm()
     return Path(np.vstack([corners, corners[:1]]) + np.asarray(shift_mm), closed=True)
 
 
@@ -144,7 +147,7 @@ def sheet_path(sheet: SheetOutline) -> Array:
     steps = np.maximum(np.ceil(np.abs(curve.curvature * curve.length) * _SIDES / (2 * np.pi)).astype(int), 1)
     pieces = zip(curve.begins[:-1], curve.length, steps, strict=True)
     places = [begin + length * np.arange(count) / count for begin, length, count in pieces]
-    return curve.at(np.concatenate(places))
+    return curve.points_at(np.concatenate(places))
 
 
 def draw_electrodes(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, *, numbered: bool = True) -> None:
@@ -187,13 +190,13 @@ def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Arr
         axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = electrodes.width_mm / 2
-        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) for place in along]
+        strips = [curve.points_at(np.linspace(place - half, place + half, _SIDES)) for place in along]
         axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     size = 0.075 * reach(sheet)
-    ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
+    ahead = curve.points_at(along + size / 8) - curve.points_at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
     inner = (away > 4 * size)[:, None]
-    return np.where(inner, centres + size / 2, curve.at(along) + size * outward)
+    return np.where(inner, centres + size / 2, curve.points_at(along) + size * outward)
 
 
 def draw_circles(

@@ -18,7 +18,7 @@ from matplotlib.gridspec import GridSpec, SubplotSpec
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 
 P = ParamSpec("P")
 #: Left, bottom, width and height as fractions of a figure.
@@ -161,7 +161,7 @@ def note(axes: Axes, x: float, y: float, text: str, colour: str = INK, **look: A
     axes.text(x, y, text, transform=axes.transAxes, **options)
 
 
-def beside(
+def annotate(
     axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], colour: str = INK, **look: Any
 ) -> None:
     """Write a note beside a place of the data, ``shift`` points away."""
@@ -259,7 +259,7 @@ _BITMAP: Final = re.compile(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=\s]*\Z")
 _OWN_URL: Final = re.compile(r"url\(\s*(?!['\"]?#)", re.IGNORECASE)
 
 
-def drawn(build: Callable[P, Canvas]) -> Callable[P, str]:
+def draw_svg(build: Callable[P, Canvas]) -> Callable[P, str]:
     """Make a function that builds a figure return its ``<svg>`` element, drawn under the shared settings."""
 
     @wraps(build)
@@ -282,7 +282,7 @@ def svg_of(build: Callable[[], Canvas]) -> str:
     return _own_names(_body(buffer.getvalue()))
 
 
-def checked_svg(svg: str) -> str:
+def check_svg(svg: str) -> str:
     """Return an SVG without active content.
 
     Raises

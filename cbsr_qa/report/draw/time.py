@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.transforms import blended_transform_factory
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import Trace
-from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, beside, canvas, drawn, fit_left, light_grid, note
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.observation import Trace
+from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, annotate, canvas, draw_svg, fit_left, light_grid, note
 from cbsr_qa.report.tables import duration, unit_shown
 
 
@@ -24,7 +24,7 @@ class Budget:
     parts: tuple[tuple[str, float], ...]
 
 
-@drawn
+@draw_svg
 def budget_figure(budgets: Sequence[Budget]) -> Canvas:
     """Draw one panel of bars per budget, the largest part first, each bar with its time and share."""
     rows = max(len(budget.parts) for budget in budgets)
@@ -46,7 +46,7 @@ def _draw_bars(axes: Axes, budget: Budget) -> None:
     axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
     for row, (_, seconds) in enumerate(parts):
         share = f"  ({100 * seconds / total:.0f} %)" if total else ""
-        beside(axes, f"{duration(seconds)}{share}", (seconds, row), (3, 0), va="center")
+        annotate(axes, f"{duration(seconds)}{share}", (seconds, row), (3, 0), va="center")
     axes.set_yticks(range(len(parts)), [name for name, _ in parts])
     axes.set_ylim(len(parts) - 0.5, -0.5)
     axes.set_xticks([])
@@ -70,7 +70,7 @@ class Span:
     peak_s: float | None = None
 
 
-@drawn
+@draw_svg
 def timeline_figure(
     traces: Sequence[Trace], spans: Sequence[Span], *, time_label: str = "time since the first complete frame [s]"
 ) -> Canvas:
@@ -78,7 +78,7 @@ def timeline_figure(
 
     Spans are shaded through all panels and named above the first. Traces without points are left out.
     """
-    panels = _by_unit(traces)
+    panels = _group_by_unit(traces)
     height_in = 1.35 * len(panels) + 0.75
     figure = canvas(height_in)
     grid = figure.add_gridspec(
@@ -118,7 +118,7 @@ def shade(axes: Axes, span: Span, *, named: bool) -> None:
         axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
 
 
-def thinned(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
+def thin_trace(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
     """Keep lowest and highest value of each stretch, so that no spike is lost where points are too many to draw."""
     if len(values) <= points:
         return time_s, values
@@ -128,7 +128,7 @@ def thinned(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array,
     return time_s[kept], values[kept]
 
 
-def _by_unit(traces: Sequence[Trace]) -> list[tuple[str, list[Trace]]]:
+def _group_by_unit(traces: Sequence[Trace]) -> list[tuple[str, list[Trace]]]:
     panels: dict[str, list[Trace]] = {}
     for trace in traces:
         if len(trace.values):
@@ -140,7 +140,7 @@ def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
     light_grid(axes)
     for index, trace in enumerate(traces):
         colour = CYCLE[index % len(CYCLE)] if len(traces) > 1 else BLUE
-        time_s, values = thinned(trace.time_s, trace.values)
+        time_s, values = thin_trace(trace.time_s, trace.values)
         axes.plot(time_s, values, color=colour, linewidth=0.9)
         if len(traces) > 1:
             note(axes, 1.01, 0.95 - 0.13 * index, trace.name, colour, va="top")

@@ -102,7 +102,7 @@ class EmulatedApplicator:
         self._steps = tuple(options.get("steps_per_mm", (100.0, 100.0, 400.0)))
         x, y = options.get("centre_mm", (0.0, 0.0))
         with rig.lock:
-            rig.head.mounted(
+            rig.head.mount_over(
                 (x, y), options.get("hover_height_mm", rig.motion.hover_mm), up=options.get("z_axis", "up") == "up"
             )
         self._partial = b""
@@ -110,13 +110,13 @@ class EmulatedApplicator:
         self._reset()
         send(_BANNER[self._firmware].encode())
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         if Fault.BUSY in self._told:
             self._told.discard(Fault.BUSY)
             self._keep_busy()
         if Fault.RESET in self._told:
             self._told.discard(Fault.RESET)
-            return self._restarted()
+            return self._restart()
         reply = ""
         with self._rig.lock:
             *lines, self._partial = (self._partial + data).split(b"\n")
@@ -135,7 +135,7 @@ class EmulatedApplicator:
             threading.Event().wait(BUSY_PAUSE_S)
             self._rig.clock.sleep(_BUSY_EVERY_S)
 
-    def _restarted(self) -> bytes:
+    def _restart(self) -> bytes:
         with self._rig.lock:
             self._reset()
         return _BANNER[self._firmware].encode()
@@ -159,12 +159,12 @@ class EmulatedApplicator:
             self._last = number
         if not command:
             return "" if number is None else "ok\n"
-        return self._done(command)
+        return self._execute(command)
 
-    def _done(self, command: str) -> str:
+    def _execute(self, command: str) -> str:
         code, parameters = words(command)
         if code == "M112":
-            return "Error:Printer halted. kill() called!\n" + self._restarted().decode()
+            return "Error:Printer halted. kill() called!\n" + self._restart().decode()
         if code == "M105":
             return "ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\n"
         if code == "M118":

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.domain import Indices
+from cbsr_qa.domain.numbers import Indices
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import Fault, Port
 
@@ -56,11 +56,11 @@ class EmulatedErtBoard:
         self._last = b""
         self._scale = self._counts_per_volt()
 
-    def attached(self, line: Port) -> None:
+    def attach(self, line: Port) -> None:
         self._line = line
         self._rig.clock.watch(self._time_passed)
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Ignore received bytes: the board takes no commands."""
         del data
         return b""
@@ -85,14 +85,14 @@ class EmulatedErtBoard:
         return int((now_s - self._origin_s + _NOW_S) / self._row_s)
 
     def _send_row(self, line: Port, row: int) -> None:
-        fault = line.faults.met()
+        fault = line.faults.take()
         if fault is Fault.DROP:
             self._silent = True
             return line.hang_up()
         self._silent = fault is Fault.SILENCE
         if fault is Fault.RESET:
             return self.misbehave(fault)
-        sent = self._said(row)
+        sent = self._encode_row(row)
         if fault is Fault.GARBLE:
             sent = sent[:7] + sent[8:]
         if fault is Fault.STALE:
@@ -102,7 +102,7 @@ class EmulatedErtBoard:
             self._send(sent)
         return None
 
-    def _said(self, row: int) -> bytes:
+    def _encode_row(self, row: int) -> bytes:
         """Bytes sent for a row; the text marker follows as soon as the previous frame ends."""
         frame, pair = divmod(row, _PAIRS)
         counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain.plan.plan import Motion
 from cbsr_qa.simulate.head import PressWriter
 from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
-from cbsr_qa.system import in_ticks
+from cbsr_qa.system.clock import round_to_ticks
 
 Position = tuple[float, float, float]
 
@@ -32,7 +32,7 @@ class _Way:
     goal: Position
     speed_mm_s: float
 
-    def at(self, time_s: float) -> Position:
+    def position(self, time_s: float) -> Position:
         part = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
         x, y, z = (a + part * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
         return self.goal if part == 1.0 else (x, y, z)
@@ -59,7 +59,7 @@ class EmulatedHead:
         self._written = self._writer()
         clock.watch(self._follow)
 
-    def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
+    def mount_over(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
         """Set the sheet's position in machine coordinates.
 
         ``hover_z_mm``: machine z of the hover height.
@@ -71,7 +71,7 @@ class EmulatedHead:
     def position_mm(self) -> Position:
         """Current position in machine coordinates."""
         now_s = self._clock.now()
-        return next((way.at(now_s) for way in self._ways if way.start_s <= now_s < way.end_s), self._rests)
+        return next((way.position(now_s) for way in self._ways if way.start_s <= now_s < way.end_s), self._rests)
 
     @property
     def place_mm(self) -> tuple[float, float]:
@@ -123,7 +123,7 @@ class EmulatedHead:
         length_mm = math.dist(origin, goal)
         if length_mm <= _NEAR_MM:
             return
-        self._ways.append(_Way(start_s, start_s + in_ticks(length_mm / speed_mm_s), origin, goal, speed_mm_s))
+        self._ways.append(_Way(start_s, start_s + round_to_ticks(length_mm / speed_mm_s), origin, goal, speed_mm_s))
         if len(self._ways) == 1:
             self._begin(self._ways[0])
 

@@ -46,11 +46,11 @@ class EmulatedMultiplexer:
         self._writing = threading.Lock()
         self._boot()
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Execute the first received byte; the others are lost, as in the firmware."""
         command = data[:1]
         with self._rig.lock:
-            reply = self._obeyed(command)
+            reply = self._execute(command)
         with self._writing:
             held, self._waiting = self._waiting, b""
         if command == b"c":
@@ -63,7 +63,7 @@ class EmulatedMultiplexer:
             with self._rig.lock:
                 self._boot()
 
-    def _obeyed(self, command: bytes) -> bytes:
+    def _execute(self, command: bytes) -> bytes:
         if command == b"i":
             self._step()
             log = self._log() if self._steps % _LOG_EVERY == 0 else b""
@@ -110,11 +110,11 @@ class EmulatedMultiplexer:
         """Send the counter with the next log line or the next answer, whichever comes first."""
         with self._writing:
             self._waiting += digits
-        timer = threading.Timer(_COUNTER_LATE_S, self._logged)
+        timer = threading.Timer(_COUNTER_LATE_S, self._send_log)
         timer.daemon = True
         timer.start()
 
-    def _logged(self) -> None:
+    def _send_log(self) -> None:
         with self._writing:
             held, self._waiting = self._waiting, b""
         if held:

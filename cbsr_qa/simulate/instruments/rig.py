@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, Final, Self
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec, Motion
 from cbsr_qa.simulate.frames import SimulatedFrame
 from cbsr_qa.simulate.instruments.head import EmulatedHead
 from cbsr_qa.simulate.instruments.streams import Fault, FreeRunning, Port, PtyPort, Served, TcpPort, WatchedClock
@@ -125,7 +125,7 @@ class Emulation:
             self.close()
             raise
 
-    def addressed(self, spec: InstrumentSpec) -> InstrumentSpec:
+    def fill_address(self, spec: InstrumentSpec) -> InstrumentSpec:
         """Return an instrument's table with its emulator's address; unchanged if it is not emulated.
 
         The new table no longer shows that it is emulated: use the original one for that.
@@ -160,5 +160,5 @@ class Emulation:
         port = self.ports[spec.role] = stream(f"emulated {spec.role}")
         instrument = self.instruments[spec.role] = make(self.rig, spec.options, port.send)
         if isinstance(instrument, FreeRunning):
-            instrument.attached(port)
+            instrument.attach(port)
         port.serve(instrument)

@@ -8,7 +8,7 @@ from typing import Any, Final
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import Fault, Port
 from cbsr_qa.simulate.streams import RandomStream
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
 
 #: Delay of late lines, and duration of a restart [s].
 LATE_S: Final = 3.0
@@ -46,11 +46,11 @@ class LineSender(ABC):
             self.started_s = rig.clock.now()
             rig.clock.watch(self._follow)
 
-    def attached(self, line: Port) -> None:
+    def attach(self, line: Port) -> None:
         """Attach the line; faults hit the lines sent."""
         self._port = line
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def misbehave(self, fault: Fault) -> None:
@@ -72,14 +72,14 @@ class LineSender(ABC):
             line = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")
             while (fault := self._fault()) is not None:
                 line = self._spoilt(fault, line, due_s)
-            due += self._in_time(line, due_s)
+            due += self._delay_line(line, due_s)
         if due and not self._silent:
             self._hand_over(due)
 
     def _fault(self) -> Fault | None:
         if self._told:
             return self._told.pop(0)
-        return None if self._port is None else self._port.faults.met()
+        return None if self._port is None else self._port.faults.take()
 
     def _spoilt(self, fault: Fault, line: bytes, due_s: float) -> bytes:
         match fault:
@@ -102,7 +102,7 @@ class LineSender(ABC):
                 self._more = self.overload
         return line
 
-    def _in_time(self, line: bytes, due_s: float) -> bytes:
+    def _delay_line(self, line: bytes, due_s: float) -> bytes:
         self._last = line
         self._late += line
         if self._late_until_s is not None and due_s < self._late_until_s:

@@ -103,9 +103,9 @@ class EmulatedSourceMeter:
         self._measures = f"smu{options.get('meter_channel', 'a')}"
         self._held = b""
         self._stuck = False
-        self._switched_off()
+        self._reset_all()
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         *lines, self._held = (self._held + data).split(b"\n")
         self._said = bytearray()
         with self._rig.lock:
@@ -118,7 +118,7 @@ class EmulatedSourceMeter:
             if fault is Fault.COMPLIANCE:
                 self._stuck = True
             elif fault is Fault.RESET:
-                self._switched_off()
+                self._reset_all()
 
     # --- the machine of the language ---
 
@@ -131,7 +131,7 @@ class EmulatedSourceMeter:
             known |= {f"{channel}.{constant}": float(number) for constant, number in _CHANNEL_CONSTANTS.items()}
             own = f"{channel}.nvbuffer1"
             known |= {own: buffer, f"{own}.readings": buffer.readings, f"{own}.statuses": buffer.statuses}
-            known[f"{channel}.source.compliance"] = rest == "source.compliance" and self._limited(channel)
+            known[f"{channel}.source.compliance"] = rest == "source.compliance" and self._is_limited(channel)
         if name not in known:
             raise _runtime_error(f"attempt to index `{name}' (a nil value)")
         return known[name]
@@ -150,11 +150,11 @@ class EmulatedSourceMeter:
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         channel, _, rest = name.partition(".")
         if channel in self._buffers and rest in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
-            return self._of_channel(channel, rest, arguments)
+            return self._call_channel(channel, rest, arguments)
         if name == "reset":
             self._reset()
         elif name == "print":
-            self._said += "\t".join(map(self._shown, arguments)).encode() + b"\n"
+            self._said += "\t".join(map(self._format_value, arguments)).encode() + b"\n"
         elif name == "printbuffer":
             self._print_buffers(*arguments)
         elif name == "errorqueue.clear":
@@ -182,7 +182,7 @@ class EmulatedSourceMeter:
         if self._attributes["localnode.prompts"]:
             self._said += b"TSP>\n"
 
-    def _switched_off(self) -> None:
+    def _reset_all(self) -> None:
         """Reset, as after a power cycle."""
         self._errors: list[tuple[float, str, float, float]] = []
         self._said = bytearray()
@@ -206,9 +206,9 @@ class EmulatedSourceMeter:
         self._rig.wiring.current_A = level_A if output == 1 and func == 0 else None
         self._rig.wiring.limit_V = limit_V
 
-    def _of_channel(self, channel: str, rest: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
+    def _call_channel(self, channel: str, rest: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         if rest.startswith("measure"):
-            return (self._measured(channel, rest[-1], *arguments),)
+            return (self._measure(channel, rest[-1], *arguments),)
         if rest == "nvbuffer1.clear":
             self._buffers[channel].clear()
         elif rest == "reset":
@@ -216,7 +216,7 @@ class EmulatedSourceMeter:
             self._wire()
         return ()
 
-    def _measured(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
+    def _measure(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
         """Take one reading, with its duration; put it into a buffer."""
         self._rig.clock.sleep(self._attributes[f"{channel}.measure.nplc"] / _LINE_HZ)
         value = self._volts(channel) if quantity == "v" else self._amperes(channel)
@@ -227,7 +227,7 @@ class EmulatedSourceMeter:
             if not self._attributes[f"{channel}.nvbuffer1.appendmode"]:
                 buffer.clear()
             buffer.readings.append(value)
-            buffer.statuses.append(float(_COMPLIANCE if self._limited(channel) else 0))
+            buffer.statuses.append(float(_COMPLIANCE if self._is_limited(channel) else 0))
         return value
 
     def _volts(self, channel: str) -> float:
@@ -236,14 +236,14 @@ class EmulatedSourceMeter:
             limit_V = self._attributes[f"{channel}.source.limitv"]
             volts = there.volts * (_STUCK_SHARE if self._stuck else 1.0)
             return max(-limit_V, min(limit_V, volts))
-        return math.copysign(self._rig.wiring.limit_V, there.current_A) if self._limited(channel) else there.volts
+        return math.copysign(self._rig.wiring.limit_V, there.current_A) if self._is_limited(channel) else there.volts
 
     def _amperes(self, channel: str) -> float:
         if channel != self._drives:
             return 0.0
         return self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
 
-    def _limited(self, channel: str) -> bool:
+    def _is_limited(self, channel: str) -> bool:
         there = self._rig.electrical()
         if channel == self._drives:
             return self._rig.wiring.current_A is not None and (there.limited or self._stuck)
@@ -260,9 +260,9 @@ class EmulatedSourceMeter:
             order = "<" if self._attributes["format.byteorder"] == 1 else ">"
             self._said += b"#0" + struct.pack(f"{order}{len(values)}f", *values) + b"\n"
         else:
-            self._said += ", ".join(map(self._shown, values)).encode() + b"\n"
+            self._said += ", ".join(map(self._format_value, values)).encode() + b"\n"
 
-    def _shown(self, value: Any) -> str:
+    def _format_value(self, value: Any) -> str:
         if isinstance(value, str):
             return value
         if value is None or isinstance(value, bool):

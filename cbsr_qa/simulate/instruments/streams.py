@@ -18,7 +18,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Final, Protocol, runtime_checkable
 
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.system.clock import VirtualClock
 
 _READ_BYTES: Final = 4096
 #: Interval at which a thread checks whether to end [s, real time].
@@ -94,7 +94,7 @@ class ArmedFaults:
         """Number of faults armed and not yet triggered."""
         return len(self._waiting)
 
-    def met(self) -> Fault | None:
+    def take(self) -> Fault | None:
         """Take the fault that hits the current command."""
         with suppress(IndexError):
             return self._waiting.popleft()
@@ -104,7 +104,7 @@ class ArmedFaults:
 class Served(Protocol):
     """An emulated instrument: bytes in, bytes out. Called only from its port's thread."""
 
-    def received(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Execute received bytes, possibly part of a command or several commands, and return the answers."""
 
     def misbehave(self, fault: Fault) -> None:
@@ -115,7 +115,7 @@ class Served(Protocol):
 class FreeRunning(Served, Protocol):
     """An emulated instrument that sends unsolicited bytes, and so checks for armed faults itself."""
 
-    def attached(self, line: "Port") -> None:
+    def attach(self, line: "Port") -> None:
         """Attach the line, before serving starts."""
 
 
@@ -179,15 +179,15 @@ class Port(ABC):
     def _serve(self, instrument: Served) -> None:
         """Receive and answer, until closed."""
 
-    def _answered(self, instrument: Served, data: bytes) -> bytes | None:
+    def _answer(self, instrument: Served, data: bytes) -> bytes | None:
         """Return the answer to received bytes, after any fault; None to hang up."""
-        fault = self.faults.met()
+        fault = self.faults.take()
         if fault is not None and fault not in OF_THE_LINK:
             instrument.misbehave(fault)
         if fault is Fault.DROP:
             return None
         self._silent = self._silent or fault is Fault.SILENCE
-        reply = instrument.received(data)
+        reply = instrument.receive(data)
         if self._silent:
             return b""
         if fault is Fault.GARBLE and reply:
@@ -260,7 +260,7 @@ class PtyPort(Port):
                 return
             if not data:
                 continue
-            left = self._answered(instrument, data)
+            left = self._answer(instrument, data)
             if left is None:
                 return self.hang_up()
             self._write(master, left)
@@ -327,7 +327,7 @@ class TcpPort(Port):
                 return
             if not data:
                 return
-            answer = self._answered(instrument, data)
+            answer = self._answer(instrument, data)
             if answer is None:
                 return self.hang_up()
             with suppress(OSError):

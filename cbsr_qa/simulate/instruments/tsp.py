@@ -68,9 +68,9 @@ class Interpreter:
         return statements
 
     def _statement(self) -> Statement:
-        if self._found("function"):
+        if self._take_token("function"):
             return self._definition()
-        if self._found("for"):
+        if self._take_token("for"):
             return self._loop()
         name = self._expect("name")
         if self._tokens[0] == ("sign", "("):
@@ -80,7 +80,7 @@ class Interpreter:
         return lambda local: self._machine.assign(name, _first(value(local)))
 
     def _definition(self) -> Statement:
-        name, parameters, body = self._expect("name"), self._listed(self._parameter), self._block("end")
+        name, parameters, body = self._expect("name"), self._parse_list(self._parameter), self._block("end")
         return lambda _: self._functions.update({name: (parameters, body)})
 
     def _loop(self) -> Statement:
@@ -97,7 +97,7 @@ class Interpreter:
     # --- expressions ---
 
     def _expression(self) -> Expression:
-        if number := self._found("number"):
+        if number := self._take_token("number"):
             return lambda _: (float(number),)
         if self._tokens[0][0] == "text":
             text = self._expect("text")
@@ -111,7 +111,7 @@ class Interpreter:
 
     def _call(self, name: str) -> Expression:
         """Parse the call of a user-defined function, or else of a built-in one."""
-        arguments = self._listed(self._expression)
+        arguments = self._parse_list(self._expression)
 
         def run(local: Locals) -> tuple[Any, ...]:
             given: list[Any] = [_first(argument(local)) for argument in arguments[:-1]]
@@ -130,17 +130,17 @@ class Interpreter:
     def _parameter(self) -> str:
         return self._expect("name")
 
-    def _listed(self, parse: Callable[[], T]) -> list[T]:
+    def _parse_list(self, parse: Callable[[], T]) -> list[T]:
         """Parse what stands in parentheses, with commas between."""
         self._expect("(")
         found: list[T] = []
-        while not self._found(")"):
+        while not self._take_token(")"):
             if found:
                 self._expect(",")
             found.append(parse())
         return found
 
-    def _found(self, wanted: str) -> str:
+    def _take_token(self, wanted: str) -> str:
         """Take the next token if it is of this kind or this sign; else nothing."""
         kind, text = self._tokens[0]
         return self._tokens.pop(0)[1] if wanted == kind or (kind, wanted) == ("sign", text) else ""

@@ -7,10 +7,10 @@ import time
 from collections.abc import Iterator
 from typing import Any, Final, Self
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.station.control.lock import control_socket, station_holder
 from cbsr_qa.station.control.server import LONGEST_LINE
-from cbsr_qa.system import parsed_json
+from cbsr_qa.system.json_text import parse_json
 
 #: How long a run may take to answer [s].
 PATIENCE_S: Final = 10.0
@@ -109,7 +109,7 @@ class RunChannel:
 
 def _message(line: bytes) -> dict[str, Any]:
     try:
-        message = parsed_json(line)
+        message = parse_json(line)
     except ValueError as error:
         raise RefusedError(f"the run's channel sent a line that is not JSON: {error}") from error
     if not isinstance(message, dict):

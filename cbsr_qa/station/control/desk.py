@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from cbsr_qa.domain import AbortedError, RefusedError, filled
+from cbsr_qa.domain.errors import AbortedError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.station.control.messages import OpenPrompt, Paused, Requests
 
 #: Longest wait between looks for a change [s, real time].
@@ -131,7 +132,7 @@ class ControlDesk:
                 paused=None if self._paused is None else Paused(*self._paused),
                 pause_wanted=self._wanted_by,
                 stopping=self._stopped_by,
-                prompt=None if asked is None else filled(OpenPrompt, asked, here=self.answers),
+                prompt=None if asked is None else fill_from_object(OpenPrompt, asked, here=self.answers),
             )
 
     # Called by the run, in its own thread.
@@ -159,7 +160,7 @@ class ControlDesk:
             self._wanted_by, self._paused = None, (by, now_s)
         self._wake()
 
-    def continued(self) -> str | None:
+    def who_continued(self) -> str | None:
         """Return who has ended the pause; None while it lasts."""
         with self._lock:
             if self._continued_by is None:

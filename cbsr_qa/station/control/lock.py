@@ -14,9 +14,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from cbsr_qa.config import var_folder
-from cbsr_qa.domain import AT_COMMAND_LINE, RefusedError
-from cbsr_qa.system import FileLock, HeldError, holder, parsed_json
+from cbsr_qa.config.paths import var_folder
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, RefusedError
+from cbsr_qa.system.files import FileLock, HeldError, holder
+from cbsr_qa.system.json_text import parse_json
 
 #: Names that are used as they are; others are shortened and get a digest.
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}")
@@ -45,10 +46,10 @@ class Holder:
     doing: str
 
     @classmethod
-    def of_text(cls, text: bytes) -> Self | None:
+    def from_text(cls, text: bytes) -> Self | None:
         """Return the holder a lock file names, or None if it is not readable as such."""
         try:
-            stated = parsed_json(text)
+            stated = parse_json(text)
         except ValueError:
             return None
         kinds = {"station": str, "pid": int, "started": str, "who": str, "doing": str}
@@ -93,7 +94,7 @@ class Holder:
 
 
 def control_folder() -> Path:
-    """Folder of lock files and sockets, below :func:`~cbsr_qa.config.var_folder`."""
+    """Folder of lock files and sockets, below :func:`~cbsr_qa.config.paths.var_folder`."""
     return var_folder() / "control"
 
 
@@ -119,7 +120,7 @@ def private_folder(folder: Path) -> None:
 def station_holder(station: str) -> Holder | None:
     """Return the process that uses a station; None if it is free. The file of a killed process is removed."""
     text = holder(_lock_file(station))
-    return None if text is None else Holder.of_text(text) or Holder(station, 0, "", "", "unknown")
+    return None if text is None else Holder.from_text(text) or Holder(station, 0, "", "", "unknown")
 
 
 @contextmanager
@@ -136,7 +137,7 @@ def station_held(station: str, *, who: str, doing: str) -> Iterator[Holder]:
     me = Holder(station, os.getpid(), _start_of(os.getpid()), who, doing)
     file = _lock_file(station)
     made = [folder for folder in (file.parent, *file.parent.parents) if not folder.exists()]
-    lock = _acquired(file, me)
+    lock = _acquire(file, me)
     try:
         yield me
     finally:
@@ -153,14 +154,14 @@ def refuse_busy(station: str) -> None:
         raise _busy(station, found)
 
 
-def _acquired(file: Path, me: Holder) -> FileLock:
+def _acquire(file: Path, me: Holder) -> FileLock:
     until_s = time.monotonic() + _LOOKED_AT_S
     while True:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             return FileLock(file, json.dumps(asdict(me)).encode(), shared=True)
         except HeldError as error:
-            found = Holder.of_text(error.who)
+            found = Holder.from_text(error.who)
             if time.monotonic() > until_s or (found is not None and found.is_running()):
                 raise _busy(me.station, found) from error
         except FileNotFoundError as error:  # another process has removed the folder at its end

@@ -7,7 +7,7 @@ The first line is a :class:`Hello`. A :class:`State` follows whenever it changes
 from dataclasses import dataclass
 from typing import Literal
 
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.states import EndReason
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class State(Activity, Requests):
     type: Literal["state"] = "state"
 
     @classmethod
-    def of(cls, activity: Activity, requests: Requests) -> "State":
+    def from_parts(cls, activity: Activity, requests: Requests) -> "State":
         return cls(**vars(activity), **vars(requests))
 
 

@@ -15,8 +15,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
-from cbsr_qa.domain import RefusedError, filled
-from cbsr_qa.domain.run import PhaseStarted, RunEvent, StepStarted, event_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.run.event_documents import event_document
+from cbsr_qa.domain.run.run import PhaseStarted, RunEvent, StepStarted
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.control.lock import control_socket, private_folder
 from cbsr_qa.station.control.messages import (
@@ -28,7 +30,7 @@ from cbsr_qa.station.control.messages import (
     SensorUnderTest,
     State,
 )
-from cbsr_qa.system import parsed_json
+from cbsr_qa.system.json_text import parse_json
 
 #: Version of the lines, raised when a key is removed or changes its meaning.
 PROTOCOL: Final = 1
@@ -82,7 +84,7 @@ class RunServer:
 
     def __enter__(self) -> Self:
         try:
-            self._listening = self._bound()
+            self._listening = self._bind()
         except (OSError, AttributeError) as error:  # AttributeError: no such sockets on this system
             self.why = f"no control channel: {getattr(error, 'strerror', None) or error}"
             return self
@@ -119,9 +121,9 @@ class RunServer:
         self._send_all(_line(replace(self._state(), loads=None)))
 
     def _state(self) -> State:
-        return State.of(self._activity(), self._desk.state())
+        return State.from_parts(self._activity(), self._desk.state())
 
-    def _bound(self) -> socket.socket:
+    def _bind(self) -> socket.socket:
         path = control_socket(self._station)
         private_folder(path.parent)
         with suppress(FileNotFoundError):
@@ -145,9 +147,9 @@ class RunServer:
 
     def _serve(self) -> None:
         with suppress(Exception):  # the channel may end, the run goes on
-            asyncio.run(self._until_over())
+            asyncio.run(self._serve_until_over())
 
-    async def _until_over(self) -> None:
+    async def _serve_until_over(self) -> None:
         self._loop = asyncio.get_running_loop()
         server = await asyncio.start_unix_server(self._client, sock=self._listening, limit=_LONGEST_REQUEST)
         self._started.set()
@@ -170,7 +172,7 @@ class RunServer:
             writer.close()
             return
         self._clients.add(writer)  # first: what happens from here on is sent after the state
-        hello = filled(Hello, self._sensor(), protocol=PROTOCOL, pid=os.getpid(), state=self._state())
+        hello = fill_from_object(Hello, self._sensor(), protocol=PROTOCOL, pid=os.getpid(), state=self._state())
         self._send(writer, _line(hello))
         try:
             while line := await reader.readline():
@@ -198,7 +200,7 @@ class RunServer:
         try:
             content = _content(line)
             number = _number(content)
-            request = _Request.of(content)
+            request = _Request.from_content(content)
             if request.do == "state":
                 return Reply("reply", number, ok=True, state=self._state())
             request.put_to(self._desk)
@@ -215,20 +217,20 @@ class _Request:
     text: str
 
     @classmethod
-    def of(cls, content: dict[str, Any]) -> Self:
+    def from_content(cls, content: dict[str, Any]) -> Self:
         do, by = content.get("do"), content.get("by", "")
         prompt, text = content.get("prompt", -1), content.get("text", "")
         if do not in _REQUESTS:
-            raise RefusedError(f"unknown request: 'do' is {_found(do)}; allowed are {', '.join(_REQUESTS)}")
+            raise RefusedError(f"unknown request: 'do' is {_quote_json(do)}; allowed are {', '.join(_REQUESTS)}")
         if not (isinstance(by, str) and len(by) <= _LONGEST_NAME and by.isprintable()):
             raise RefusedError(
-                f"'by' is {_found(by)}; it must be a name of at most {_LONGEST_NAME} printable characters"
+                f"'by' is {_quote_json(by)}; it must be a name of at most {_LONGEST_NAME} printable characters"
             )
         if type(prompt) is not int:
-            raise RefusedError(f"'prompt' is {_found(prompt)}; it must be the number of the open prompt")
+            raise RefusedError(f"'prompt' is {_quote_json(prompt)}; it must be the number of the open prompt")
         if not (isinstance(text, str) and len(text) <= _LONGEST_ANSWER and "\0" not in text):
             raise RefusedError(
-                f"'text' is {_found(text)}; it must be text of at most {_LONGEST_ANSWER} characters, without NUL"
+                f"'text' is {_quote_json(text)}; it must be text of at most {_LONGEST_ANSWER} characters, without NUL"
             )
         return cls(do, by.strip(), prompt, text)
 
@@ -250,11 +252,11 @@ class _Request:
 def _number(content: dict[str, Any]) -> int | str | None:
     number = content.get("id")
     if number is not None and type(number) not in (int, str):
-        raise RefusedError(f"'id' is {_found(number)}; allowed: a whole number or a text")
+        raise RefusedError(f"'id' is {_quote_json(number)}; allowed: a whole number or a text")
     return number
 
 
-def _found(value: object) -> str:
+def _quote_json(value: object) -> str:
     """Return a value as JSON writes it, cut where it is long."""
     shown = json.dumps(value)
     return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"
@@ -262,7 +264,7 @@ def _found(value: object) -> str:
 
 def _content(line: bytes) -> dict[str, Any]:
     try:
-        content = parsed_json(line)
+        content = parse_json(line)
     except ValueError as error:
         raise RefusedError(f"the line is not JSON: {error}") from None
     if not isinstance(content, dict):

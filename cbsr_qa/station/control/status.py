@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from cbsr_qa.domain.plan import Press
-from cbsr_qa.domain.run import (
-    Load,
+from cbsr_qa.domain.plan.steps import Press
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import (
     LoadFinished,
     PhaseStarted,
     RunEnded,
@@ -53,8 +53,8 @@ class RunStatus:
             self._names, self._keys, self._loads = dict(phases), [], []
             for key, press in presses:
                 self._keys.append(key)
-                self._loads.append(_planned(self._names[key[0]], press.load, done=key in done))
-            self._set(phases=len(phases), next=self._next())
+                self._loads.append(_plan_load(self._names[key[0]], press.load, done=key in done))
+            self._set(phases=len(phases), next=self._find_next())
 
     def doing(self, what: str) -> None:
         """State what is done outside of the plan, e.g. that the result is computed."""
@@ -103,7 +103,7 @@ class RunStatus:
                 force_N = float(samples.values[-1])
                 self._set(force_N=force_N if math.isfinite(force_N) else None, time_s=float(samples.time_s[-1]))
             case LoadFinished(phase=phase, record=record):
-                self._finished((phase, record.index))
+                self._finish_load((phase, record.index))
             case StepRetried(attempt=attempt, why=why):
                 self._warn(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded(end=end, detail=detail):
@@ -117,25 +117,25 @@ class RunStatus:
             remaining_s=event.remaining_s,
         )
         if isinstance(event.step, Press):
-            self._set(load=self._pressed(event.phase, event.step.load), next=None)
+            self._set(load=self._find_load(event.phase, event.step.load), next=None)
 
-    def _pressed(self, phase: int, load: Load) -> LoadUnderWay:
+    def _find_load(self, phase: int, load: Load) -> LoadUnderWay:
         """Name the load that begins: the first of its phase with this place, strain and trial that is not done."""
-        of, wanted = len(self._loads), _planned(self._names.get(phase, ""), load, done=False)
+        of, wanted = len(self._loads), _plan_load(self._names.get(phase, ""), load, done=False)
         numbers = (n for n, key in enumerate(self._keys) if key[0] == phase and self._loads[n] == wanted)
         return LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
 
-    def _finished(self, key: LoadKey) -> None:
+    def _finish_load(self, key: LoadKey) -> None:
         if key in self._keys:
             number = self._keys.index(key)
             self._loads[number] = replace(self._loads[number], done=True)
-        self._set(load=None, next=self._next())
+        self._set(load=None, next=self._find_next())
 
-    def _next(self) -> Numbered | None:
+    def _find_next(self) -> Numbered | None:
         """Return which press is the first that is not done; None if all are."""
         left = (number for number, load in enumerate(self._loads, start=1) if not load.done)
         return next((Numbered(number, len(self._loads)) for number in left), None)
 
 
-def _planned(phase: str, load: Load, *, done: bool) -> PlannedLoad:
+def _plan_load(phase: str, load: Load, *, done: bool) -> PlannedLoad:
     return PlannedLoad(phase, load.label, load.x_mm, load.y_mm, load.strain, load.trial, done)

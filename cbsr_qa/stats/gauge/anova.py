@@ -20,7 +20,7 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.gauge.crossed_study import (
     CATEGORY_FACTOR,
     Study,

@@ -19,7 +19,8 @@ from math import sqrt
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError, of_kind
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, prefix_kind
 from cbsr_qa.stats.nelson import d2_d3, d2_star
 from cbsr_qa.stats.samples import Interval, constant, sample
 
@@ -196,7 +197,7 @@ def _check_balance(
         if len(found) != trials:
             raise NumericsError(
                 f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
-                f"{of_kind(appraiser, station)}, others have {trials}",
+                f"{prefix_kind(appraiser, station)}, others have {trials}",
                 remedy=f"a crossed study has every sensor equally often {on(appraiser)} every {appraiser}: add the "
                 "missing runs, or leave that sensor out",
             )

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.control_charts import Chart, individuals
 from cbsr_qa.stats.difference import Contrast, make_contrast
 from cbsr_qa.stats.intervals import Referenced

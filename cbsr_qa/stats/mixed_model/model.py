@@ -14,7 +14,8 @@ from math import log, sqrt
 import numpy as np
 from scipy import linalg
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.crossings import Crossing
 from cbsr_qa.stats.difference import Contrast, make_contrast
 from cbsr_qa.stats.mixed_model.reml import (

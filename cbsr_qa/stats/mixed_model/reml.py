@@ -31,7 +31,8 @@ from math import log, pi
 import numpy as np
 from scipy import optimize, sparse, stats
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.crossings import IntArray, SparseArray
 from cbsr_qa.stats.samples import Interval
 

@@ -18,22 +18,24 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import aliased
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.archives import checked_bytes
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.run import ChainState
+from cbsr_qa.store.archives import read_checked
 from cbsr_qa.store.chain.links import SigningKey, checking_key, few_links, key_id_of, link_digest
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
-    covered,
     documents,
+    figures_digest,
+    list_covered,
+    name_document,
     sha256,
-    shown,
-    stored_figures,
     tables,
 )
 from cbsr_qa.store.damage import FOREIGN_CELL, foreign_cell
-from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, RunRow, RunStateRow
+from cbsr_qa.store.tables.records import MANY_LINKS, LinkRow
+from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow
+from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -68,7 +70,7 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         If the run does not exist, or a row was altered: the message names table and row.
     """
     try:
-        return _checked(connection, run, kinds)
+        return _check_chain(connection, run, kinds)
     except FOREIGN_CELL as error:
         raise unreadable(connection, run, error) from error
 
@@ -81,18 +83,18 @@ def data_digest(connection: Connection, run: str) -> str:
     link = LinkRow
     of_data = select(link.sha256).where(link.run == run, link.kind.not_in(_CONCLUDED))
     head = connection.scalar(of_data.order_by(link.number.desc()).limit(1))
-    return head or sha256(*map("/".join, stored_documents(connection, run, ALL_KINDS - _CONCLUDED)))
+    return head or sha256(*map("/".join, digest_documents(connection, run, ALL_KINDS - _CONCLUDED)))
 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
     """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
-    rows = [(table, of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
+    rows = [(table, select_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
     return foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     )
 
 
-def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainState:
+def _check_chain(connection: Connection, run: str, kinds: Collection[str]) -> ChainState:
     row = connection.execute(
         select(RunRow.chain, RunRow.configuration, RunRow.configuration_digest).where(RunRow.run == run)
     ).one_or_none()
@@ -114,10 +116,10 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     for link in links:
         _check_link(run, link, key_id, key)
     if not kinds:
-        checked_bytes(connection, run)
+        read_checked(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
     if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
-        return _checked(connection, run, ())  # names the link
+        return _check_chain(connection, run, ())  # names the link
     return chain_state(connection, row.chain)
 
 
@@ -159,14 +161,14 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:
     """Raise StoreError if a link was moved or changed, or its signature does not match the run's state."""
-    what = f"link {link.number} in run_links, of {shown(link.kind, link.document)}"
+    what = f"link {link.number} in run_links, of {name_document(link.kind, link.document)}"
     if link.number and link.before is None:
         raise _broken(run, f"link {link.number - 1} in run_links is missing")
     if link.sha256 != link_digest(link.before or "", link.kind, link.document, link.content_sha256):
         raise _broken(run, f"{what}, does not follow from the link before it")
     if (link.mac is not None) is not bool(key_id):
         raise _broken(run, f"{what}, is {'not ' if key_id else ''}signed, unlike its run")
-    if key is not None and not key.signed(run, link.sha256, link.mac):
+    if key is not None and not key.verify(run, link.sha256, link.mac):
         raise _broken(run, f"{what}, was not signed with key {key.key_id}")
 
 
@@ -174,15 +176,15 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
     """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-    for stored, links in ((stored_documents(connection, run, kinds), linked), (of_figures, figures)):
+    for stored, links in ((digest_documents(connection, run, kinds), linked), (of_figures, figures)):
         for kind, document, content in stored:
             expected = links.pop((kind, document), None)
             if expected is None:
-                raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
+                raise _broken(run, f"{name_document(kind, document)} was added: no link covers it")
             if expected != content:
-                raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
+                raise _broken(run, f"{name_document(kind, document)} was changed: it does not match its digest")
         for kind, document in links:
-            raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
+            raise _broken(run, f"{name_document(kind, document)} was removed: its link is there, the row is not")
 
 
 def among(connection: Connection, column: Any, runs: Collection[str]) -> ColumnElement[bool]:
@@ -216,7 +218,7 @@ def runs_with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
     return set(connection.scalars(query))
 
 
-def stored_documents(
+def digest_documents(
     connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
 ) -> Iterator[tuple[str, str, str]]:
     """Yield kind, key and content digest of the stored documents of a run, figures left out."""
@@ -224,19 +226,19 @@ def stored_documents(
         # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
             type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
-            for one in covered(table)
+            for one in list_covered(table)
         )
-        query = select(*columns).where(of_run(table, run))
+        query = select(*columns).where(select_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
 
 
 def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]:
     for analysis in connection.scalars(select(AnalysisRow.analysis).where(AnalysisRow.run == run)).all():
-        yield FIGURES, analysis, stored_figures(connection, analysis)
+        yield FIGURES, analysis, figures_digest(connection, analysis)
 
 
-def of_run(table: Table, run: str) -> Any:
+def select_run(table: Table, run: str) -> Any:
     """Select a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run

@@ -13,7 +13,9 @@ from sqlalchemy.orm import aliased
 from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
-from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
+from cbsr_qa.store.tables.runs import RunRow
 
 #: Rows requested from a server at once.
 AT_ONCE: Final = 2_000
@@ -79,12 +81,12 @@ def check_figures(
     StoreError
         If a row was altered: the message names table and row.
     """
-    linked = _linked(connection, chosen)
+    linked = _read_links(connection, chosen)
     unlike = _unlike(known, figures, linked)
     for first in range(0, len(unlike), _AGAIN):
         some = unlike[first : first + _AGAIN]
         # PostgreSQL fills gaps, so that rows of an analysis may come in another order than they were stored in.
-        for run, _, _ in _unlike(some, _in_order(connection, [one[1] for one in some]), linked):
+        for run, _, _ in _unlike(some, _read_in_order(connection, [one[1] for one in some]), linked):
             check_run(connection, run)  # raises, naming the row
 
 
@@ -98,14 +100,14 @@ def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, t
     ]
 
 
-def _in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
+def _read_in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
     """Measurements of some analyses, each in the order of their numbers."""
     m = MeasurementRow
     query = figures_query().where(m.analysis.in_(analyses)).order_by(m.analysis, m.number)
     return Figures(connection, query, {analysis: place for place, analysis in enumerate(analyses)})
 
 
-def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
+def _read_links(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
     """Return analysis → run and content digest of every link that matches its predecessor and signature."""
     link, before, a = LinkRow, aliased(LinkRow), AnalysisRow
     query = (
@@ -123,6 +125,6 @@ def _following(connection: Connection, rows: Any) -> Iterator[tuple[str, tuple[s
     key = signing_key(connection)
     for analysis, run, chain, content, own, mac, before in rows:
         key_id = key_id_of(chain or "")
-        signed = key is None or key.key_id != key_id or (mac is not None and key.signed(run, own, mac))
+        signed = key is None or key.key_id != key_id or (mac is not None and key.verify(run, own, mac))
         if signed and link_digest(before, FIGURES, analysis, content) == own:
             yield analysis, (run, content)

@@ -12,15 +12,14 @@ from typing import Any, Final, Self
 
 from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, literal_column, select, text
 
-from cbsr_qa.domain import ConfigError, StoreError
+from cbsr_qa.domain.errors import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.prepared import prepared
-from cbsr_qa.store.tables import (
-    FEW_LINKS,
+from cbsr_qa.store.prepared import prepare
+from cbsr_qa.store.tables.records import FEW_LINKS, LinkRow
+from cbsr_qa.store.tables.runs import (
     AttendanceRow,
     FrameBlockRow,
-    LinkRow,
     LoadRow,
     PhaseRow,
     RunRow,
@@ -28,7 +27,7 @@ from cbsr_qa.store.tables import (
     StepRow,
     UnloadedMarkRow,
 )
-from cbsr_qa.system import secret_of
+from cbsr_qa.system.secret import secret_of
 
 VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
 _LEAST: Final = 16
@@ -65,7 +64,7 @@ class SigningKey:
         """Return the signature of a link of a run, hexadecimal."""
         return self._mac(f"cbsr-qa link\n{run}\n{link}")
 
-    def signed(self, run: str, link: str, mac: str) -> bool:
+    def verify(self, run: str, link: str, mac: str) -> bool:
         """Whether a signature was made with this key."""
         return hmac.compare_digest(self.sign(run, link), mac)
 
@@ -86,7 +85,7 @@ def _insertion(table: Any) -> Insert:
 
 def _insert(connection: Connection, table: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     """Insert rows that all give the columns of the first."""
-    prepared(_insertion(table), connection.dialect, tuple(rows[0])).execute(connection, rows)
+    prepare(_insertion(table), connection.dialect, tuple(rows[0])).execute(connection, rows)
 
 
 #: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
@@ -163,7 +162,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         As :func:`key_to_continue`.
     """
     take_turns(connection, f"chain {run}")
-    chain, last, before = prepared(_NEWEST, connection.dialect).one(connection, {"of_run": run})
+    chain, last, before = prepare(_NEWEST, connection.dialect).one(connection, {"of_run": run})
     key = key_to_continue(connection, run, chain)
     if chain is None:
         announce(connection, Kind.RUN, [run])

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from sqlalchemy import Table
 
-from cbsr_qa.store.chain.run_documents import KEYS, double_text, sha256, written
+from cbsr_qa.store.chain.run_documents import KEYS, double_text, list_writers, sha256
 
 #: Words are written once where a column repeats each of them so often.
 _OFTEN: Final = 4
@@ -47,7 +47,7 @@ def documents_in_columns(table: Table, columns: Mapping[str, Sequence[Any]], key
 
 def row_texts(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[str]:
     """Return rows as canonical JSON: what row_text returns of each of them."""
-    cells = [_texts(key, how, columns[name]) for name, key, how in written(table)]
+    cells = [_texts(key, how, columns[name]) for name, key, how in list_writers(table)]
     filled = [some for some in cells if some is not None]
     if not filled:
         return ["{}"] * len(next(iter(columns.values())))

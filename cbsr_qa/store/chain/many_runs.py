@@ -14,12 +14,14 @@ from sqlalchemy import JSON, Boolean, Connection, Integer, Table, Text, and_, ca
 from sqlalchemy.orm import aliased
 from sqlalchemy.types import NullType
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.check import among, check_run, runs_with_a_gap
 from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
-from cbsr_qa.store.chain.run_documents import covered
-from cbsr_qa.store.tables import AnalysisRow, Base, LinkRow, RunRow
+from cbsr_qa.store.chain.run_documents import list_covered
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.results import AnalysisRow
+from cbsr_qa.store.tables.runs import Base, RunRow
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 #: Runs whose rows are in memory at once.
@@ -49,7 +51,7 @@ class ReadRows:
         """Yield the cells of some columns, row by row."""
         return zip(*(self.columns[name] for name in names), strict=True)
 
-    def of_runs(self, wanted: Collection[str]) -> Self:
+    def select_runs(self, wanted: Collection[str]) -> Self:
         """Return the rows of some of the runs."""
         at = [place for place, run in enumerate(self.runs) if run in wanted]
         if len(at) == len(self.runs):
@@ -79,13 +81,17 @@ def read_rows(connection: Connection, kind: type[Base], runs: Sequence[str]) -> 
     """
     table = Base.metadata.tables[kind.__tablename__]
     owner: Any = table.c.run if "run" in table.columns else AnalysisRow.run
-    query = select(type_coerce(owner, NullType()).label("of_run"), *(_readable(column) for column in covered(table)))
+    query = select(
+        type_coerce(owner, NullType()).label("of_run"), *(_readable(column) for column in list_covered(table))
+    )
     if "run" not in table.columns:
         query = query.join(AnalysisRow, AnalysisRow.analysis == table.c.analysis)
     query = query.where(among(connection, owner, runs)).order_by(owner, *table.primary_key.columns)
     rows = connection.execute(query).all()
-    own, *cells = zip(*rows, strict=True) if rows else [()] * (len(covered(table)) + 1)
-    columns = {column.name: _converted(column, some) for column, some in zip(covered(table), cells, strict=True)}
+    own, *cells = zip(*rows, strict=True) if rows else [()] * (len(list_covered(table)) + 1)
+    columns = {
+        column.name: _convert_cells(column, some) for column, some in zip(list_covered(table), cells, strict=True)
+    }
     return ReadRows(table, own, columns)
 
 
@@ -100,7 +106,7 @@ def _readable(column: Any) -> Any:
     return type_coerce(column, kind).label(column.name)
 
 
-def _converted(column: Any, cells: Sequence[Any]) -> Sequence[Any]:
+def _convert_cells(column: Any, cells: Sequence[Any]) -> Sequence[Any]:
     """Return cells as their column holds them. TypeError or ValueError for one of another type."""
     if isinstance(column.type, JSON):
         parsed = {text: json.loads(text) for text in set(cells) if text is not None}
@@ -112,7 +118,7 @@ def _converted(column: Any, cells: Sequence[Any]) -> Sequence[Any]:
     return [cell and cell.hex() for cell in cells] if isinstance(column.type, Digest) else cells
 
 
-def altered_runs(
+def find_altered(
     connection: Connection, chains: Mapping[str, str | None], read: Iterable[ReadRows], *, ended: bool = False
 ) -> dict[str, str]:
     """Compare rows with their links.
@@ -135,15 +141,15 @@ def altered_runs(
         kinds.append(rows.table.name)
         for place, content in rows.digests():
             stored[place[0]][place] = content
-    linked, doubted = _linked(connection, chains, kinds)
+    linked, doubted = _read_links(connection, chains, kinds)
     doubted |= {run for run, chain in chains.items() if linked.get(run, {}) != (stored[run] if chain else {})}
-    doubted |= _chained_before(connection, {run for run, chain in chains.items() if not chain})
+    doubted |= _find_unchained(connection, {run for run, chain in chains.items() if not chain})
     if ended:
         doubted |= runs_with_a_gap(connection, [run for run, chain in chains.items() if chain])
     return dict(_problems(connection, sorted(doubted), kinds))
 
 
-def _chained_before(connection: Connection, unchained: set[str]) -> set[str]:
+def _find_unchained(connection: Connection, unchained: set[str]) -> set[str]:
     """Return the runs whose row states no chain, although links of any kind, or another run, say that it had one.
 
     The run begun next names the digest of the last link that it then had, which its own chain covers.
@@ -158,7 +164,7 @@ def _chained_before(connection: Connection, unchained: set[str]) -> set[str]:
     return unchained.intersection([*connection.scalars(links), *connection.scalars(named)])
 
 
-def _linked(
+def _read_links(
     connection: Connection, chains: Mapping[str, str | None], kinds: Collection[str]
 ) -> tuple[dict[str, dict[_Place, str]], set[str]]:
     """Return the content of every document that a link names, and the runs of links that do not follow."""
@@ -181,7 +187,7 @@ def _linked(
         linked[run][run, kind, document] = content
         sound = (earlier is None) is (number == 0) and (mac is not None) is bool(key_ids[run])
         if sound and key is not None and key.key_id == key_ids[run]:
-            sound = key.signed(run, own.hex(), mac.hex())
+            sound = key.verify(run, own.hex(), mac.hex())
         if not sound or own.hex() != link_digest("" if earlier is None else earlier.hex(), kind, document, content):
             doubted.add(run)
     return linked, doubted

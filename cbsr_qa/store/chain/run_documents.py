@@ -31,35 +31,36 @@ from sqlalchemy import (
     select,
 )
 
-from cbsr_qa.domain import Array
-from cbsr_qa.store.tables import (
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.store.tables.gate import GateAnswerRow
+from cbsr_qa.store.tables.records import ConfigurationChangeRow, VerdictOverrideRow
+from cbsr_qa.store.tables.results import (
     AdoptionRow,
     AnalysisRow,
-    AttendanceRow,
-    Base,
     BaselineRow,
     CalibrationRow,
-    ConfigurationChangeRow,
     FitParameterRow,
     ForceRow,
-    FrameBlockRow,
-    GateAnswerRow,
-    InstrumentRow,
-    LoadRow,
     MeasurementRow,
     OverlapBandRow,
-    PhaseEndRow,
-    PhaseRow,
     ReanalysisRow,
     RelaxationRow,
+    SettlingRow,
+    WarningRow,
+)
+from cbsr_qa.store.tables.runs import (
+    AttendanceRow,
+    Base,
+    FrameBlockRow,
+    InstrumentRow,
+    LoadRow,
+    PhaseEndRow,
+    PhaseRow,
     RunRow,
     RunStateRow,
     SampleBlockRow,
-    SettlingRow,
     StepRow,
     UnloadedMarkRow,
-    VerdictOverrideRow,
-    WarningRow,
 )
 from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
@@ -157,7 +158,7 @@ def tables() -> Iterator[Table]:
 
 
 @cache
-def covered(table: Table) -> tuple[Column[Any], ...]:
+def list_covered(table: Table) -> tuple[Column[Any], ...]:
     """Return the columns a digest covers. Bytes have their own digest in the same row."""
     left_out = _LEFT_OUT | _SEALS
     return tuple(
@@ -168,18 +169,18 @@ def covered(table: Table) -> tuple[Column[Any], ...]:
 
 
 @cache
-def written(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
+def list_writers(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
     """Return name, key in JSON and writer of the columns that a digest covers, sorted."""
     return tuple(
         (one.name, f'"{one.name}":', next(how for kind, how in _WRITERS if isinstance(one.type, kind)))
-        for one in sorted(covered(table), key=lambda one: one.name)
+        for one in sorted(list_covered(table), key=lambda one: one.name)
     )
 
 
 def row_text(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
     """Return a row as canonical JSON: floats to the last bit, instants in UTC, keys sorted."""
     get = row.get
-    cells = [key + how(cell) for name, key, how in written(table) if (cell := get(name)) is not None]
+    cells = [key + how(cell) for name, key, how in list_writers(table) if (cell := get(name)) is not None]
     return f"{{{','.join(cells)}}}"
 
 
@@ -200,7 +201,7 @@ def documents(table: Table, rows: Iterable[Mapping[str, Any] | RowMapping]) -> I
         yield key, sha256(*(text for _, text in some))
 
 
-def shown(kind: str, key: str) -> str:
+def name_document(kind: str, key: str) -> str:
     """Name a document for messages: its table and key columns."""
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
     found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
@@ -273,7 +274,7 @@ def contents(
         yield total.hexdigest()
 
 
-def stored_figures(connection: Connection, analysis: str) -> str:
+def figures_digest(connection: Connection, analysis: str) -> str:
     """Return the stored digest of one analysis."""
     a, m = AnalysisRow, MeasurementRow
     query = select(*RUN_COLUMNS, a.outcome, a.software).join(a, a.run == RunRow.run).where(a.analysis == analysis)

@@ -7,32 +7,27 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Row, select
 
-from cbsr_qa.domain import fitted
-from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.store.chain import (
-    FIGURES,
-    RESULTS,
-    add_links,
-    add_rows,
-    chain_head,
-    check_run,
-    stored_figures,
-    unreadable,
-)
-from cbsr_qa.store.damage import FOREIGN_CELL, stored
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.store.chain.check import RESULTS, check_run, unreadable
+from cbsr_qa.store.chain.links import add_links, add_rows, chain_head
+from cbsr_qa.store.chain.run_documents import FIGURES, figures_digest
+from cbsr_qa.store.damage import FOREIGN_CELL, read_word
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
-from cbsr_qa.store.standing import up_to_date
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.runs.standing import up_to_date
+from cbsr_qa.store.tables.results import (
     AdoptionRow,
     AnalysisRow,
     CalibrationRow,
     MeasurementRow,
     ReanalysisRow,
-    RunRow,
     WarningRow,
 )
+from cbsr_qa.store.tables.runs import RunRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +124,9 @@ def add_analysis(
     """Add the rows and links of one analysis; ``measurements`` are rows without their key."""
     run, analysis = row["run"], row["analysis"]
     add_rows(connection, run, AnalysisRow, [row])
-    add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in warnings]))
-    add_rows(connection, run, MeasurementRow, _numbered(analysis, measurements))
-    add_links(connection, run, [(FIGURES, analysis, stored_figures(connection, analysis))])
+    add_rows(connection, run, WarningRow, _number_rows(analysis, [{"text": text} for text in warnings]))
+    add_rows(connection, run, MeasurementRow, _number_rows(analysis, measurements))
+    add_links(connection, run, [(FIGURES, analysis, figures_digest(connection, analysis))])
 
 
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
@@ -150,7 +145,7 @@ def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
             raise unreadable(connection, run, error) from error
 
 
-def _numbered(analysis: str, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+def _number_rows(analysis: str, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
 
 
@@ -175,7 +170,7 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
     issued = select(CalibrationRow.calibration).where(CalibrationRow.analysis == row.analysis)
     warnings = select(WarningRow.text).where(WarningRow.analysis == row.analysis).order_by(WarningRow.number)
     measured = select(*MeasurementRow.__table__.columns).where(MeasurementRow.analysis == row.analysis)
-    return of_row(
+    return convert_row(
         StoredAnalysis,
         row,
         verdict=Verdict(analysis_outcome(row), row.reason),
@@ -196,23 +191,23 @@ def _adoption(connection: Connection, analysis: str) -> Adoption | None:
 
 def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
     """Return the outcome in a row of analyses. StoreError if it is invalid."""
-    return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
+    return read_word(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
 
 
 def as_measurement(row: Row[Any]) -> Measurement:
     """Return the measurement of a row. StoreError if a cell of it is damaged."""
-    return stored_measurement(row._mapping, f"analysis {row.analysis}, measurement {row.number},")
+    return restore_measurement(row._mapping, f"analysis {row.analysis}, measurement {row.number},")
 
 
-def stored_measurement(values: Mapping[Any, Any], key: str) -> Measurement:
+def restore_measurement(values: Mapping[Any, Any], key: str) -> Measurement:
     """Return a measurement of its columns. StoreError, which begins with ``key``, if a word in it is invalid."""
-    return fitted(
+    return fill_from_mapping(
         Measurement,
         values,
-        bound=stored(Bound, values["bound"], "measurements.bound", key),
+        bound=read_word(Bound, values["bound"], "measurements.bound", key),
         load=values["load_index"],
         limit=_limit(values) if values["limited"] else None,
-        outcome=stored(Outcome, values["outcome"], "measurements.outcome", key),
+        outcome=read_word(Outcome, values["outcome"], "measurements.outcome", key),
     )
 
 

@@ -8,11 +8,12 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, func, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Calibration
-from cbsr_qa.store.chain import RESULTS, add_rows, check_run
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.store.chain.check import RESULTS, check_run
+from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.tables import BaselineRow, CalibrationRow
+from cbsr_qa.store.tables.results import BaselineRow, CalibrationRow
 
 
 @dataclass(frozen=True, slots=True)

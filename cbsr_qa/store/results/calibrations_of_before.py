@@ -15,29 +15,25 @@ from numpy.typing import NDArray
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from cbsr_qa.domain import Array, StoreError
-from cbsr_qa.domain.results import (
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.imaging import LinearReconstruction, OverlapBand, ParameterChoice
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
-    FitStatus,
     ForceModel,
-    LinearReconstruction,
     LoadRelaxation,
-    OverlapBand,
-    ParameterChoice,
-    RelaxationFit,
-    RelaxationKernel,
     SettlingSummary,
-    SettlingTime,
     Validity,
 )
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
-from cbsr_qa.store.chain import RESULTS, check_run
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, RelaxationKernel, SettlingTime
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
+from cbsr_qa.store.chain.check import RESULTS, check_run
+from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.runs import decoded_indenter, decoded_sensor_type
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.runs.codec import decode_indenter, decode_sensor_type
+from cbsr_qa.store.tables.results import (
     AnalysisRow,
     BaselineRow,
     CalibrationRow,
@@ -45,10 +41,10 @@ from cbsr_qa.store.tables import (
     ForceRow,
     OverlapBandRow,
     RelaxationRow,
-    RunRow,
     SettlingRow,
 )
-from cbsr_qa.store.types import digest, unpacked, unpacked_flags
+from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.types import digest, unpack, unpack_flags
 
 #: Computes a model's templates from sensor type, used readings, merging [1/V], reference [V] and head.
 PrepareForce = Callable[[SensorType, NDArray[np.bool_], Array, Array, Indenter], ForceModel]
@@ -107,8 +103,8 @@ def _check_matrix(row: Any, reconstruction: LinearReconstruction) -> None:
             f" {reconstruction.method} at {reconstruction.choice.name} = {prepared:g}"
         )
     problem = reconstruction.problem
-    used = unpacked_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
-    if problem.sensor_type != decoded_sensor_type(row.setting) or not np.array_equal(used, problem.used):
+    used = unpack_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
+    if problem.sensor_type != decode_sensor_type(row.setting) or not np.array_equal(used, problem.used):
         raise StoreError(
             f"calibration {row.calibration} images {int(used.sum())} readings of a {problem.sensor_type.name};"
             " the matrix at hand was prepared for another sensor type or other readings"
@@ -129,8 +125,8 @@ def _calibration(
     session: Session, row: Any, force: Any, reconstruction: LinearReconstruction, prepare: PrepareForce
 ) -> Calibration:
     run = session.get_one(RunRow, row.run)
-    sensor_type, head = decoded_sensor_type(row.setting), decoded_indenter(row.setting)
-    reference, used = unpacked(row.reference, (row.drives, row.measures)), reconstruction.problem.used
+    sensor_type, head = decode_sensor_type(row.setting), decode_indenter(row.setting)
+    reference, used = unpack(row.reference, (row.drives, row.measures)), reconstruction.problem.used
     parameters = {
         one.name: Parameter(one.value, one.stderr, one.source) for one in _rows(session, row, FitParameterRow)
     }
@@ -152,7 +148,7 @@ def _calibration(
         reference=reference,
         current_A=row.current_a,
         reconstruction=replace(reconstruction, choice=choice),
-        response=stored(Response, row.response, "calibrations.response", f"calibration {row.calibration}"),
+        response=read_word(Response, row.response, "calibrations.response", f"calibration {row.calibration}"),
         baseline=_alike(session, row, BaselineRow, BaselineConductance),
         against_stress=_line(parameters, "against_stress", row.stress_covariance),
         against_strain=_line(parameters, "against_strain", row.strain_covariance),
@@ -200,16 +196,16 @@ def _line(parameters: dict[str, Parameter], name: str, covariance: float | None)
 
 
 def _relaxation(row: Any) -> LoadRelaxation:
-    def known(*names: str) -> tuple[float, ...]:
+    def drop_missing(*names: str) -> tuple[float, ...]:
         return tuple(value for name in names if (value := getattr(row, name)) is not None)
 
     fit = RelaxationFit(
-        status=stored(FitStatus, row.status, "calibration_relaxations.status", f"calibration {row.calibration}"),
+        status=read_word(FitStatus, row.status, "calibration_relaxations.status", f"calibration {row.calibration}"),
         offset=row.level,
-        amplitudes=known("amplitude_1", "amplitude_2"),
-        time_constants_s=known("time_constant_1_s", "time_constant_2_s"),
+        amplitudes=drop_missing("amplitude_1", "amplitude_2"),
+        time_constants_s=drop_missing("time_constant_1_s", "time_constant_2_s"),
         offset_stderr=row.level_stderr,
-        time_constant_stderr_s=known("time_constant_1_stderr_s", "time_constant_2_stderr_s"),
+        time_constant_stderr_s=drop_missing("time_constant_1_stderr_s", "time_constant_2_stderr_s"),
         r_squared=row.r_squared,
         why=row.why,
     )
@@ -223,7 +219,7 @@ def _relaxation(row: Any) -> LoadRelaxation:
 def _force(
     row: Any, readings: tuple[SensorType, NDArray[np.bool_]], seen: tuple[Array, Indenter], prepare: PrepareForce
 ) -> ForceModel:
-    merging = unpacked(row.merging, (row.merged, row.readings))
+    merging = unpack(row.merging, (row.merged, row.readings))
     prepared = prepare(*readings, merging, *seen)
     if len(prepared.templates) != row.nodes:
         raise StoreError(
@@ -231,7 +227,7 @@ def _force(
             f" {len(prepared.templates)}"
         )
     named = {field.name for field in fields(ForceModel)} & set(ForceRow.__table__.columns.keys())
-    arrays = {name: unpacked(getattr(row, name), (row.nodes,)) for name in ("log_response", "log_response_stderr")}
+    arrays = {name: unpack(getattr(row, name), (row.nodes,)) for name in ("log_response", "log_response_stderr")}
     numbers = {name: getattr(row, name) for name in named - {"merging", *arrays}}
     kernels = {name: _kernel(held, name == "loading") for name, held in row.kernels.items()}
     stress_kPa = row.stress_low_kpa, row.stress_high_kpa

@@ -8,14 +8,17 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, func, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Measurement, Outcome, Verdict
-from cbsr_qa.store.chain import RESULTS, add_rows, check_run, data_digest, key_to_continue
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.store.chain.check import RESULTS, check_run, data_digest
+from cbsr_qa.store.chain.links import add_rows, key_to_continue
+from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.mapping import of_row
-from cbsr_qa.store.results.analyses import add_analysis, measurement_values, stored_measurement
-from cbsr_qa.store.tables import AdoptionRow, AnalysisRow, MeasurementRow, ReanalysisRow, RunRow
+from cbsr_qa.store.mapping import convert_row
+from cbsr_qa.store.results.analyses import add_analysis, measurement_values, restore_measurement
+from cbsr_qa.store.tables.results import AdoptionRow, AnalysisRow, MeasurementRow, ReanalysisRow
+from cbsr_qa.store.tables.runs import RunRow
 
 _EMPTY: Final = {column.name: None for column in MeasurementRow.__table__.columns}
 _KEY: Final = ("analysis", "number")
@@ -122,12 +125,14 @@ def load_reanalysis(engine: Engine, reanalysis: str) -> Reanalysis:
     """Return a re-analysis. StoreError if it does not exist or was altered."""
     with reading(engine) as connection:
         row = _row(connection, reanalysis)
-        return of_row(
+        return convert_row(
             Reanalysis,
             row,
-            verdict=Verdict(stored(Outcome, row.outcome, "reanalyses.outcome", _named(reanalysis)), row.reason),
+            verdict=Verdict(
+                read_word(Outcome, row.outcome, "reanalyses.outcome", _name_reanalysis(reanalysis)), row.reason
+            ),
             measurements=tuple(
-                stored_measurement(_EMPTY | one, f"{_named(reanalysis)}, measurement {number},")
+                restore_measurement(_EMPTY | one, f"{_name_reanalysis(reanalysis)}, measurement {number},")
                 for number, one in enumerate(row.measurements)
             ),
         )
@@ -179,5 +184,5 @@ def _row(connection: Connection, reanalysis: str) -> Any:
     return row
 
 
-def _named(reanalysis: str) -> str:
+def _name_reanalysis(reanalysis: str) -> str:
     return f"re-analysis {reanalysis}"

@@ -9,28 +9,30 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, delete, exists, func, insert, select, update
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import (
     ARRAYS,
     Archive,
     archive_bytes,
     archive_root,
     archive_row,
-    checked_bytes,
     file_at,
     place_of,
+    read_checked,
     with_arrays,
     with_cells,
     write_archive,
 )
-from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.engine import reading, sqlite_file, writing
 from cbsr_qa.store.locks import this_process, writing_alone
 from cbsr_qa.store.runs.codec import frame_block, frame_values
-from cbsr_qa.store.tables import ArchiveRow, FrameBlockRow, RunRow, RunStateRow, VerdictOverrideRow
-from cbsr_qa.store.verdicts import verdict_of
+from cbsr_qa.store.runs.verdicts import verdict_of
+from cbsr_qa.store.tables.records import ArchiveRow, VerdictOverrideRow
+from cbsr_qa.store.tables.runs import FrameBlockRow, RunRow, RunStateRow
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
 #: More than HDF5 needs beside the arrays of an archive, and of each block.
@@ -75,10 +77,10 @@ def archivable(engine: Engine, before: datetime) -> tuple[ArchivedRun, ...]:
     )
     with reading(engine) as connection:
         found = [ArchivedRun(one, serial, int(n), int(size)) for one, serial, n, size in connection.execute(query)]
-        return tuple(one for one in found if _passed(connection, one, before))
+        return tuple(one for one in found if _has_passed(connection, one, before))
 
 
-def _passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
+def _has_passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
     """Whether a run finished long ago and passed, and so did the latest run of its sensor that has a verdict."""
     states = select(RunStateRow.end, RunStateRow.noted_at).where(RunStateRow.run == one.run)
     sessions = connection.execute(states.order_by(RunStateRow.number)).all()
@@ -128,7 +130,7 @@ def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) ->
             blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
         if not file.exists():
             write_archive(file, one.run, blocks)
-        data = _verified(file, rows, _largest_archive(block for _, _, block in blocks))
+        data = _verify(file, rows, _largest_archive(block for _, _, block in blocks))
         values = {
             "run": one.run,
             "file": place_of(engine, file),
@@ -147,7 +149,7 @@ def _largest_archive(blocks: Iterable[FrameBlock]) -> int:
     return _ARCHIVE_BYTES + sum(3 * block.voltages.nbytes + _BLOCK_BYTES for block in blocks)
 
 
-def _verified(file: Path, rows: list[Any], most_bytes: int) -> bytes:
+def _verify(file: Path, rows: list[Any], most_bytes: int) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
     try:
         data = archive_bytes(file, most_bytes)
@@ -179,7 +181,7 @@ def unarchive_run(engine: Engine, run: str) -> ArchivedRun:
         If the run is not archived, or its file is missing or altered; nothing is changed then.
     """
     with writing_alone(engine, run, this_process("")), writing(engine) as connection:
-        row, data = archive_row(connection, run), checked_bytes(connection, run)
+        row, data = archive_row(connection, run), read_checked(connection, run)
         if row is None or data is None:
             raise StoreError(f"the frames of run {run} are not archived")
         frames, size = 0, 0

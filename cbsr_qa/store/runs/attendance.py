@@ -5,10 +5,10 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, Row, func, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.run import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.attendance import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.tables import AttendanceRow
+from cbsr_qa.store.tables.runs import AttendanceRow
 
 
 def attendance_values(event: AttendanceEvent) -> dict[str, Any]:

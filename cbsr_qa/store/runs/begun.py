@@ -10,9 +10,11 @@ from typing import Any, Final
 from sqlalchemy import Connection, Row, and_, exists, func, insert, or_, select
 from sqlalchemy.orm import aliased
 
-from cbsr_qa.store.chain import chain_head, take_turns
-from cbsr_qa.store.tables import LinkRow, RunBegunRow, RunRow, SyncRefusalRow
-from cbsr_qa.store.types import made_at
+from cbsr_qa.store.chain.links import chain_head, take_turns
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.runs import RunBegunRow, RunRow
+from cbsr_qa.store.tables.sync import SyncRefusalRow
+from cbsr_qa.store.types import time_of_id
 
 _NEWEST: Final = select(RunBegunRow.number, RunBegunRow.run, RunBegunRow.sha256)
 
@@ -72,11 +74,11 @@ def _newest(connection: Connection) -> Row[int, str, str] | None:
 
 def gaps(connection: Connection) -> tuple[Gap, ...]:
     """Return the runs that others name as begun before them, or that were begun here, and that are missing."""
-    named = {gap.run: gap for gap in _before_others(connection)}
-    return (*named.values(), *(gap for gap in _begun_here(connection) if gap.run not in named))
+    named = {gap.run: gap for gap in _gaps_between_runs(connection)}
+    return (*named.values(), *(gap for gap in _gaps_in_list(connection) if gap.run not in named))
 
 
-def _before_others(connection: Connection) -> Iterator[Gap]:
+def _gaps_between_runs(connection: Connection) -> Iterator[Gap]:
     before, link, refusal = aliased(RunRow), LinkRow, SyncRefusalRow
     refused = exists().where(refusal.item == RunRow.before_run).label("refused")
     query = (
@@ -89,13 +91,13 @@ def _before_others(connection: Connection) -> Iterator[Gap]:
     )
     for row in connection.execute(query.order_by(RunRow.run)):
         after = f"the run before {row.run} (begun {row.started_at:%Y-%m-%d %H:%M} UTC)"
-        words = f"{after} is missing: run {named_run(row.before_run)}"
+        words = f"{after} is missing: run {name_run(row.before_run)}"
         if row.present is not None:
             words = f"{after} was another one, or had more rows, than run {row.before_run} that is there"
         yield Gap(row.before_run, words, row.run, row.station, bool(row.refused))
 
 
-def _begun_here(connection: Connection) -> Iterator[Gap]:
+def _gaps_in_list(connection: Connection) -> Iterator[Gap]:
     begun, link = RunBegunRow, LinkRow
     query = (
         select(begun.run, RunRow.run.label("present"))
@@ -105,7 +107,7 @@ def _begun_here(connection: Connection) -> Iterator[Gap]:
     )
     for row in connection.execute(query.order_by(begun.number)):
         what = "is missing" if row.present is None else "is another one by now"
-        yield Gap(row.run, f"run {named_run(row.run)} {what}: it was begun in this database")
+        yield Gap(row.run, f"run {name_run(row.run)} {what}: it was begun in this database")
 
 
 def forks(connection: Connection) -> tuple[str, ...]:
@@ -122,7 +124,7 @@ def forks(connection: Connection) -> tuple[str, ...]:
     )
 
 
-def named_run(run: str) -> str:
+def name_run(run: str) -> str:
     """Name a run by its identifier and when it was made."""
-    made = made_at(run)
+    made = time_of_id(run)
     return run if made is None else f"{run} (begun {made:%Y-%m-%d %H:%M} UTC)"

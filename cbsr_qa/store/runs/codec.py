@@ -10,25 +10,21 @@ from typing import Any, cast
 import numpy as np
 from sqlalchemy import Row
 
-from cbsr_qa.domain import StoreError, typed
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import (
-    GivenMesh,
-    Material,
-    SensorType,
-    mesh_arrays,
-    mesh_of_arrays,
-)
-from cbsr_qa.store.tables import FrameBlockRow
-from cbsr_qa.store.types import compact, digest, packed, packed_flags, restored, unpacked, unpacked_flags
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.filling import convert_json
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.mesh import mesh_arrays, mesh_of_arrays
+from cbsr_qa.domain.sensor.sensor_type import GivenMesh, Material, SensorType
+from cbsr_qa.store.tables.runs import FrameBlockRow
+from cbsr_qa.store.types import compact, digest, pack, pack_flags, restore, unpack, unpack_flags
 
 
 def frame_values(block: FrameBlock) -> dict[str, Any]:
     """Return the columns of a block of frames, without the key columns."""
     frames, drives, measures = block.voltages.shape
-    own = None if block.reading_time_s is None else packed(block.reading_time_s)
-    parts = packed(block.time_s), packed(block.voltages), packed_flags(block.flags), own or b""
+    own = None if block.reading_time_s is None else pack(block.reading_time_s)
+    parts = pack(block.time_s), pack(block.voltages), pack_flags(block.flags), own or b""
     return {
         "frames": frames,
         "drives": drives,
@@ -56,12 +52,12 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
     shape = row.frames, row.drives, row.measures
     parts = check_frames(row)
     return FrameBlock(
-        unpacked(parts[0], shape[:1]),
-        unpacked(parts[1], shape),
-        unpacked_flags(parts[2], shape),
+        unpack(parts[0], shape[:1]),
+        unpack(parts[1], shape),
+        unpack_flags(parts[2], shape),
         VoltageUnit(row.unit),
         row.current_a,
-        None if row.reading_time_s is None else unpacked(parts[3], shape),
+        None if row.reading_time_s is None else unpack(parts[3], shape),
     )
 
 
@@ -70,16 +66,16 @@ def check_frames(row: Row[Any] | FrameBlockRow) -> tuple[bytes, bytes, bytes, by
     readings, own = row.frames * row.drives * row.measures, row.reading_time_s
     try:
         parts = (
-            restored(row.time_s, 8 * row.frames, 8, steps=True),
-            restored(row.voltages, 8 * readings, 8),
-            restored(row.flags, readings, 1),
-            b"" if own is None else restored(own, 8 * readings, 8, steps=True),
+            restore(row.time_s, 8 * row.frames, 8, steps=True),
+            restore(row.voltages, 8 * readings, 8),
+            restore(row.flags, readings, 1),
+            b"" if own is None else restore(own, 8 * readings, 8, steps=True),
         )
     except ValueError as error:
-        raise damaged("frame", row.run, row.phase, row.block) from error
+        raise damage_error("frame", row.run, row.phase, row.block) from error
     shape = row.frames, row.drives, row.measures
     if digest(frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
-        raise damaged("frame", row.run, row.phase, row.block)
+        raise damage_error("frame", row.run, row.phase, row.block)
     return parts
 
 
@@ -87,7 +83,7 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
     """Return the columns of a block of samples, without the key columns."""
     if not (np.isfinite(block.values).all() and np.isfinite(block.time_s).all()):
         raise StoreError(f"a sample of {block.channel} is not a finite number; it is not stored")
-    parts = packed(block.time_s), packed(block.values)
+    parts = pack(block.time_s), pack(block.values)
     return {
         "channel": block.channel,
         "unit": block.unit,
@@ -100,18 +96,18 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
 
 def sample_block(row: Row[Any]) -> SampleBlock:
     """Return the block of a row; StoreError as for :func:`frame_block`."""
-    return SampleBlock(row.channel, row.unit, *(unpacked(part, (row.samples,)) for part in check_samples(row)))
+    return SampleBlock(row.channel, row.unit, *(unpack(part, (row.samples,)) for part in check_samples(row)))
 
 
 def check_samples(row: Row[Any]) -> tuple[bytes, bytes]:
     """Return the arrays of a row as they were measured; StoreError if they do not match their digest."""
     size = 8 * row.samples
     try:
-        parts = restored(row.time_s, size, 8, steps=True), restored(row.sample_values, size, 8)
+        parts = restore(row.time_s, size, 8, steps=True), restore(row.sample_values, size, 8)
     except ValueError as error:
-        raise damaged("sample", row.run, row.phase, row.block) from error
+        raise damage_error("sample", row.run, row.phase, row.block) from error
     if digest(sample_header(row.channel, row.unit, row.samples), parts) != row.sha256:
-        raise damaged("sample", row.run, row.phase, row.block)
+        raise damage_error("sample", row.run, row.phase, row.block)
     return parts
 
 
@@ -126,7 +122,7 @@ def sample_header(channel: str, unit: str, samples: int) -> str:
     return f"{channel}|{unit}|{samples}"
 
 
-def damaged(what: str, run: str, phase: int, block: int) -> StoreError:
+def damage_error(what: str, run: str, phase: int, block: int) -> StoreError:
     """Return the error for a block that does not match its digest."""
     return StoreError(
         f"{what} block {block} of phase {phase} of run {run} is not what was measured: its digest does not match",
@@ -134,8 +130,8 @@ def damaged(what: str, run: str, phase: int, block: int) -> StoreError:
     )
 
 
-def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
-    """Return plain lists, numbers and texts; :func:`decoded_sensor_type` and its neighbours are the inverse."""
+def encode_setting(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
+    """Return plain lists, numbers and texts; :func:`decode_sensor_type` and its neighbours are the inverse."""
     kind = asdict(sensor_type)
     if sensor_type.polygon is None:
         del kind["polygon"]  # discs have always been stored without
@@ -151,19 +147,19 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
     return setting
 
 
-def decoded_sensor_type(setting: Mapping[str, Any]) -> SensorType:
+def decode_sensor_type(setting: Mapping[str, Any]) -> SensorType:
     """Return the sensor type; KeyError, TypeError or ValueError where the JSON is not ours."""
     data = dict(setting["sensor_type"])
     mesh = data.pop("mesh", None)
-    sensor_type: SensorType = typed(SensorType, data)
-    return sensor_type if mesh is None else replace(sensor_type, mesh=GivenMesh.of(mesh_of_arrays(mesh)))
+    sensor_type: SensorType = convert_json(SensorType, data)
+    return sensor_type if mesh is None else replace(sensor_type, mesh=GivenMesh.from_mesh(mesh_of_arrays(mesh)))
 
 
-def decoded_indenter(setting: Mapping[str, Any]) -> Indenter:
-    """Return the indenter; errors as for :func:`decoded_sensor_type`."""
-    return cast(Indenter, typed(Indenter, setting["indenter"]))
+def decode_indenter(setting: Mapping[str, Any]) -> Indenter:
+    """Return the indenter; errors as for :func:`decode_sensor_type`."""
+    return cast(Indenter, convert_json(Indenter, setting["indenter"]))
 
 
-def decoded_material(setting: Mapping[str, Any]) -> Material:
-    """Return the material; errors as for :func:`decoded_sensor_type`."""
-    return cast(Material, typed(Material, setting["material"]))
+def decode_material(setting: Mapping[str, Any]) -> Material:
+    """Return the material; errors as for :func:`decode_sensor_type`."""
+    return cast(Material, convert_json(Material, setting["material"]))

@@ -4,13 +4,14 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection, func, select
 
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import GateAnswer, GateOutcome
-from cbsr_qa.store.chain import add_rows
-from cbsr_qa.store.damage import stored
-from cbsr_qa.store.mapping import of_row, row_of
-from cbsr_qa.store.tables import GateAnswerRow, RunStateRow
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.chain.links import add_rows
+from cbsr_qa.store.damage import read_word
+from cbsr_qa.store.mapping import convert_row, row_of
+from cbsr_qa.store.tables.gate import GateAnswerRow
+from cbsr_qa.store.tables.runs import RunStateRow
 
 
 def add_answers(connection: Connection, run: str, answers: Sequence[GateAnswer]) -> None:
@@ -38,12 +39,12 @@ def answers_of(connection: Connection, run: str) -> tuple[GateAnswer, ...]:
     rows = connection.execute(select(*GateAnswerRow.__table__.columns).where(GateAnswerRow.run == run))
     where = f"run {run}"
     found = [
-        of_row(
+        convert_row(
             GateAnswer,
             row,
-            check=stored(GateCheck, row.subject, "gate_answers.subject", where),
-            policy=stored(GatePolicy, row.policy, "gate_answers.policy", where),
-            outcome=stored(GateOutcome, row.outcome, "gate_answers.outcome", where),
+            check=read_word(GateCheck, row.subject, "gate_answers.subject", where),
+            policy=read_word(GatePolicy, row.policy, "gate_answers.policy", where),
+            outcome=read_word(GateOutcome, row.outcome, "gate_answers.outcome", where),
             by=row.operator,
         )
         for row in rows

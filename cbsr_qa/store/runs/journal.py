@@ -13,40 +13,35 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, func, select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import (
-    AttendanceEvent,
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
+from cbsr_qa.domain.run.attendance import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
+from cbsr_qa.domain.run.gate import GateAnswer
+from cbsr_qa.domain.run.run import (
     FramesTaken,
-    GateAnswer,
-    Indenter,
     LoadFinished,
-    LoadRecord,
     PhaseFinished,
     PhaseStarted,
-    PromptAnswered,
-    PromptShown,
-    RunContinued,
     RunEnded,
     RunEvent,
     RunIdentity,
-    RunPaused,
     RunStarted,
     SamplesTaken,
     StepRetried,
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.store.chain import add_rows
-from cbsr_qa.store.changes import note_changes
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.runs.attendance import attendance_values
-from cbsr_qa.store.runs.codec import encoded, frame_values, sample_block, sample_values
+from cbsr_qa.store.runs.codec import encode_setting, frame_values, sample_block, sample_values
+from cbsr_qa.store.runs.configuration_changes import note_changes
 from cbsr_qa.store.runs.gate_answers import add_answers
 from cbsr_qa.store.runs.rows import begin_run, current_state, phases_of, run_row
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.tables.runs import (
     AttendanceRow,
     FrameBlockRow,
     LoadRow,
@@ -57,10 +52,10 @@ from cbsr_qa.store.tables import (
     StepRow,
     UnloadedMarkRow,
 )
-from cbsr_qa.system import on_tick
+from cbsr_qa.system.clock import on_tick
 
 
-def shifted(event: RunEvent, offset_s: float) -> RunEvent:
+def shift_times(event: RunEvent, offset_s: float) -> RunEvent:
     """Return a document with all its times shifted by an offset [s]."""
     if not offset_s:
         return event
@@ -168,7 +163,7 @@ class Journal:
         self._gate = gate
         self._tell = tell
         self._configuration = configuration
-        self._setting = encoded(sensor_type, indenter, material)
+        self._setting = encode_setting(sensor_type, indenter, material)
         self._material = material.name
         self._run = ""
         self._offset_s = 0.0
@@ -185,7 +180,7 @@ class Journal:
         if not self._run and not isinstance(event, RunStarted):
             raise StoreError(f"{type(event).__name__} came before the run was started")
         with writing(self._engine, tell=self._tell) as connection:
-            self._store(shifted(event, self._offset_s), connection)
+            self._store(shift_times(event, self._offset_s), connection)
 
     @singledispatchmethod
     def _store(self, event: object, connection: Connection) -> None:

@@ -8,28 +8,23 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, Engine, func, select, tuple_
 from sqlalchemy.exc import SQLAlchemyError
 
-from cbsr_qa.domain import fitted
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
-from cbsr_qa.domain.results import Decision, EndReason, Outcome, ResultState
-from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames
+from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.results.listed import Decision
+from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.archives import with_arrays
-from cbsr_qa.store.damage import stored, translated
+from cbsr_qa.store.damage import read_word, translate_errors
 from cbsr_qa.store.engine import reading, sqlite_file
-from cbsr_qa.store.mapping import of_row
+from cbsr_qa.store.mapping import convert_row
 from cbsr_qa.store.runs.codec import frame_block, sample_block
 from cbsr_qa.store.runs.rows import current_state, phases_of
-from cbsr_qa.store.tables import (
-    CalibrationRow,
-    FrameBlockRow,
-    LinkRow,
-    LoadRow,
-    RunRow,
-    RunStateRow,
-    SampleBlockRow,
-    UnloadedMarkRow,
-)
-from cbsr_qa.store.verdicts import verdict_of
+from cbsr_qa.store.runs.verdicts import verdict_of
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.results import CalibrationRow
+from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, RunStateRow, SampleBlockRow, UnloadedMarkRow
 
 #: Most blocks of frames, and of samples, that one read returns: the latest ones.
 MOST_BLOCKS: Final = 400
@@ -40,7 +35,7 @@ _START: Final = (-1, -1)
 
 @dataclass(frozen=True, slots=True)
 class LivePhase:
-    """A phase as far as it has come. ``unloaded_from_s`` as in :class:`~cbsr_qa.domain.run.PhaseRecord`."""
+    """A phase as far as it has come. ``unloaded_from_s`` as in :class:`~cbsr_qa.domain.run.run.PhaseRecord`."""
 
     index: int
     name: str
@@ -100,7 +95,7 @@ def frames_between(engine: Engine, run: str, phase: int, start_s: float, end_s: 
     query = query.where(table.last_s >= start_s, table.first_s < end_s).order_by(table.block)
     with reading(engine) as connection:
         blocks = [frame_block(row) for row in with_arrays(connection, connection.execute(query).all())]
-    frames = join_frames(blocks).between(start_s, end_s) if blocks else None
+    frames = join_frames(blocks).select_interval(start_s, end_s) if blocks else None
     return frames if frames is not None and len(frames) else None
 
 
@@ -146,7 +141,7 @@ class RunLook:
 
     @property
     def result(self) -> ResultState:
-        return ResultState.of(self.end, analysed=self.outcome is not None)
+        return ResultState.from_end(self.end, analysed=self.outcome is not None)
 
 
 def latest_run_at(engine: Engine, station: str) -> RunLook | None:
@@ -168,7 +163,7 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
         begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
         session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
-        return fitted(
+        return fill_from_mapping(
             RunLook,
             found.values,
             worked_at=max(filter(None, (session_at or found.values["started_at"], found.analysed_at))),
@@ -193,9 +188,9 @@ class ChangeNotice:
         self._connection: Any = None
         self._seen: Any = None
 
-    def changed(self) -> bool:
+    def has_changed(self) -> bool:
         """Whether something was written since the last call; True the first time. StoreError if it is unreachable."""
-        with translated(self._engine.url):
+        with translate_errors(self._engine.url):
             now = self._version()
         changed: bool = now != self._seen
         self._seen = now
@@ -233,11 +228,11 @@ def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
     query = select(UnloadedMarkRow.phase, UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == run)
     marks = {row.phase: row.time_s for row in connection.execute(query.order_by(UnloadedMarkRow.mark))}
     return tuple(
-        of_row(
+        convert_row(
             LivePhase,
             row,
             index=row.phase,
-            role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {run}"),
+            role=read_word(Role, row.role, "phases.role", f"phase {row.phase} of run {run}"),
             unloaded_from_s=marks.get(row.phase),
         )
         for row in connection.execute(phases_of(run))
@@ -251,10 +246,10 @@ def _loads(connection: Connection, run: str) -> tuple[tuple[int, LoadRecord], ..
 
 def load_record(row: Any) -> LoadRecord:
     """Return the press of a row."""
-    return of_row(
+    return convert_row(
         LoadRecord,
         row,
         index=row.load_index,
-        load=of_row(Load, row),
+        load=convert_row(Load, row),
         eased=tuple(EasedStrain(*map(float, one)) for one in row.eased or ()),
     )

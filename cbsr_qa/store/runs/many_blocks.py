@@ -9,8 +9,8 @@ from itertools import repeat
 from operator import attrgetter
 from typing import Any
 
-from cbsr_qa.store.runs.codec import damaged, frame_header, sample_header
-from cbsr_qa.store.types import restored_together
+from cbsr_qa.store.runs.codec import damage_error, frame_header, sample_header
+from cbsr_qa.store.types import restore_many
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class _Array:
 
 def check_many_frames(rows: Sequence[Any]) -> None:
     """Check that the arrays of rows match the digests in them, which are bytes; StoreError names a row."""
-    for (shape, unit, current_A, timed), some in _grouped(rows, _kind_of_frames):
+    for (shape, unit, current_A, timed), some in _group_rows(rows, _kind_of_frames):
         readings = math.prod(shape)
         arrays = [_Array("time_s", 8 * shape[0], steps=True), _Array("voltages", 8 * readings)]
         arrays.append(_Array("flags", readings, 1))
@@ -38,7 +38,7 @@ def check_many_frames(rows: Sequence[Any]) -> None:
 
 def check_many_samples(rows: Sequence[Any]) -> None:
     """Check samples as :func:`check_many_frames` does frames."""
-    for (channel, unit, samples), some in _grouped(rows, attrgetter("channel", "unit", "samples")):
+    for (channel, unit, samples), some in _group_rows(rows, attrgetter("channel", "unit", "samples")):
         arrays = [_Array("time_s", 8 * samples, steps=True), _Array("sample_values", 8 * samples)]
         _check("sample", sample_header(channel, unit, samples), arrays, b"", some)
 
@@ -47,7 +47,7 @@ def _kind_of_frames(row: Any) -> tuple[tuple[int, int, int], str, float | None, 
     return (row.frames, row.drives, row.measures), row.unit, row.current_a, row.reading_time_s is not None
 
 
-def _grouped(rows: Sequence[Any], kind_of: Callable[[Any], Any]) -> Iterable[tuple[Any, list[Any]]]:
+def _group_rows(rows: Sequence[Any], kind_of: Callable[[Any], Any]) -> Iterable[tuple[Any, list[Any]]]:
     groups = defaultdict[Any, list[Any]](list)
     for row in rows:
         groups[kind_of(row)].append(row)
@@ -63,7 +63,7 @@ def _check(what: str, header: str, arrays: Sequence[_Array], end: bytes, rows: S
     if found == [row.sha256 for row in rows]:
         return
     if len(rows) == 1:
-        raise damaged(what, rows[0].run, rows[0].phase, rows[0].block)
+        raise damage_error(what, rows[0].run, rows[0].phase, rows[0].block)
     for row in rows:
         _check(what, header, arrays, end, [row])
 
@@ -74,6 +74,6 @@ def _digests(header: str, arrays: Sequence[_Array], end: bytes, rows: Sequence[A
     for one in arrays:
         cells = [getattr(row, one.column) for row in rows]
         parts.append(repeat(one.size.to_bytes(8, "little"), len(rows)))
-        parts.append(restored_together(cells, one.size, one.width, steps=one.steps))
+        parts.append(restore_many(cells, one.size, one.width, steps=one.steps))
     parts.append(repeat(end, len(rows)))
     return [hashlib.sha256(b"".join(some)).digest() for some in zip(*parts, strict=True)]

@@ -6,19 +6,20 @@ from typing import Final
 
 from sqlalchemy import Connection, Engine, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason, Outcome, ResultState
-from cbsr_qa.domain.run import EarlierRun
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.changes import EarlierRun
+from cbsr_qa.domain.run.states import EndReason, ResultState
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.apart import problem_of
-from cbsr_qa.store.chain import KEY_OPTION, SigningKey
-from cbsr_qa.store.damage import FOREIGN_CELL, shown
-from cbsr_qa.store.engine import open_engine, parsed_url, reading, sqlite_file
-from cbsr_qa.store.golden import believed_golden_runs
-from cbsr_qa.store.left_out import altered_among
-from cbsr_qa.store.tables import RunRow
-from cbsr_qa.store.types import made_at
-from cbsr_qa.store.verdicts import verdict_of
+from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
+from cbsr_qa.store.damage import FOREIGN_CELL, name_database
+from cbsr_qa.store.engine import open_engine, parse_url, reading, sqlite_file
+from cbsr_qa.store.golden import find_golden_runs
+from cbsr_qa.store.left_out import find_altered_outside
+from cbsr_qa.store.runs.verdicts import verdict_of
+from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.types import time_of_id
 
 #: Runs that are looked at where a station waits, in 40 ms.
 _RECENT: Final = 500
@@ -38,10 +39,10 @@ def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     StoreError
         If it cannot be read, or the run was altered.
     """
-    parsed = parsed_url(url)
+    parsed = parse_url(url)
     file = sqlite_file(parsed)
     if file is not None and not file.exists():  # SQLite would create an empty one
-        raise NoRunError(f"{shown(parsed)} does not exist")
+        raise NoRunError(f"{name_database(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
         with reading(engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})) as connection:
@@ -49,8 +50,8 @@ def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     finally:
         engine.dispose()
     if found is None:
-        raise NoRunError(f"there is no run {run} in {shown(parsed)}")
-    return found.checked().result, found.outcome
+        raise NoRunError(f"there is no run {run} in {name_database(parsed)}")
+    return found.validate().result, found.outcome
 
 
 def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
@@ -64,17 +65,17 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
         query = query.where(run.run < before)
     with reading(engine) as connection:
         rows = connection.execute(query).all()
-        of_checks = believed_golden_runs(connection, {row.run for row in rows})
+        of_checks = find_golden_runs(connection, {row.run for row in rows})
         return tuple(_earlier(connection, serial, row.run, row.recipe, of_check=row.run in of_checks) for row in rows)
 
 
-def altered_elsewhere(engine: Engine, serial: str) -> dict[str, str]:
+def find_altered_elsewhere(engine: Engine, serial: str) -> dict[str, str]:
     """Return what is wrong with the rows of recent runs of other sensors that were altered, by run.
 
     One of them may be of this sensor. The latest 500 of them are looked at, as a station waits for it.
     """
     with reading(engine) as connection:
-        return altered_among(connection, [RunRow.serial != serial], (), latest=_RECENT)
+        return find_altered_outside(connection, [RunRow.serial != serial], (), latest=_RECENT)
 
 
 def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_check: bool) -> EarlierRun:
@@ -82,10 +83,10 @@ def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_c
         found = verdict_of(connection, run)
         if found is None:
             raise StoreError(f"run {run} is no longer there")
-        decision, values = found.checked().decision, found.values
+        decision, values = found.validate().decision, found.values
     except (*FOREIGN_CELL, StoreError) as error:
         changed = problem_of(connection, run, error)
-        began = made_at(run) or datetime.fromtimestamp(0, UTC)
+        began = time_of_id(run) or datetime.fromtimestamp(0, UTC)
         sensor = SensorIdentity(serial, "", "")
         return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)
     return EarlierRun(

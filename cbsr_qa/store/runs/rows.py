@@ -4,15 +4,15 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, insert, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store.chain import add_rows, new_chain
-from cbsr_qa.store.damage import stored
-from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.store.chain.links import add_rows, new_chain
+from cbsr_qa.store.damage import read_word
+from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.runs.begun import note_begun, run_before
-from cbsr_qa.store.tables import InstrumentRow, PhaseEndRow, PhaseRow, RunRow, RunStateRow, SensorRow
+from cbsr_qa.store.tables.runs import InstrumentRow, PhaseEndRow, PhaseRow, RunRow, RunStateRow, SensorRow
 
 
 def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
@@ -60,7 +60,7 @@ def current_state(connection: Connection, run: str) -> Row[Any]:
     row = connection.execute(states.order_by(RunStateRow.number.desc()).limit(1)).one_or_none()
     if row is None:
         raise StoreError(f"there is no run {run}")
-    stored(EndReason, row.end, "run_states.end", f"run {run}, state {row.number},")
+    read_word(EndReason, row.end, "run_states.end", f"run {run}, state {row.number},")
     return row
 
 
@@ -68,9 +68,9 @@ def identity_of(connection: Connection, row: Row[Any]) -> RunIdentity:
     """Return the identity stored in a run's row."""
     query = select(*InstrumentRow.__table__.columns).where(InstrumentRow.run == row.run)
     instruments = connection.execute(query.order_by(InstrumentRow.position))
-    return of_row(
+    return convert_row(
         RunIdentity,
         row,
-        sensor=of_row(SensorIdentity, row),
-        instruments=tuple(of_row(InstrumentIdentity, one) for one in instruments),
+        sensor=convert_row(SensorIdentity, row),
+        instruments=tuple(convert_row(InstrumentIdentity, one) for one in instruments),
     )

@@ -9,30 +9,28 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Result, Row, select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from cbsr_qa.domain import RefusedError, StoreError, fitted
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.results import EndReason, Outcome, RunSelection
-from cbsr_qa.domain.run import (
-    LoadRecord,
-    PhaseRecord,
-    RunIdentity,
-    RunRecord,
-    RunSession,
-    pauses_of,
-    prompts_of,
-)
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.run.attendance import pauses_of, prompts_of
+from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord, RunSession
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import with_arrays
-from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
-from cbsr_qa.store.damage import FOREIGN_CELL, address, check_files, shown, stored
+from cbsr_qa.store.chain.check import IDENTITY, check_run, unreadable
+from cbsr_qa.store.chain.links import chain_head, key_to_continue
+from cbsr_qa.store.damage import FOREIGN_CELL, address, check_files, name_database, read_word
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
-from cbsr_qa.store.left_out import altered_among, with_left_out
-from cbsr_qa.store.mapping import of_row
+from cbsr_qa.store.left_out import find_altered_outside, with_left_out
+from cbsr_qa.store.mapping import convert_row
 from cbsr_qa.store.runs.attendance import attendance_of
 from cbsr_qa.store.runs.codec import (
-    decoded_indenter,
-    decoded_material,
-    decoded_sensor_type,
+    decode_indenter,
+    decode_material,
+    decode_sensor_type,
     frame_block,
     sample_block,
 )
@@ -40,9 +38,10 @@ from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
-from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
+from cbsr_qa.store.runs.sessions import Span, sessions_of, spans_that_count, within
+from cbsr_qa.store.runs.verdicts import read_verdicts
 from cbsr_qa.store.selected import conditions
-from cbsr_qa.store.tables import (
+from cbsr_qa.store.tables.runs import (
     FrameBlockRow,
     LoadRow,
     PhaseEndRow,
@@ -51,8 +50,7 @@ from cbsr_qa.store.tables import (
     SampleBlockRow,
     UnloadedMarkRow,
 )
-from cbsr_qa.store.verdicts import stored_verdicts
-from cbsr_qa.system import on_tick
+from cbsr_qa.system.clock import on_tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,19 +88,19 @@ def load_run(engine: Engine, run: str) -> RunRecord:
     """
     with reading(engine) as connection:
         head = chain_head(connection, run)  # before the check, which then covers it
-        chain, row = check_run(connection, run), _known(connection, run)
+        chain, row = check_run(connection, run), _find_run(connection, run)
         state = current_state(connection, run)
         states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
-        spent = _summed(pair for one in connection.scalars(states) for pair in one)
+        spent = _sum_seconds(pair for one in connection.scalars(states) for pair in one)
         try:
             sessions = sessions_of(connection, run)
             phases, set_aside = _phases(connection, run, sessions)
             attended = tuple(attendance_of(connection, run))
             return RunRecord(
                 identity=identity_of(connection, row),
-                sensor_type=decoded_sensor_type(row.setting),
-                material=decoded_material(row.setting),
-                indenter=decoded_indenter(row.setting),
+                sensor_type=decode_sensor_type(row.setting),
+                material=decode_material(row.setting),
+                indenter=decode_indenter(row.setting),
                 phases=phases,
                 end=EndReason(state.end),
                 end_detail=state.detail,
@@ -138,7 +136,7 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
     except StoreError as error:
         if not problem:
             raise
-        of_file = error.reason.startswith(shown(engine.url))  # repeats the result of the check of the file
+        of_file = error.reason.startswith(name_database(engine.url))  # repeats the result of the check of the file
         of_run = "" if of_file else f": {error.reason}"
         raise StoreError(
             f"{problem}, including this run{of_run}",
@@ -157,14 +155,14 @@ def identity(engine: Engine, run: str) -> RunIdentity:
     """Return the identity of a run, without frames. StoreError if it does not exist or was altered."""
     with reading(engine) as connection:
         check_run(connection, run, IDENTITY)
-        return identity_of(connection, _known(connection, run))
+        return identity_of(connection, _find_run(connection, run))
 
 
 def configuration_of(engine: Engine, run: str) -> str:
     """Return the canonical JSON a run was configured with. StoreError as for :func:`identity`."""
     with reading(engine) as connection:
         check_run(connection, run, IDENTITY)
-        return str(_known(connection, run).configuration)
+        return str(_find_run(connection, run).configuration)
 
 
 def check_resumable(engine: Engine, run: str) -> None:
@@ -177,18 +175,18 @@ def check_resumable(engine: Engine, run: str) -> None:
     """
     with reading(engine) as connection:
         check_run(connection, run)
-        key_to_continue(connection, run, _known(connection, run).chain)
+        key_to_continue(connection, run, _find_run(connection, run).chain)
 
 
-def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
+def list_finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
     """Return (phase, index) of every finished press, which a resumed run does not repeat."""
     with reading(engine) as connection:
-        _known(connection, run)
+        _find_run(connection, run)
         rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
         return frozenset((phase, load) for phase, load in rows)
 
 
-def ended_phases(engine: Engine, run: str) -> frozenset[int]:
+def list_ended_phases(engine: Engine, run: str) -> frozenset[int]:
     """Return the phases whose last step was carried out, which a resumed run skips."""
     with reading(engine) as connection:
         rows = connection.scalars(select(PhaseEndRow.phase).where(PhaseEndRow.run == run))
@@ -198,7 +196,7 @@ def ended_phases(engine: Engine, run: str) -> frozenset[int]:
 def state_of(engine: Engine, run: str) -> RunSession:
     """Return the state of a run's latest session."""
     with reading(engine) as connection:
-        _known(connection, run)
+        _find_run(connection, run)
         return sessions_of(connection, run)[-1]
 
 
@@ -217,9 +215,11 @@ def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ..
     with reading(engine) as connection:
         query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
         names = with_left_out(connection, selection, list(connection.scalars(query)))
-        found = list(stored_verdicts(connection, names))
+        found = list(read_verdicts(connection, names))
     return tuple(
-        fitted(RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered)
+        fill_from_mapping(
+            RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered
+        )
         for one in reversed(found)
     )
 
@@ -237,7 +237,7 @@ def resolve(engine: Engine, run_or_serial: str) -> str:
             return run_or_serial
         latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
         found = connection.scalar(latest)
-        later = {} if found is None else altered_among(connection, [RunRow.run > found], ())
+        later = {} if found is None else find_altered_outside(connection, [RunRow.run > found], ())
     for problem in later.values():
         raise StoreError(
             f"{problem}; it may be a later run of sensor {run_or_serial}",
@@ -251,14 +251,14 @@ def resolve(engine: Engine, run_or_serial: str) -> str:
     return str(found)
 
 
-def _known(connection: Connection, run: str) -> Row[Any]:
+def _find_run(connection: Connection, run: str) -> Row[Any]:
     row = run_row(connection, run)
     if row is None:
         raise StoreError(f"there is no run {run[:64]!r} in this database")
     return row
 
 
-def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
+def _sum_seconds(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
     seconds: dict[str, float] = {}
     for kind, spent_s in pairs:
         seconds[kind] = seconds.get(kind, 0.0) + spent_s
@@ -275,10 +275,10 @@ def _phases(
 
 def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ...]) -> tuple[PhaseRecord, int]:
     loads = _loads(connection, row)
-    spans = counted_spans(connection, row, sessions, loads)
+    spans = spans_that_count(connection, row, sessions, loads)
     frames, aside = _frames(connection, row, spans)
     marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
-    phase = of_row(
+    phase = convert_row(
         PhaseRecord,
         row,
         index=row.phase,
@@ -290,7 +290,7 @@ def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ..
         loops=tuple(load for load in loads if load.eased),
         # A resumed phase rested again: its presses follow the latest mark.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
-        role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {row.run}"),
+        role=read_word(Role, row.role, "phases.role", f"phase {row.phase} of run {row.run}"),
     )
     return phase, aside
 

@@ -11,32 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, Row, exists, func, select
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import LoadRecord, RunSession
-from cbsr_qa.store.damage import stored
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.run.run import RunSession
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import writer_of
 from cbsr_qa.store.runs.rows import phases_of
-from cbsr_qa.store.standing import up_to_date
-from cbsr_qa.store.tables import (
-    AnalysisRow,
-    CalibrationRow,
-    ChartReferenceRow,
+from cbsr_qa.store.runs.standing import up_to_date
+from cbsr_qa.store.tables.gate import ReleaseRow
+from cbsr_qa.store.tables.records import ChartReferenceRow, StationCheckRow, VerdictOverrideRow
+from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
+from cbsr_qa.store.tables.runs import (
     FrameBlockRow,
     LoadRow,
     PhaseEndRow,
-    ReanalysisRow,
-    ReleaseRow,
     RunRow,
     RunStateRow,
     SampleBlockRow,
     SensorRow,
-    StationCheckRow,
     StepRow,
-    VerdictOverrideRow,
 )
-from cbsr_qa.store.types import made_at
+from cbsr_qa.store.types import time_of_id
 
 #: (from, to) on the run's time line [s]; a time exactly at the start belongs to the session before.
 Span = tuple[float, float]
@@ -56,7 +53,7 @@ def sessions_of(connection: Connection, run: str) -> tuple[RunSession, ...]:
     return tuple(found)
 
 
-def counted_spans(
+def spans_that_count(
     connection: Connection, phase: Row[Any], sessions: Sequence[RunSession], loads: Sequence[LoadRecord]
 ) -> list[Span]:
     """Return the spans of time whose frames and samples count for a phase.
@@ -94,7 +91,7 @@ def _session(begun: Row[Any], last: Row[Any]) -> RunSession:
     return RunSession(
         started_s=begun.time_s,
         ended_s=None if last is begun else last.time_s,
-        end=stored(EndReason, last.end, "run_states.end", f"run {last.run}, state {last.number},"),
+        end=read_word(EndReason, last.end, "run_states.end", f"run {last.run}, state {last.number},"),
         detail=last.detail,
         operator=begun.operator or "",
         software=tuple((name, version) for name, version in begun.software or ()),
@@ -141,7 +138,7 @@ def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
             row.run,
             row.serial,
             *stands,
-            stored(EndReason, row.end, "run_states.end", f"run {row.run}"),
+            read_word(EndReason, row.end, "run_states.end", f"run {row.run}"),
             row.detail,
             writer_of(engine, row.run),
         )
@@ -174,7 +171,7 @@ def latest_id(engine: Engine) -> str:
     with reading(engine) as connection:
         found = connection.execute(select(*(select(func.max(one)).scalar_subquery() for one in columns))).one()
     # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
-    return max((one for one in found if one is not None and made_at(one) is not None), default="")
+    return max((one for one in found if one is not None and time_of_id(one) is not None), default="")
 
 
 def counts(engine: Engine) -> dict[str, int]:
@@ -199,12 +196,12 @@ def _stands(connection: Connection, run: str) -> tuple[str, str]:
     )
     begun = connection.execute(steps.order_by(StepRow.entry)).all()
     presses = [row for row in begun if row.step["step"] == "Press"]
-    if presses and not _finished(connection, run, phase.phase, presses[-1].time_s):
+    if presses and not _has_finished(connection, run, phase.phase, presses[-1].time_s):
         return phase.name, _words(presses[-1].step)
     return phase.name, _words(begun[-1].step) if begun else "its first step"
 
 
-def _finished(connection: Connection, run: str, phase: int, pressed_s: float) -> bool:
+def _has_finished(connection: Connection, run: str, phase: int, pressed_s: float) -> bool:
     """Whether a press that began at a time was held to its end."""
     loads = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase)
     last_s = connection.scalar(loads)

@@ -14,19 +14,15 @@ from sqlalchemy import (
     select,
 )
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store.chain import stored_documents
-from cbsr_qa.store.damage import address, shown
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.chain.check import digest_documents
+from cbsr_qa.store.damage import address, name_database
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.schema import HEAD, Age, found_version, refusal
+from cbsr_qa.store.schema import HEAD, Age, read_version, refusal
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Tail
-from cbsr_qa.store.tables import (
-    LinkRow,
-    RunRow,
-    SyncAcceptsRow,
-    SyncRefusalRow,
-    SyncSettlementRow,
-)
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.sync import SyncAcceptsRow, SyncRefusalRow, SyncSettlementRow
 
 
 def check_centre(engine: Engine, station: Engine) -> None:
@@ -39,21 +35,21 @@ def check_centre(engine: Engine, station: Engine) -> None:
     """
     if engine.url == station.url:
         raise StoreError(
-            f"{shown(engine.url)} is the station's own",
+            f"{name_database(engine.url)} is the station's own",
             remedy="name the central database with --to or CBSR_QA_CENTRE",
         )
-    version = found_version(engine)
-    where, upgrade = shown(engine.url), f"cbsr-qa db upgrade --database {address(engine.url)}"
+    version = read_version(engine)
+    where, upgrade = name_database(engine.url), f"cbsr-qa db upgrade --database {address(engine.url)}"
     match version.age:
         case Age.CURRENT:
             return
         case Age.EMPTY:
             raise StoreError(
-                f"{shown(engine.url)} does not exist or is empty", remedy=f"create its tables: {upgrade}"
+                f"{name_database(engine.url)} does not exist or is empty", remedy=f"create its tables: {upgrade}"
             )
         case Age.OLDER:
             raise StoreError(
-                f"{shown(engine.url)} has schema {version.revision}, older than the station's ({HEAD})",
+                f"{name_database(engine.url)} has schema {version.revision}, older than the station's ({HEAD})",
                 remedy=f"upgrade the central database first: {upgrade}",
             )
         case Age.NEWER:
@@ -103,7 +99,7 @@ def link_at(engine: Engine, run: str, number: int) -> str:
 def documents_of(engine: Engine, run: str) -> dict[tuple[str, str], str]:
     """Return the digest of each document of an unchained run."""
     with reading(engine) as connection:
-        return {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+        return {(kind, key): content for kind, key, content in digest_documents(connection, run)}
 
 
 def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: str, error: StoreError) -> None:
@@ -119,7 +115,7 @@ def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: st
                 SyncSettlementRow.kind == kind, SyncSettlementRow.item == item
             )
         )
-        row = {"run": run, "why": error.reason, "noted_at": _after(settled_at)}
+        row = {"run": run, "why": error.reason, "noted_at": _later_moment(settled_at)}
         connection.execute(insert(SyncRefusalRow), key | row)
 
 
@@ -138,7 +134,7 @@ def settle(engine: Engine, kind: str, item: str) -> None:
         open_ones = select(func.max(row.noted_at)).where(row.kind == kind, row.item == item, _is_open())
         noted_at = connection.scalar(open_ones)
         if noted_at is not None:
-            settled = {"kind": kind, "item": item, "settled_at": _after(noted_at)}
+            settled = {"kind": kind, "item": item, "settled_at": _later_moment(noted_at)}
             connection.execute(insert(SyncSettlementRow), settled)
 
 
@@ -149,7 +145,7 @@ def _is_open() -> ColumnElement[bool]:
     return ~exists().where(*same)
 
 
-def _after(moment: datetime | None) -> datetime:
+def _later_moment(moment: datetime | None) -> datetime:
     """Return the time, or a moment that is just later than another computer's clock said."""
     now = datetime.now(UTC)
     return now if moment is None or now > moment else moment + timedelta(microseconds=1)

@@ -7,15 +7,19 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, func, select
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.archives import Archives, archive_row
-from cbsr_qa.store.chain import ALL_KINDS, KEYS, check_run
+from cbsr_qa.store.chain.check import ALL_KINDS, check_run
+from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.outbox import Kind, announce, note_confirmed
 from cbsr_qa.store.runs import begun
-from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, next_parcel
+from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, read_parcel
 from cbsr_qa.store.sync.rows import counts_of
-from cbsr_qa.store.tables import ChartReferenceRow, LinkRow, OutboxRow, ReleaseRow, RunRow, StationCheckRow
+from cbsr_qa.store.tables.gate import ReleaseRow
+from cbsr_qa.store.tables.records import ChartReferenceRow, LinkRow, StationCheckRow
+from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.sync import OutboxRow
 
 #: What is announced: identifier, and when it was made.
 _ITEMS: Final[Mapping[Kind, tuple[Any, Any]]] = {
@@ -55,7 +59,7 @@ def _check_station(station: Engine, run: str) -> None:
     with reading(station) as connection:
         if archive_row(connection, run) is None:
             while tail != newest_link(connection, run):
-                parcel = next_parcel(connection, run, tail, archives)
+                parcel = read_parcel(connection, run, tail, archives)
                 linked.update({name: len(rows) for name, rows in parcel.rows.items()})
                 tail = parcel.tail
             stored = counts_of(connection, run, [*KEYS, LinkRow.__tablename__])
@@ -74,7 +78,7 @@ def announce_since(station: Engine, day: date) -> None:
         with reading(station) as connection:
             items = connection.scalars(select(name).where(made_at >= since).order_by(name)).all()
         with writing(station) as connection:
-            confirmed = _unannounced(connection, kind, items)
+            confirmed = _drop_announced(connection, kind, items)
             links = _link_counts(connection) if kind is Kind.RUN and confirmed else {}
             note_confirmed(connection, kind, {item: links.get(item, 1) for item in confirmed})
 
@@ -85,11 +89,11 @@ def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
         missing = {gap.run: gap for gap in begun.gaps(connection) if not gap.refused}
     if missing:
         with writing(station) as connection:
-            announce(connection, Kind.RUN, _unannounced(connection, Kind.RUN, missing))
+            announce(connection, Kind.RUN, _drop_announced(connection, Kind.RUN, missing))
     return missing
 
 
-def _unannounced(connection: Connection, kind: Kind, items: Iterable[str]) -> list[str]:
+def _drop_announced(connection: Connection, kind: Kind, items: Iterable[str]) -> list[str]:
     there = set(connection.scalars(select(OutboxRow.item).where(OutboxRow.kind == str(kind))))
     return [item for item in items if item not in there]
 
@@ -114,7 +118,7 @@ def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str])
         found = theirs.execute(followers.order_by(RunRow.run)).all()
         here = set(ours.scalars(select(RunRow.run).where(RunRow.run.in_([row.run for row in found]))))
     return tuple(
-        f"the centre has run {begun.named_run(row.run)}, which follows run {row.before_run} and is not in this"
+        f"the centre has run {begun.name_run(row.run)}, which follows run {row.before_run} and is not in this"
         " database: it was removed here, or this is a copy or an older state of the database that it was begun in"
         for row in found
         if row.run not in here

@@ -60,13 +60,13 @@ def copy_rows(connection: Connection, table: Table, rows: Sequence[Sequence[Any]
         with driver.cursor() as cursor, cursor.copy(statement) as copy:
             copy.write(_HEAD)
             for first in range(0, len(rows), AT_ONCE):
-                copy.write(encoded(table, rows[first : first + AT_ONCE]))
+                copy.write(encode_rows(table, rows[first : first + AT_ONCE]))
             copy.write(_END)
     except dbapi.Error as error:
         raise DBAPIError.instance(statement, None, error, dbapi.Error, dialect=connection.dialect) from error
 
 
-def encoded(table: Table, rows: Sequence[Sequence[Any]]) -> bytes:
+def encode_rows(table: Table, rows: Sequence[Sequence[Any]]) -> bytes:
     """Return rows in the binary form, without its head and end."""
     parts: list[Iterable[bytes]] = [repeat(struct.pack("!h", len(table.columns)), len(rows))]
     for column, cells in zip(table.columns, zip(*rows, strict=True), strict=True):

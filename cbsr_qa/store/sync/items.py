@@ -6,17 +6,18 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Row
 
-from cbsr_qa.store.chain import row_texts, sha256
+from cbsr_qa.store.chain.many_rows import row_texts
+from cbsr_qa.store.chain.run_documents import sha256
 from cbsr_qa.store.outbox import Kind
 from cbsr_qa.store.sync.rows import columns_of, raw_select
-from cbsr_qa.store.tables import (
-    Base,
+from cbsr_qa.store.tables.gate import ReleaseRow
+from cbsr_qa.store.tables.records import (
     ChartReferenceRow,
-    ReleaseRow,
     StationCheckFramesRow,
     StationCheckLineRow,
     StationCheckRow,
 )
+from cbsr_qa.store.tables.runs import Base
 
 #: Tables of each kind, the first with a row of the item itself.
 _TABLES: Final[Mapping[Kind, tuple[type[Base], ...]]] = {

@@ -8,40 +8,21 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Row, Table, case, func, literal, select
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import ARRAYS, Archives, with_arrays
-from cbsr_qa.store.chain import (
-    FIGURES,
-    KEYS,
-    OF_A_SESSION,
-    SigningKey,
-    checking_key,
-    documents_in_columns,
-    keys_of,
-    link_digest,
-    shown,
-    stored_documents,
-    stored_figures,
-    tables,
-    unreadable,
-)
-from cbsr_qa.store.results import check_files
-from cbsr_qa.store.runs import check_many_frames, check_many_samples, current_state, frame_block, frame_values
+from cbsr_qa.store.chain.check import digest_documents, unreadable
+from cbsr_qa.store.chain.links import OF_A_SESSION, SigningKey, checking_key, link_digest
+from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest, name_document, tables
+from cbsr_qa.store.results.calibrations import check_files
+from cbsr_qa.store.runs.codec import frame_block, frame_values
+from cbsr_qa.store.runs.many_blocks import check_many_frames, check_many_samples
+from cbsr_qa.store.runs.rows import current_state
 from cbsr_qa.store.sync.rows import columns_of, counts_of, is_bytes, raw_select, within
-from cbsr_qa.store.tables import (
-    AnalysisRow,
-    Base,
-    CalibrationRow,
-    FrameBlockRow,
-    LinkRow,
-    PhaseEndRow,
-    ReanalysisRow,
-    RunRow,
-    SampleBlockRow,
-    SensorRow,
-    VerdictOverrideRow,
-)
+from cbsr_qa.store.tables.records import LinkRow, VerdictOverrideRow
+from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
+from cbsr_qa.store.tables.runs import Base, FrameBlockRow, PhaseEndRow, RunRow, SampleBlockRow, SensorRow
 
 #: Most documents and bytes of blocks in one parcel: a second of work, and memory of a few times the bytes.
 MOST_LINKS: Final = 4000
@@ -118,7 +99,7 @@ class Parcel:
         return total
 
 
-def next_parcel(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
+def read_parcel(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
     """Read what follows a link in a run's chain.
 
     Parameters
@@ -132,7 +113,7 @@ def next_parcel(connection: Connection, run: str, tail: Tail, archives: Archives
         If the station's link of that number is another one, or what follows was altered.
     """
     try:
-        return _next(connection, run, tail, archives)
+        return _read_parcel(connection, run, tail, archives)
     except AlteredError:
         raise
     except StoreError as error:
@@ -141,7 +122,7 @@ def next_parcel(connection: Connection, run: str, tail: Tail, archives: Archives
         raise AlteredError(unreadable(connection, run, error).reason) from error
 
 
-def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
+def _read_parcel(connection: Connection, run: str, tail: Tail, archives: Archives) -> Parcel:
     number, sha256 = tail
     head = connection.execute(select(RunRow.station, RunRow.serial, RunRow.chain).where(RunRow.run == run)).one()
     own = connection.scalar(select(LinkRow.sha256).where(LinkRow.run == run, LinkRow.number == number)) or ""
@@ -153,7 +134,7 @@ def _next(connection: Connection, run: str, tail: Tail, archives: Archives) -> P
     wanted = defaultdict[str, dict[str, str]](dict)
     for _, _, kind, document, content, *_ in links:
         wanted[kind][document] = content.hex()
-    rows = dict(_linked_rows(connection, run, wanted, archives))
+    rows = dict(_read_rows(connection, run, wanted, archives))
     rows[LinkRow.__tablename__] = links
     version = links[-1].number + 1 if links else number + 1
     whole = version == newest + 1
@@ -176,7 +157,7 @@ def newest_link(connection: Connection, run: str) -> Tail:
     return NOTHING if found is None else (found.number, found.sha256)
 
 
-def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str, str], str]) -> Parcel:
+def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, str], str]) -> Parcel:
     """Read a run without a chain.
 
     Parameters
@@ -190,14 +171,16 @@ def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str
     """
     head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
     wanted: dict[str, dict[str, str]] = {}
-    own = {(kind, key): content for kind, key, content in stored_documents(connection, run)}
+    own = {(kind, key): content for kind, key, content in digest_documents(connection, run)}
     for place, content in centre.items():
         if own.get(place) != content:
-            raise AlteredError(f"{shown(*place)} of run {run} differs from the centre's", own.get(place, ""), content)
+            raise AlteredError(
+                f"{name_document(*place)} of run {run} differs from the centre's", own.get(place, ""), content
+            )
     for (kind, key), content in own.items():
         if (kind, key) not in centre:
             wanted.setdefault(kind, {})[key] = content
-    rows = dict(_linked_rows(connection, run, wanted, Archives()))
+    rows = dict(_read_rows(connection, run, wanted, Archives()))
     return Parcel(
         run,
         head.station,
@@ -254,14 +237,14 @@ def _check_chain(run: str, links: Sequence[Any], number: int, before: str, key: 
         expected = link_digest(before, kind, document, content.hex())
         before = own.hex()
         if before != expected:
-            what = f"link {found} in run_links, of {shown(kind, document)},"
+            what = f"link {found} in run_links, of {name_document(kind, document)},"
             raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, before)
-        if key is not None and (mac is None or not key.signed(run, before, mac.hex())):
-            what = f"link {found} in run_links, of {shown(kind, document)},"
+        if key is not None and (mac is None or not key.verify(run, before, mac.hex())):
+            what = f"link {found} in run_links, of {name_document(kind, document)},"
             raise AlteredError(f"run {run}: {what} was not signed with key {key.key_id}", before)
 
 
-def _linked_rows(
+def _read_rows(
     connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]], archives: Archives
 ) -> Iterator[tuple[str, Sequence[Sequence[Any]]]]:
     """Yield table and rows of documents, whose digests match."""
@@ -270,7 +253,7 @@ def _linked_rows(
         if contents:
             yield table.name, _rows(connection, run, table, contents, archives)
     for analysis, content in wanted.get(FIGURES, {}).items():
-        _match(run, FIGURES, analysis, stored_figures(connection, analysis), content)
+        _match(run, FIGURES, analysis, figures_digest(connection, analysis), content)
 
 
 def _rows(
@@ -289,11 +272,11 @@ def _rows(
     if check is not None:
         whole = list(with_arrays(connection, rows, archives) if table.name == FrameBlockRow.__tablename__ else rows)
         check(whole)  # raises where bytes do not match the digest in their row
-        rows = [row if isinstance(row, Row) else _unarchived(row, table.columns.keys()) for row in whole]
+        rows = [row if isinstance(row, Row) else _restore_row(row, table.columns.keys()) for row in whole]
     return rows
 
 
-def _unarchived(row: Any, names: Sequence[str]) -> Sequence[Any]:
+def _restore_row(row: Any, names: Sequence[str]) -> Sequence[Any]:
     """Return the row of a block of archived frames as it was stored before."""
     whole: Any = SimpleNamespace(**(vars(row) | {"sha256": row.sha256.hex()}))
     block = frame_block(whole)
@@ -308,9 +291,9 @@ def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> N
 
 def _unlike(run: str, kind: str, key: str, stored: str | None, content: str) -> AlteredError:
     if stored is None:
-        what = f"{shown(kind, key)} was removed: its link is there, the row is not"
+        what = f"{name_document(kind, key)} was removed: its link is there, the row is not"
     else:
-        what = f"{shown(kind, key)} was changed: it does not match its digest"
+        what = f"{name_document(kind, key)} was changed: it does not match its digest"
     return AlteredError(f"run {run}: {what}", stored or "", content)
 
 

@@ -7,11 +7,13 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Engine, Row, case, delete, func, or_, select, update
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.outbox import EntryState, Kind
-from cbsr_qa.store.tables import LinkRow, OutboxRow, RunStateRow
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.runs import RunStateRow
+from cbsr_qa.store.tables.sync import OutboxRow
 
 #: Order in which kinds are sent: what refers to runs after the runs.
 _ORDER: Final = tuple(Kind)
@@ -77,7 +79,7 @@ def backlog(engine: Engine) -> Backlog:
     return Backlog(items, None if oldest is None else _hours_since(oldest))
 
 
-def held(engine: Engine) -> tuple[Entry, ...]:
+def list_held(engine: Engine) -> tuple[Entry, ...]:
     """Return entries that are quarantined or were let go."""
     return tuple(_entries(engine, OutboxRow.state != str(EntryState.WAITING)))
 
@@ -116,7 +118,7 @@ def let_go(engine: Engine, item: str) -> None:
 
 
 def _decide(engine: Engine, item: str, state: EntryState) -> None:
-    for entry in held(engine):
+    for entry in list_held(engine):
         if entry.item == item:
             mark(engine, entry.kind, item, state, "" if state is EntryState.WAITING else entry.why)
             return

@@ -21,8 +21,9 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import NullType
 
-from cbsr_qa.store.chain import KEYS, of_run
-from cbsr_qa.store.tables import Base
+from cbsr_qa.store.chain.check import select_run
+from cbsr_qa.store.chain.run_documents import KEYS
+from cbsr_qa.store.tables.runs import Base
 from cbsr_qa.store.types import Digest, Instant, Whole
 
 
@@ -30,11 +31,11 @@ def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]
     """Condition that holds for the rows of some documents, and for few others."""
     names = KEYS[table.name]
     if not names:
-        return and_(of_run(table, run))
+        return and_(select_run(table, run))
     if not isinstance(table.c[names[0]].type, Whole):
         return and_(table.c[names[0]].in_(list(keys)))
     phases = {int(key) for key in {key.partition("/")[0] for key in keys}}
-    wanted = [of_run(table, run), table.c[names[0]].between(min(phases), max(phases))]
+    wanted = [select_run(table, run), table.c[names[0]].between(min(phases), max(phases))]
     if len(names) > 1 and len(phases) == 1:
         blocks = [int(key.rpartition("/")[2]) for key in keys]
         wanted.append(table.c[names[1]].between(min(blocks), max(blocks)))
@@ -51,7 +52,9 @@ def counts_of(connection: Connection, run: str, names: Sequence[str]) -> dict[st
 def _counting(names: tuple[str, ...]) -> Select[Any]:
     metadata = Base.metadata.tables
     run: Any = bindparam("of_run")
-    counted = [select(func.count()).select_from(metadata[name]).where(of_run(metadata[name], run)) for name in names]
+    counted = [
+        select(func.count()).select_from(metadata[name]).where(select_run(metadata[name], run)) for name in names
+    ]
     return select(*(one.scalar_subquery() for one in counted))
 
 

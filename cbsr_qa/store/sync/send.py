@@ -7,19 +7,20 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import Archives
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.outbox import EntryState, Kind
-from cbsr_qa.store.runs import begun, current_state
+from cbsr_qa.store.runs import begun
+from cbsr_qa.store.runs.rows import current_state
 from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refusals, refuse, settle, tails
 from cbsr_qa.store.sync.comparing import announce_missing, announce_since, compare_run, other_runs_at_centre
 from cbsr_qa.store.sync.items import read_item
-from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, next_parcel, unchained_parcel
-from cbsr_qa.store.sync.queue import Entry, confirm, held, mark, waiting
+from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, read_parcel, read_unchained
+from cbsr_qa.store.sync.queue import Entry, confirm, list_held, mark, waiting
 from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
-from cbsr_qa.store.tables import RunRow
+from cbsr_qa.store.tables.runs import RunRow
 
 #: Runs whose state at the centre is read at once.
 _AT_ONCE: Final = 64
@@ -93,7 +94,7 @@ def send_waiting(
         missing = announce_missing(station)
         entries = waiting(station)
         refused = {(one.kind, one.item) for one in refusals(centre)}
-        for entry in held(station):
+        for entry in list_held(station):
             if entry.state == EntryState.LET_GO and (entry.kind, entry.item) in refused:
                 settle(centre, entry.kind, entry.item)
         done = 0
@@ -144,13 +145,13 @@ def _send(
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
         sent.quarantined.append(entry)
     else:
-        if sent.rows > rows and (why := _lost(entry, tail)):
+        if sent.rows > rows and (why := _describe_loss(entry, tail)):
             sent.lost.append(Lost(entry.kind, entry.item, why))
         return True
     return False
 
 
-def _lost(entry: Entry, tail: Tail | None) -> str:
+def _describe_loss(entry: Entry, tail: Tail | None) -> str:
     """Return what the centre lacked of an entry that it had confirmed, in words; empty if that was nothing.
 
     Parameters
@@ -213,7 +214,7 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
     archives = Archives()
     while True:
         with reading(station) as connection:
-            parcel = next_parcel(connection, run, tail, archives)
+            parcel = read_parcel(connection, run, tail, archives)
         if parcel.rows:
             _store(centre, parcel, sent)
             tail = parcel.tail
@@ -226,7 +227,7 @@ def _send_unchained(station: Engine, centre: Engine, entry: Entry, *, known: boo
     """Send a run from before chains: its whole content is compared with what the centre has."""
     stored = documents_of(centre, entry.item) if known else {}
     with reading(station) as connection:
-        parcel = unchained_parcel(connection, entry.item, stored)
+        parcel = read_unchained(connection, entry.item, stored)
     if parcel.rows:
         _store(centre, parcel, sent)
     confirm(station, entry, 0, more=False)

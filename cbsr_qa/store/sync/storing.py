@@ -15,15 +15,16 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import DataError, DBAPIError, IntegrityError, StatementError
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.store.damage import shown
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.damage import name_database
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.outbox import Kind
 from cbsr_qa.store.sync.copying import copy_rows
 from cbsr_qa.store.sync.items import Item, read_item
 from cbsr_qa.store.sync.parcels import AlteredError, Parcel
 from cbsr_qa.store.sync.rows import columns_of, counts_of
-from cbsr_qa.store.tables import Base, ConfigurationChangeRow, RunRow, SensorRow
+from cbsr_qa.store.tables.records import ConfigurationChangeRow
+from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
 
 
 class RowRefusedError(StoreError):
@@ -77,14 +78,18 @@ def _one_transaction(engine: Engine) -> Iterator[Connection]:
         try:
             yield connection
         except (IntegrityError, DataError) as error:
-            raise RowRefusedError(f"{shown(engine.url)} refuses a row: {_said(error.orig)}") from error
+            raise RowRefusedError(
+                f"{name_database(engine.url)} refuses a row: {_driver_words(error.orig)}"
+            ) from error
         except (StatementError, UnicodeError, OverflowError) as error:
             if isinstance(error, DBAPIError):
                 raise
-            raise RowRefusedError(f"{shown(engine.url)} cannot hold a value: {_said(error)}") from error
+            raise RowRefusedError(
+                f"{name_database(engine.url)} cannot hold a value: {_driver_words(error)}"
+            ) from error
 
 
-def _said(error: object) -> str:
+def _driver_words(error: object) -> str:
     """First line of a driver's message, and its detail, which names the key."""
     lines = str(error).strip().splitlines() or ["no reason given"]
     return "; ".join(" ".join(line.split())[:200] for line in lines[:2])

@@ -144,7 +144,7 @@ class PhaseRow(Base):
     started_s: Mapped[float]
 
 
-def _of_phase() -> ForeignKeyConstraint:
+def _phase_key() -> ForeignKeyConstraint:
     return ForeignKeyConstraint(["run", "phase"], ["phases.run", "phases.phase"])
 
 
@@ -152,7 +152,7 @@ class PhaseEndRow(Base):
     """The end of a phase."""
 
     __tablename__ = "phase_ends"
-    __table_args__ = (_of_phase(), NO_ROWID)
+    __table_args__ = (_phase_key(), NO_ROWID)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -163,7 +163,7 @@ class StepRow(Base):
     """A step that began, or was tried again; the last one of an interrupted run shows where it stopped."""
 
     __tablename__ = "steps"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_phase_key(),)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -179,7 +179,7 @@ class FrameBlockRow(Base):
     """Consecutive frames: little-endian arrays, one transaction per block, checked by their digest when read."""
 
     __tablename__ = "frame_blocks"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_phase_key(),)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -202,7 +202,7 @@ class SampleBlockRow(Base):
     """Consecutive samples of one channel, stored like frames."""
 
     __tablename__ = "sample_blocks"
-    __table_args__ = (_of_phase(), NO_ROWID)
+    __table_args__ = (_phase_key(), NO_ROWID)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -219,7 +219,7 @@ class LoadRow(Base):
     """A press that was held to its end."""
 
     __tablename__ = "loads"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_phase_key(),)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -242,7 +242,7 @@ class AttendanceRow(Base):
     """A pause began or ended, a prompt was shown or answered."""
 
     __tablename__ = "attendance"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_phase_key(),)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
@@ -259,7 +259,7 @@ class UnloadedMarkRow(Base):
     """Time from which the sheet counted as rested; a resumed phase has one per session, the latest holds."""
 
     __tablename__ = "unloaded_marks"
-    __table_args__ = (_of_phase(),)
+    __table_args__ = (_phase_key(),)
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

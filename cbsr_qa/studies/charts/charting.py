@@ -10,15 +10,14 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import FleetTable, MetricKey, RunFigure, RunLine
-from cbsr_qa.domain.run import ChartKind, ChartReference, ChartSettings, StandingSignal
-from cbsr_qa.report import named, plural
-from cbsr_qa.stats import (
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.results.charts import ChartKind, ChartReference, ChartSettings, StandingSignal
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunFigure, RunLine
+from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.stats.control_charts import (
     SUM,
     Chart,
     Reference,
-    Rule,
     Standard,
     cusum,
     ewma,
@@ -26,6 +25,7 @@ from cbsr_qa.stats import (
     means_and_ranges,
     moving_range,
 )
+from cbsr_qa.stats.nelson import Rule
 from cbsr_qa.studies.figure_series import Series, figures_of
 
 #: Points without a signal after which a signal is over: lasting changes signal repeatedly, and false alarms should
@@ -210,7 +210,7 @@ class MetricChart:
     charts: tuple[ChartPhase, ...] = ()
 
 
-def no_chart(series: Series, why: str) -> MetricChart:
+def refuse_chart(series: Series, why: str) -> MetricChart:
     """Return a metric without limits, and the reason."""
     return MetricChart(series.key.title, series.unit, _names(series.lines), series.values, series.notes, why)
 
@@ -218,7 +218,7 @@ def no_chart(series: Series, why: str) -> MetricChart:
 def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
     """Chart a metric against a reference; no charts if the runs have another unit."""
     if series.unit != reference.unit:
-        return no_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}")
+        return refuse_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}")
     lines, count = series.lines, sum(line.run <= reference.last_run for line in series.lines)
     standard = Standard(reference.mean, reference.deviation)
     before = _charts(series.values[:count], reference, standard)
@@ -227,7 +227,7 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
     rest = (len(series.values) - count) % reference.subgroup
     notes = (
         _FEW.format(runs=reference.runs) if reference.runs < FEW_RUNS else "",
-        _DOUBTFUL.format(rules=named(list(doubtful))) if doubtful else "",
+        _DOUBTFUL.format(rules=list_names(list(doubtful))) if doubtful else "",
         _ANEW.format(count=count, runs=reference.runs) if count != reference.runs else "",
         _REST.format(runs=plural(rest, "run"), size=reference.subgroup) if rest else "",
     )

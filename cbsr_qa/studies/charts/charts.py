@@ -7,18 +7,21 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Final
 
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import NumericsError, RefusedError, filled, of_kind
-from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
-from cbsr_qa.domain.run import ChartReference, StandingSignal
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import named, plural
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, no_chart, reference_figures, standard_of
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.results.charts import ChartReference, StandingSignal
+from cbsr_qa.domain.results.fleet import FleetTable, RunLine, RunSelection
+from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, reference_figures, refuse_chart, standard_of
 from cbsr_qa.studies.charts.request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
 from cbsr_qa.studies.figure_series import Series, figures_of, series_of
 from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, nearest, several_recipes
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.words import echo
 
 # What is noted of all charts, or why a metric has none.
 _FROM_FIRST: Final = (
@@ -66,7 +69,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     check_request(request)
     period = request.period
     with open_store(database_url(database), create=False) as store:
-        table = store.fleet(_charted_runs(store, request))
+        table = store.fleet(_select_runs(store, request))
         lines = tuple(run for run in table.runs if run.outcome is not None)
         recipe = lines[0].recipe
         notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]), *likeness_notes(store, lines))
@@ -74,10 +77,10 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
             notes += () if period.since else (_FROM_FIRST.format(day=lines[0].day),)
             charts = _with_period(store, request, period, table, lines)
         else:
-            held = _held_references(store, request, recipe)
+            held = _select_references(store, request, recipe)
             if request.retire is not None:
-                notes += (_retired(store, request, held),)
-                held = _held_references(store, request, recipe)
+                notes += (_retire(store, request, held),)
+                held = _select_references(store, request, recipe)
             empty = request.retire is not None and not held
             charts = () if empty else _against_stored(table, request, recipe, lines, held)
         stored = period is not None and not request.dry_run
@@ -89,9 +92,9 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     return Charts(request.station, recipe, golden, len(lines), in_control, stored, simulated, notes, charts)
 
 
-def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
+def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     """Return the charted runs, of one recipe; refuse if there are none, or several recipes."""
-    golden, here = request.golden, of_kind("station", request.station)
+    golden, here = request.golden, prefix_kind("station", request.station)
     selection = RunSelection(
         serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
     )
@@ -110,7 +113,7 @@ def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     raise RefusedError(f"{here} has no analysed run {of}", remedy="golden sensors are charted by --golden SERIAL")
 
 
-def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
+def _select_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
     """Return the valid references of the requested charts."""
     return [
         reference
@@ -120,7 +123,7 @@ def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> 
     ]
 
 
-def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartReference]) -> str:
+def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartReference]) -> str:
     """Retire the charts of one kind, for the named metrics or all; return a note with their names."""
     now, by, why = RealClock().wall(), request.operator, request.why
     rows = [
@@ -135,7 +138,7 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
             remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
         )
     store.save_chart_references(rows)
-    return _RETIRED.format(operator=by, charts=named([row.label for row in rows]))
+    return _RETIRED.format(operator=by, charts=list_names([row.label for row in rows]))
 
 
 def _against_stored(
@@ -143,10 +146,10 @@ def _against_stored(
 ) -> tuple[MetricChart, ...]:
     lacking = [name for name in request.metrics if name not in {reference.name for reference in held}]
     if not held or lacking:
-        of = f" for {named(lacking)}" if lacking else ""
+        of = f" for {list_names(lacking)}" if lacking else ""
         series_of(lines, figures_of(table), request.metrics)  # a metric that was never measured is refused first
         raise RefusedError(
-            f"no reference period is stored{of} for recipe {recipe} on {of_kind('station', request.station)}",
+            f"no reference period is stored{of} for recipe {recipe} on {prefix_kind('station', request.station)}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
         )
     figures = reference_figures(table, held)
@@ -163,7 +166,7 @@ def _with_period(
 ) -> tuple[MetricChart, ...]:
     own = [line for line in lines if period.since is None or line.day >= period.since]
     if not own:
-        here = of_kind("station", request.station)
+        here = prefix_kind("station", request.station)
         raise RefusedError(f"{here} has no run since {period.since}", remedy="begin earlier")
     figures = figures_of(table, by_location=request.by_location)
     if request.by_location:
@@ -185,18 +188,18 @@ def _new_chart(
 ) -> MetricChart:
     count, size = _period_runs(series.lines, period), request.settings.subgroup
     if count < FEWEST_RUNS or (period.runs is not None and len(series.lines) < period.runs):
-        return no_chart(series, _SHORT.format(runs=plural(count, "run"), wanted=period.runs or FEWEST_RUNS))
+        return refuse_chart(series, _SHORT.format(runs=plural(count, "run"), wanted=period.runs or FEWEST_RUNS))
     if size > 1 and count < FEWEST_GROUPS * size:
         groups = plural(count // size, "whole group")
-        return no_chart(series, _FEW_GROUPS.format(runs=count, groups=groups, size=size, least=FEWEST_GROUPS))
+        return refuse_chart(series, _FEW_GROUPS.format(runs=count, groups=groups, size=size, least=FEWEST_GROUPS))
     if rest := count % size:
         left = _LEFT.format(runs=plural(rest, "run"), size=size)
         count, series = count - rest, replace(series, notes=(*series.notes, left))
     try:
         standard = standard_of(series.values[:count], request.settings)
     except NumericsError as error:
-        return no_chart(series, error.reason)
-    reference = filled(
+        return refuse_chart(series, error.reason)
+    reference = fill_from_object(
         ChartReference,
         request,
         **asdict(request.settings),

@@ -7,12 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from cbsr_qa.report import unit_column
-from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, fit_left, light_grid
+from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, draw_svg, fit_left, light_grid
+from cbsr_qa.report.tables import unit_column
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
 
 
-@drawn
+@draw_svg
 def control_charts_svg(chart: MetricChart) -> Canvas:
     """Draw charts in rows (individuals above their moving range), with both phases side by side."""
     rows = list(dict.fromkeys(part.name for part in chart.charts))

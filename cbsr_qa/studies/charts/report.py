@@ -3,21 +3,11 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.domain import of_kind
-from cbsr_qa.domain.results import (
-    Banner,
-    Block,
-    Cell,
-    CommandOutcome,
-    Figure,
-    Outcome,
-    Page,
-    Paragraph,
-    Section,
-    Table,
-)
-from cbsr_qa.domain.run import ChartKind, ChartReference
-from cbsr_qa.report import capital, number, plural, text_table, unit_column, unit_shown
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.charts import ChartKind, ChartReference
+from cbsr_qa.domain.results.report import Banner, Block, Cell, CommandOutcome, Figure, Page, Paragraph, Section, Table
+from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, ChartPhase, MetricChart
 from cbsr_qa.studies.charts.charts import Charts
 
@@ -56,7 +46,7 @@ def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     """Lay charts out; the exit code is 1 if a signal is active."""
     sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
     sections += [Section("Charts", (_table(charts),))] if charts.charts else []
-    shared = _shared_notes(charts.charts)
+    shared = _common_notes(charts.charts)
     sections += [
         Section(unit_column(capital(chart.label), chart.unit), tuple(_blocks(chart, shared)))
         for chart in charts.charts
@@ -64,7 +54,7 @@ def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     return CommandOutcome(charts, _page(charts, shared), tuple(sections), 0 if charts.in_control else 1)
 
 
-def _shared_notes(charts: Sequence[MetricChart]) -> tuple[str, ...]:
+def _common_notes(charts: Sequence[MetricChart]) -> tuple[str, ...]:
     """Return the notes that every one of several charts has: the page shows them once."""
     if len(charts) < 2:
         return ()
@@ -88,7 +78,7 @@ def _page(charts: Charts, shared: tuple[str, ...]) -> Page:
 
 
 def _banner(found: Charts, charted: int) -> Banner:
-    here, charts = of_kind("station", found.station), plural(charted, "chart")
+    here, charts = prefix_kind("station", found.station), plural(charted, "chart")
     if not found.in_control:
         first = min(found.signals, key=lambda signal: signal.since).words()
         reason = _SIGNALS.format(signals=len(found.signals), charts=charts, station=here, words=first)
@@ -152,7 +142,7 @@ def _blocks(chart: MetricChart, shared: tuple[str, ...]) -> Iterator[Block]:
     if chart.reference is None:
         yield Paragraph(_NO_CHART.format(why=chart.why), "warning")
     if chart.signal is not None:
-        yield Paragraph(f"S{chart.signal.since_words()[1:]}.", "warning")
+        yield Paragraph(f"S{chart.signal.describe_since()[1:]}.", "warning")
     yield from (Paragraph(f"{capital(note)}.", "note") for note in chart.notes if note not in shared)
     if chart.charts:
         yield _figure(chart)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from datetime import date
 from typing import Final
 
-from cbsr_qa.config import validate_operator
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.run import ChartKind, ChartSettings
-from cbsr_qa.stats import MOST
-from cbsr_qa.stats.gauge import FEWEST_CHARTED
+from cbsr_qa.config.serials import validate_operator
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.charts import ChartKind, ChartSettings
+from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
+from cbsr_qa.stats.nelson import MOST
 from cbsr_qa.studies.charts.charting import RULES
 
 #: With fewer runs limits are almost meaningless.

@@ -9,9 +9,9 @@ from datetime import datetime, timedelta
 from statistics import median
 from typing import Final
 
-from cbsr_qa.domain import of_kind
-from cbsr_qa.domain.results import RunLine
-from cbsr_qa.report import named, plural
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.results.fleet import RunLine
+from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping
 from cbsr_qa.studies.compare.terms import By, Terms
 from cbsr_qa.studies.selection import software_words
@@ -51,8 +51,8 @@ def cautions(
     """Return cautions about the runs that count, in order of time."""
     for why, count in sorted(grouping.left_out.items()):
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
-    yield from _of_groups(members, grouping, terms)
-    yield from _shared_batches(grouping, design)
+    yield from _caution_groups(members, grouping, terms)
+    yield from _name_common_batches(grouping, design)
     for what, names in (
         ("recipes", [run.recipe for run in members]),
         ("software versions", [] if terms.by is By.SOFTWARE else software_words(members)),
@@ -69,14 +69,14 @@ def cautions(
         yield _PERIODS
 
 
-def _of_groups(members: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Iterator[str]:
+def _caution_groups(members: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Iterator[str]:
     if len(grouping.names) == 1:
         yield _ONE_GROUP.format(by=terms.by, name=grouping.reference)
     yield from (_ONE_SENSOR.format(name=name) for name in grouping.names if len(grouping.tests[name]) == 1)
     owners = Counter(serial for name in grouping.names for serial in grouping.tests[name])
     several = sorted(serial for serial, count in owners.items() if count > 1)
     if several and terms.by in (By.BATCH, By.MATERIAL):
-        yield _SEVERAL_GROUPS.format(sensors=plural(len(several), "sensor"), serials=named(several))
+        yield _SEVERAL_GROUPS.format(sensors=plural(len(several), "sensor"), serials=list_names(several))
     if terms.by is By.MATERIAL:
         batches = {
             name: {run.batch or NO_BATCH for run in members if run.material == name} for name in grouping.names
@@ -85,24 +85,24 @@ def _of_groups(members: Sequence[RunLine], grouping: Grouping, terms: Terms) -> 
         yield _ONE_BATCH.format(materials=", ".join(single)) if single else _NESTED
 
 
-def _shared_batches(grouping: Grouping, design: Design) -> Iterator[str]:
+def _name_common_batches(grouping: Grouping, design: Design) -> Iterator[str]:
     """Name the batches behind differences of periods or software versions."""
     if design.levels:
-        shared = {name: design.shared(name, grouping.reference) for name in grouping.names[1:]}
-        groups = named([f"{name} (batch {named(batches)})" for name, batches in shared.items() if batches])
+        shared = {name: design.common_batches(name, grouping.reference) for name in grouping.names[1:]}
+        groups = list_names([f"{name} (batch {list_names(batches)})" for name, batches in shared.items() if batches])
         if groups:
             yield _RESTS_ON.format(noun=design.noun, reference=grouping.reference, groups=groups)
 
 
 def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
-    for station, members in _by_station(run for run in runs if run.started_at > now + _DAY):
+    for station, members in _group_by_station(run for run in runs if run.started_at > now + _DAY):
         latest = max(run.started_at for run in members)
         yield _STILL_TO_COME.format(station=station, runs=_runs(members), day=f"{latest:%Y-%m-%d}")
 
 
 def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name stations whose clock was set back: a run made after another one began before it."""
-    for station, members in _by_station(runs):
+    for station, members in _group_by_station(runs):
         latest, back = members[0], []
         for run in members:
             if run.started_at < latest.started_at - _DAY:
@@ -124,7 +124,7 @@ def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
     away = {run.run: (run.made_at - run.started_at) / _DAY for run in runs if run.made_at is not None}
     if not away or median(abs(days) for days in away.values()) > 1:
         return
-    for station, members in _by_station(run for run in runs if abs(away.get(run.run, 0.0)) > 1):
+    for station, members in _group_by_station(run for run in runs if abs(away.get(run.run, 0.0)) > 1):
         days = median(away[run.run] for run in members)
         began = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
         side = "later" if days > 0 else "earlier"
@@ -148,15 +148,15 @@ def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
         far = [batch for gap, batch in gaps if gap > _LONGEST_BATCH.days]
         # Of two stations each is far from the other; of more, the outlier has most gaps.
         if far and len(far) == len(gaps):
-            yield _FAR.format(station=of_kind("station", station), batches=named(far), days=max(gaps)[0])
+            yield _FAR.format(station=prefix_kind("station", station), batches=list_names(far), days=max(gaps)[0])
 
 
-def _by_station(runs: Iterable[RunLine]) -> Iterator[tuple[str, list[RunLine]]]:
+def _group_by_station(runs: Iterable[RunLine]) -> Iterator[tuple[str, list[RunLine]]]:
     by_station: dict[str, list[RunLine]] = {}
     for run in runs:
         by_station.setdefault(run.station, []).append(run)
-    return ((of_kind("station", station), members) for station, members in by_station.items())
+    return ((prefix_kind("station", station), members) for station, members in by_station.items())
 
 
 def _runs(members: Sequence[RunLine]) -> str:
-    return f"{plural(len(members), 'run')} ({named(sorted({run.serial for run in members}))})"
+    return f"{plural(len(members), 'run')} ({list_names(sorted({run.serial for run in members}))})"

@@ -12,11 +12,14 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import Array, RefusedError, filled
-from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
-from cbsr_qa.stats import IntArray, benjamini_hochberg, holm
-from cbsr_qa.store import open_store
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.fleet import FleetTable, RunLine, RunSelection
+from cbsr_qa.stats.crossings import IntArray
+from cbsr_qa.stats.difference import benjamini_hochberg, holm
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.compare.cautions import cautions
 from cbsr_qa.studies.compare.describe import Distribution, Group, distribution, groups_of
 from cbsr_qa.studies.compare.differences import (
@@ -24,16 +27,16 @@ from cbsr_qa.studies.compare.differences import (
     Estimated,
     Fitted,
     StationDifference,
-    by_place,
+    compare_places,
     difference,
-    fitted,
+    fit_model,
     stations_above,
 )
-from cbsr_qa.studies.compare.groups import Design, Grouping, design_of, grouped, referred_to
+from cbsr_qa.studies.compare.groups import Design, Grouping, choose_reference, design_of, group_runs
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, values_of
-from cbsr_qa.studies.selection import check_names, not_measured
-from cbsr_qa.system import side_by_side
+from cbsr_qa.studies.selection import check_names, missing_metric_error
+from cbsr_qa.system.beside import side_by_side
 
 #: The common error of all places of a grid comes from seating the disc and from the axes: the station, not the
 #: sensor.
@@ -79,7 +82,7 @@ class Comparison:
     compared : whether any difference could be estimated.
     metrics : of each metric and each other group; one entry without a group if a metric is not compared.
     of_metrics : the same, metric by metric, with data for plots.
-    headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.compare_outcome`.
+    headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.report.compare_outcome`.
     """
 
     by: By
@@ -146,7 +149,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
     StoreError
         If the database is missing or cannot be read.
     """
-    with _uncollected(), open_store(database_url(database), create=False) as store:
+    with _pause_collector(), open_store(database_url(database), create=False) as store:
         table = store.fleet(selection)
         if not table.runs:
             check_names(store, selection)
@@ -154,7 +157,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
+def _pause_collector() -> Iterator[None]:
     """Disable garbage collection: a million values have no cycles, and it takes a third of the time."""
     enabled = gc.isenabled()
     gc.disable()
@@ -177,18 +180,18 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     RefusedError
         If no run counts, or a named group or metric does not exist (with the nearest name).
     """
-    grouping = grouped(table.runs, terms)
+    grouping = group_runs(table.runs, terms)
     every = list(values_of(table, grouping.used))
-    chosen = _wanted(every, terms)
+    chosen = _choose_metrics(every, terms)
     design = design_of(table.runs, grouping, terms)
     means = np.array([values.mean for values in every]).reshape(-1, len(table.runs))
-    grouping, referred = referred_to(grouping, design, np.any(~np.isnan(means), axis=0), terms)
+    grouping, referred = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    tasks = [partial(_compared, values, table, grouping, deciding, design) for values in chosen]
-    metrics = _adjusted(side_by_side(tasks), terms)
+    tasks = [partial(_compare_metric, values, table, grouping, deciding, design) for values in chosen]
+    metrics = _adjust_p_values(side_by_side(tasks), terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
-    differences = tuple(chain.from_iterable(metric.differences or (_not_compared(metric),) for metric in metrics))
-    return filled(
+    differences = tuple(chain.from_iterable(metric.differences or (_explain_missing(metric),) for metric in metrics))
+    return fill_from_object(
         Comparison,
         terms,
         reference=grouping.reference,
@@ -205,15 +208,15 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     )
 
 
-def _not_compared(metric: MetricComparison) -> Difference:
+def _explain_missing(metric: MetricComparison) -> Difference:
     return Difference(*metric.values.identity, reference=None, warnings=metric.notes)
 
 
-def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
+def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
     known = {values.key.name for values in every}
     for name in (*terms.names, *terms.margins, *terms.detect):
         if name not in known:
-            raise not_measured(name, known)
+            raise missing_metric_error(name, known)
     for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
         for name in asked if terms.names else ():
             if name not in terms.names:
@@ -224,20 +227,20 @@ def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
     return [values for values in every if not terms.names or values.key.name in terms.names]
 
 
-def _compared(
+def _compare_metric(
     metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
 ) -> MetricComparison:
     """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
     what = metric.key.label
-    model = fitted(design.crossing, metric.mean[design.rows], what, of_stations=design.of_stations)
+    model = fit_model(design.crossing, metric.mean[design.rows], what, of_stations=design.of_stations)
     of_stations = model
     if design.of_the_stations is not design.crossing and design.stations:
-        of_stations = fitted(design.of_the_stations, metric.mean[design.rows], what, of_stations=True)
+        of_stations = fit_model(design.of_the_stations, metric.mean[design.rows], what, of_stations=True)
     of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
     notes = _notes(model, metric, table, design, of_station=of_station)
     pairs = [(name, grouping.reference) for name in grouping.names[1:] if not of_station]
-    places = by_place(metric, table, pairs, design)
+    places = compare_places(metric, table, pairs, design)
     differences = [difference(model, metric, known, pair, design) for pair in pairs]
     return MetricComparison(
         values=metric,
@@ -282,7 +285,7 @@ def _notes(
     return tuple(notes)
 
 
-def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
+def _adjust_p_values(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: jointly for all groups, for all equivalence tests, and for all stations."""
     every = [difference for metric in metrics for difference in metric.differences]
     groups = iter(_adjust([test.p_unadjusted for test in every], terms.adjustment))

@@ -8,18 +8,13 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import Outcome, RunLine
-from cbsr_qa.stats import (
-    Capability,
-    IntArray,
-    Interval,
-    capability,
-    capability_of_extremes,
-    pass_rate,
-    quantile,
-    summary,
-)
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunLine
+from cbsr_qa.stats.crossings import IntArray
+from cbsr_qa.stats.process_capability import Capability, capability, capability_of_extremes, pass_rate
+from cbsr_qa.stats.samples import Interval, quantile, summary
 from cbsr_qa.studies.compare.groups import PASSED, Grouping, decides
 from cbsr_qa.studies.compare.terms import Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric

@@ -7,22 +7,15 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import FleetTable
-from cbsr_qa.stats import (
-    Contrast,
-    Crossing,
-    IntArray,
-    Interval,
-    brunner_munzel,
-    hedges,
-    holm,
-    sensors_needed,
-    sensors_to_show_alike,
-    shift,
-    welch,
-)
-from cbsr_qa.stats.mixed_model import Fit, fit
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.fleet import FleetTable
+from cbsr_qa.stats.crossings import Crossing, IntArray
+from cbsr_qa.stats.difference import Contrast, hedges, holm, welch
+from cbsr_qa.stats.mixed_model.model import Fit, fit
+from cbsr_qa.stats.power_analysis import sensors_needed, sensors_to_show_alike
+from cbsr_qa.stats.robust import brunner_munzel, shift
+from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.groups import Design
 from cbsr_qa.studies.compare.terms import Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
@@ -159,7 +152,7 @@ class Fitted:
         return float(self.fit.effects[len(design.groups) + design.index("station", station)])
 
 
-def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
+def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
     """Fit the model to the runs (N,) that have a value; NaN where missing."""
     known = ~np.isnan(values)
     if not known.any():
@@ -173,7 +166,7 @@ def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> 
 _Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 
-def _filled_in(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
+def _fill_contrast(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
     """Fill in an estimate's fields before adjustment."""
     inside = contrast.interval(terms.confidence)
     return replace(
@@ -195,7 +188,7 @@ def difference(
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
         return replace(bare, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    estimated = _filled_in(bare, contrast, terms)
+    estimated = _fill_contrast(bare, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
     stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
@@ -210,9 +203,9 @@ def difference(
         margin=margin,
         equivalence_interval=None if likeness is None else likeness.interval,
         equivalence_p_unadjusted=None if likeness is None else likeness.p_value,
-        sensors_to_show_alike=_needed(sensors_to_show_alike, margin, deviation, terms),
+        sensors_to_show_alike=_count_sensors(sensors_to_show_alike, margin, deviation, terms),
         detect=detect,
-        sensors_needed=_needed(sensors_needed, detect, deviation, terms),
+        sensors_needed=_count_sensors(sensors_needed, detect, deviation, terms),
         robust=_robust(model, names, values, (stations[0], stations[1]), terms),
     )
 
@@ -221,7 +214,7 @@ def _one_line(error: NumericsError) -> str:
     return str(error).replace("\n", "; ")
 
 
-def _needed(count: Callable[..., int], size: float | None, deviation: float, terms: Terms) -> int | None:
+def _count_sensors(count: Callable[..., int], size: float | None, deviation: float, terms: Terms) -> int | None:
     if size is None:
         return None
     try:
@@ -250,7 +243,10 @@ def _robust(
     level: tuple[Array, Array] = values
     if not model.of_stations:
         effects = {name: model.station_effect(name) for name in {*stations[0], *stations[1]}}
-        level = (_without(values[0], stations[0], effects), _without(values[1], stations[1], effects))
+        level = (
+            _subtract_stations(values[0], stations[0], effects),
+            _subtract_stations(values[1], stations[1], effects),
+        )
     try:
         moved = shift(*level, confidence=terms.confidence, names=names)
     except NumericsError:
@@ -261,12 +257,12 @@ def _robust(
         return Robust(moved.value, moved.interval, moved.p_value, "Mann–Whitney")
 
 
-def _without(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
+def _subtract_stations(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
     level: Array = values - np.array([effects[station] for station in stations])
     return level
 
 
-def by_place(
+def compare_places(
     metric: MetricValues, table: FleetTable, pairs: Sequence[tuple[str, str]], design: Design
 ) -> dict[str, tuple[PlaceDifference, ...]]:
     """Differences of groups by place, if the places form a grid and the metric matters."""
@@ -274,7 +270,7 @@ def by_place(
     if not pairs or not wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
     models = {
-        location: fitted(
+        location: fit_model(
             design.crossing, values[design.rows], f"{metric.key.label} at {location}", of_stations=design.of_stations
         )
         for location, values in metric.at.items()
@@ -307,6 +303,6 @@ def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Itera
         try:
             if model.fit is None:
                 raise NumericsError(model.why)
-            yield _filled_in(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
+            yield _fill_contrast(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
         except NumericsError as error:
             yield replace(bare, warnings=(_one_line(error),))

@@ -9,9 +9,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 
-from cbsr_qa.domain import Array
-from cbsr_qa.report import number, unit_column
-from cbsr_qa.report.draw import (
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.report.draw.style import (
     CHANGE_MAP,
     CYCLE,
     FAINT,
@@ -20,10 +19,11 @@ from cbsr_qa.report.draw import (
     bare,
     canvas,
     change_norm,
-    drawn,
+    draw_svg,
     light_grid,
     name_rows,
 )
+from cbsr_qa.report.tables import number, unit_column
 from cbsr_qa.studies.compare.differences import PlaceDifference
 
 #: Sensors of a row drawn as points; more are drawn as an outline of their distribution.
@@ -36,7 +36,7 @@ _MOST_LETTERS: Final = 18
 _LEAST_LEFT_IN: Final = 0.05
 
 
-@drawn
+@draw_svg
 def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> Canvas:
     """Draw sensors by group and station in rows as ``<svg>``: the mean as a line, quartiles as a bar.
 
@@ -62,7 +62,7 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     return figure
 
 
-@drawn
+@draw_svg
 def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> Canvas:
     """Draw differences (x and y [mm] of each) on the sheet as ``<svg>``, ringed where p is below the level."""
     figure = canvas(2.9)

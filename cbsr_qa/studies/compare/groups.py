@@ -9,14 +9,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Outcome, RunLine
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import named
-from cbsr_qa.stats import Crossing, IntArray, crossing
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunLine
+from cbsr_qa.report.tables import list_names
+from cbsr_qa.stats.crossings import Crossing, IntArray, crossing
 from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
 from cbsr_qa.studies.compare.values import BoolArray
 from cbsr_qa.studies.selection import nearest, software_words
+from cbsr_qa.system.words import echo
 
 PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
 #: Batch name of runs without a batch.
@@ -56,13 +57,13 @@ class Grouping:
         }
 
 
-def grouped(runs: Sequence[RunLine], terms: Terms) -> Grouping:
+def group_runs(runs: Sequence[RunLine], terms: Terms) -> Grouping:
     """Sort runs into groups.
 
     RefusedError if no run was finished and analysed, or a named group has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
-    whys = [_left_out(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
+    whys = [_why_excluded(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
     left_out = Counter(why for why in whys if why)
     kept = ["" if why else label for why, label in zip(whys, labels, strict=True)]
     if not any(kept):
@@ -109,7 +110,7 @@ def _labels(runs: Sequence[RunLine], by: By, period: Period) -> list[str]:
     return [str(getattr(run, by.value)) for run in runs]
 
 
-def _left_out(run: RunLine, label: str, by: By) -> str:
+def _why_excluded(run: RunLine, label: str, by: By) -> str:
     """Why a run does not count; empty if it does."""
     if run.of_check:
         return "of golden sensors that checked a station"
@@ -184,7 +185,7 @@ class Design:
     def of_stations(self) -> bool:
         return self.terms.by is By.STATION
 
-    def shared(self, first: str, second: str) -> tuple[str, ...]:
+    def common_batches(self, first: str, second: str) -> tuple[str, ...]:
         """Return the batches that ran at one station in both groups, the main basis of their difference."""
         one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
         return tuple(sorted({self.levels[level][1] for level in one & two}))
@@ -210,7 +211,7 @@ class Design:
 
     def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
         """Whether batches (side 1) or stations (side 0) alone leave two groups unconnected."""
-        joined = _joined(self, crossing, side)
+        joined = _cross_levels(self, crossing, side)
         one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
         return one != two
 
@@ -218,8 +219,8 @@ class Design:
         pairs = sorted(self.levels[level] for level in _levels_of(crossing)[name])
         if other:
             seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
-            return f"{named(sorted(seen))} only"
-        return named([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
+            return f"{list_names(sorted(seen))} only"
+        return list_names([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
 
 
 def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Design:
@@ -237,14 +238,16 @@ def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Desi
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
         made = crossing(labels, [_level(run) for run in members], serials)
         beside = crossing(batches, stations, serials)  # as for stations as groups, so that both agree
-        return Design(terms, made, rows, _by_runs(beside), levels, beside, tuple(_level(run) for run in runs))
+        return Design(
+            terms, made, rows, _comparable_stations(beside), levels, beside, tuple(_level(run) for run in runs)
+        )
     made = crossing(labels, stations, serials)
     # Batches of a material differ, and stations have different ones.
     beside = crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else made
-    return Design(terms, made, rows, _by_runs(beside), {}, beside, at)
+    return Design(terms, made, rows, _comparable_stations(beside), {}, beside, at)
 
 
-def _by_runs(made: Crossing) -> tuple[str, ...]:
+def _comparable_stations(made: Crossing) -> tuple[str, ...]:
     """Stations to compare, or none.
 
     The first one has most runs in the part with most stations, so that others can be compared with it.
@@ -275,7 +278,7 @@ def _levels_of(crossing: Crossing) -> Mapping[str, frozenset[str]]:
 
 
 @lru_cache(maxsize=4)
-def _joined(design: Design, crossed: Crossing, side: int) -> Crossing:
+def _cross_levels(design: Design, crossed: Crossing, side: int) -> Crossing:
     """Groups crossed with the batches (side 1) or the stations (side 0) of their levels."""
     pairs = sorted(
         {(name, design.levels[level][side]) for name, levels in _levels_of(crossed).items() for level in levels}
@@ -284,7 +287,9 @@ def _joined(design: Design, crossed: Crossing, side: int) -> Crossing:
     return crossing(groups, [other for _, other in pairs], groups)
 
 
-def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: Terms) -> tuple[Grouping, list[str]]:
+def choose_reference(
+    grouping: Grouping, design: Design, measured: BoolArray, terms: Terms
+) -> tuple[Grouping, list[str]]:
     """Put a group first that most others can be compared with, unless groups were named; and return notes.
 
     Parameters
@@ -304,10 +309,10 @@ def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: 
     if terms.groups:
         if sizes[part_of[first]] > 1:
             return grouping, []
-        words = f"Nothing can be compared with {first}; {named(members)} can among themselves"
+        words = f"Nothing can be compared with {first}; {list_names(members)} can among themselves"
         return grouping, [f"{words}: --groups {','.join(members)}"]
     usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
-    words = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
+    words = f"The reference is {best}: {first} {usual}, and cannot be compared with {list_names(members)}"
     return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [words]
 
 

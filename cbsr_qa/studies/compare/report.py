@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, of_kind
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Paragraph, Section
-from cbsr_qa.report import capital, named, number, plural
+from cbsr_qa.domain.numbers import Array, prefix_kind
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section
+from cbsr_qa.report.tables import capital, list_names, number, plural
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.differences import Estimated
 from cbsr_qa.studies.compare.tables import amount, sections
@@ -79,11 +79,11 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
     subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
     page = Page("Comparison", subject, banner, identity, comparison.simulated, every, advice)
-    laid_out = [*sections(worded), *([_noted(notes)] if notes else [])]
+    laid_out = [*sections(worded), *([_notes_section(notes)] if notes else [])]
     return CommandOutcome(worded, page, tuple(laid_out), 0 if comparison.compared else _NOTHING)
 
 
-def _noted(notes: Sequence[str]) -> Section:
+def _notes_section(notes: Sequence[str]) -> Section:
     """Return a section of notes that change no decision, on the page only."""
     return Section("Notes", tuple(map(Paragraph, notes)), page_only=True)
 
@@ -92,7 +92,7 @@ def _headline(comparison: Comparison) -> str:
     """Answer in one line: the largest differences, a deviating station, and groups without a shown difference."""
     everyone = [group.name for group in comparison.groups]
     if not comparison.compared:
-        return _NO_COMPARISON.format(groups=_listed(everyone))
+        return _NO_COMPARISON.format(groups=_join_groups(everyone))
     differ = sorted(
         ((metric, difference) for metric, difference in comparison.pairs if comparison.significant(difference)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
@@ -106,11 +106,11 @@ def _headline(comparison: Comparison) -> str:
         ((m, station) for m in comparison.of_metrics for station in m.stations if comparison.significant(station)),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
-    shown += [(metric, difference, of_kind("station", difference.station)) for metric, difference in drifted[:1]]
+    shown += [(metric, difference, prefix_kind("station", difference.station)) for metric, difference in drifted[:1]]
     clauses = [
         *_readings(shown, comparison),
-        *_not_shown({one.group for _, one in differ}, comparison),
-        *_not_compared(comparison),
+        *_say_alike({one.group for _, one in differ}, comparison),
+        *_say_missing(comparison),
     ]
     more = len(differ) + len(drifted) - len(shown)
     text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
@@ -136,32 +136,32 @@ def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparis
         before = metric.values.title
 
 
-def _not_shown(differ: Collection[str | None], comparison: Comparison) -> Iterator[str]:
-    same = [name for name in _known(comparison) if name not in differ and name != comparison.reference]
+def _say_alike(differ: Collection[str | None], comparison: Comparison) -> Iterator[str]:
+    same = [name for name in _comparable_groups(comparison) if name not in differ and name != comparison.reference]
     if differ and same:
-        yield _NOT_SHOWN.format(groups=_listed(same), reference=comparison.reference)
+        yield _NOT_SHOWN.format(groups=_join_groups(same), reference=comparison.reference)
     elif same:
         tested = [
             m.values.title for m in comparison.of_metrics if any(difference.known for difference in m.differences)
         ]
         metrics = tested[0] if len(tested) == 1 else f"any of {len(tested)} metrics"
-        yield _NONE_SHOWN.format(groups=_listed(_known(comparison)), metrics=metrics)
+        yield _NONE_SHOWN.format(groups=_join_groups(_comparable_groups(comparison)), metrics=metrics)
 
 
-def _not_compared(comparison: Comparison) -> Iterator[str]:
+def _say_missing(comparison: Comparison) -> Iterator[str]:
     """List groups that could not be compared, in all or some metrics, except metrics in which nothing differs."""
     metrics = [metric for metric in comparison.of_metrics if metric.differences and not _idle(metric)]
     counts = Counter(
         difference.group for metric in metrics for difference in metric.differences if not difference.known
     )
     names = [group.name for group in comparison.groups[1:] if counts[group.name]]
-    never = [name for name in names if name not in _known(comparison)]
+    never = [name for name in names if name not in _comparable_groups(comparison)]
     if never:
-        yield _NEVER.format(groups=_listed(never))
+        yield _NEVER.format(groups=_join_groups(never))
     some = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
     for count, members in groupby(some, key=lambda name: counts[name]):
         metrics_text = plural(len(metrics), "metric")
-        yield _IN_SOME.format(groups=_listed(list(members)), count=count, metrics=metrics_text)
+        yield _IN_SOME.format(groups=_join_groups(list(members)), count=count, metrics=metrics_text)
 
 
 def _important(comparison: Comparison) -> Iterator[str]:
@@ -172,7 +172,7 @@ def _important(comparison: Comparison) -> Iterator[str]:
     for metric in comparison.of_metrics:
         read = _constant(metric)
         if read:
-            yield _CONSTANT.format(metric=capital(metric.values.title), values=named(read, 8))
+            yield _CONSTANT.format(metric=capital(metric.values.title), values=list_names(read, 8))
 
 
 def _advice(comparison: Comparison) -> Iterator[str]:
@@ -193,9 +193,9 @@ def _notes(comparison: Comparison) -> Iterator[str]:
         if pair.naive is not None and pair.naive.p < comparison.terms.level and not comparison.significant(pair)
     ]
     if claims:
-        yield _T_TEST.format(others=comparison.others, claims=named(claims, 5))
+        yield _T_TEST.format(others=comparison.others, claims=list_names(claims, 5))
     yield from _refusals(comparison, of_idle=True)
-    yield from _by_text(_NOTE, ((note, m) for m in comparison.of_metrics for note in m.notes), comparison)
+    yield from _group_by_text(_NOTE, ((note, m) for m in comparison.of_metrics for note in m.notes), comparison)
 
 
 def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
@@ -205,15 +205,17 @@ def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
         for metric, difference in comparison.pairs
         if not difference.known and _idle(metric) is of_idle
     )
-    return _by_text(_REFUSED, refused, comparison)
+    return _group_by_text(_REFUSED, refused, comparison)
 
 
-def _by_text(template: str, pairs: Iterable[tuple[str, MetricComparison]], comparison: Comparison) -> Iterator[str]:
+def _group_by_text(
+    template: str, pairs: Iterable[tuple[str, MetricComparison]], comparison: Comparison
+) -> Iterator[str]:
     metrics: dict[str, dict[str, None]] = {}
     for text, metric in pairs:
         metrics.setdefault(text, {})[metric.values.title] = None
     for text, titles in metrics.items():
-        of = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else named(list(titles), 3)
+        of = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else list_names(list(titles), 3)
         yield template.format(metrics=capital(of), text=text)
 
 
@@ -231,7 +233,7 @@ def _rules(comparison: Comparison) -> Iterator[str]:
         )
 
 
-def _known(comparison: Comparison) -> list[str]:
+def _comparable_groups(comparison: Comparison) -> list[str]:
     """Return the reference and the groups compared with it in any metric, in order."""
     known = {metric.group for metric in comparison.metrics if metric.difference is not None}
     return [group.name for group in comparison.groups if group.name in known or group.name == comparison.reference]
@@ -267,10 +269,10 @@ def _same(samples: Sequence[Array]) -> bool:
 
 
 def _who(group: str, comparison: Comparison) -> str:
-    return of_kind(str(comparison.by), group) if comparison.by in (By.BATCH, By.MATERIAL, By.STATION) else group
+    return prefix_kind(str(comparison.by), group) if comparison.by in (By.BATCH, By.MATERIAL, By.STATION) else group
 
 
-def _listed(names: Sequence[str], most: int = 3) -> str:
+def _join_groups(names: Sequence[str], most: int = 3) -> str:
     """List groups in words, ``41, 42 and 43``; for many, their number."""
     if len(names) > most:
         return f"{len(names)} groups"

@@ -5,10 +5,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from cbsr_qa.domain import of_kind
-from cbsr_qa.domain.results import Block, Figure, Paragraph, Section, Table
-from cbsr_qa.report import capital, number, plural, text_table, unit_column, unit_shown
-from cbsr_qa.stats import Index, Interval
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.results.report import Block, Figure, Paragraph, Section, Table
+from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
+from cbsr_qa.stats.process_capability import Index
+from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.describe import QUANTILES, Distribution
 from cbsr_qa.studies.compare.differences import Difference, Estimated, PlaceDifference
@@ -44,7 +45,7 @@ _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
 def sections(comparison: Comparison) -> Iterator[Section]:
     """Lay out tables first, then the parts that only the page has."""
-    drawn = _drawn(comparison)
+    drawn = _select_for_figure(comparison)
     distributions: list[Block] = [_strips(metric, comparison) for metric in drawn]
     if drawn and len(drawn) < len(comparison.of_metrics):
         more = plural(len(comparison.of_metrics) - len(drawn), "metric")
@@ -73,26 +74,29 @@ def _difference_tables(comparison: Comparison) -> Iterator[Table]:
         words = {
             "pair": f"{group.name} − {comparison.reference}",
             "others": comparison.others,
-            "taken_out": _taken_out(comparison),
+            "taken_out": _describe_adjustment(comparison),
         }
         models = ", ".join(dict.fromkeys(one.model.partition(":")[0] for _, one in pairs))
         rows = [_difference_row(*row, comparison) for row in pairs]
         yield from _table(_DIFFERENCES.format(**words, models=models), columns, rows, range(1, 5))
-        rows = [_likeness_row(metric, group.name, comparison) for metric in _asked(comparison, terms.margins)]
+        rows = [
+            _likeness_row(metric, group.name, comparison) for metric in _select_metrics(comparison, terms.margins)
+        ]
         yield from _table(_ALIKE.format(**words, decides=decides), of_likeness, rows, (1, 2, 3, 4, 6))
         rows = [row for pair in pairs for row in _other_rows(*pair)]
         columns_of_others = ("metric", "method", "difference", inside, "p")
         yield from _table(_OTHER.format(**words), columns_of_others, rows, (2, 3, 4), folded=True)
     if len(comparison.groups) > 1:
         rows = [
-            _needed_row(metric, terms.detect[metric.values.key.name]) for metric in _asked(comparison, terms.detect)
+            _sensors_row(metric, terms.detect[metric.values.key.name])
+            for metric in _select_metrics(comparison, terms.detect)
         ]
         yield from _table(_TO_FIND.format(power=power), ("metric", "difference", "sensors of each"), rows, (1, 2))
 
 
 def _difference_row(metric: MetricComparison, difference: Difference, comparison: Comparison) -> tuple[str, ...]:
     effect = _NONE if difference.effect_size is None else number(difference.effect_size, 2)
-    return (_label(metric), *_estimated(difference), effect, _result(metric, difference, comparison))
+    return (_label(metric), *_format_estimate(difference), effect, _result(metric, difference, comparison))
 
 
 def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
@@ -123,12 +127,12 @@ def _other_rows(metric: MetricComparison, difference: Difference) -> Iterator[tu
         yield _label(metric), "t test", number(naive.difference), _range(naive.low, naive.high), _p(naive.p)
 
 
-def _needed_row(metric: MetricComparison, size: float) -> tuple[str, ...]:
+def _sensors_row(metric: MetricComparison, size: float) -> tuple[str, ...]:
     fitted = next((difference for difference in metric.differences if difference.deviation is not None), None)
     return _label(metric), number(size), "not known" if fitted is None else _count(fitted.sensors_needed)
 
 
-def _asked(comparison: Comparison, amounts: Mapping[str, float]) -> list[MetricComparison]:
+def _select_metrics(comparison: Comparison, amounts: Mapping[str, float]) -> list[MetricComparison]:
     return [metric for metric in comparison.of_metrics if metric.values.key.name in amounts]
 
 
@@ -137,7 +141,7 @@ def _stations_table(comparison: Comparison) -> Iterator[Table]:
         (
             _label(metric),
             f"{station.station} − {station.reference}",
-            *_estimated(station),
+            *_format_estimate(station),
             _result(metric, station, comparison),
         )
         for metric in comparison.of_metrics
@@ -174,7 +178,7 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
     yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed, (2, 3))
 
 
-def _drawn(comparison: Comparison) -> list[MetricComparison]:
+def _select_for_figure(comparison: Comparison) -> list[MetricComparison]:
     def rank(metric: MetricComparison) -> tuple[float, bool]:
         p_values = [difference.p or 0.0 for difference in metric.differences if comparison.significant(difference)]
         return min(p_values, default=1.0), not metric.values.limited
@@ -279,10 +283,10 @@ def _result(metric: MetricComparison, difference: Estimated, comparison: Compari
     return comparison.side(metric, difference).removesuffix(" than")
 
 
-def _taken_out(comparison: Comparison) -> str:
+def _describe_adjustment(comparison: Comparison) -> str:
     kinds = {"stations": ("station", comparison.all_stations), "batches": ("batch", comparison.all_batches)}
     kind, names = kinds.get(comparison.others, ("", []))
-    return f"all of {of_kind(kind, names[0])}" if len(names) == 1 else f"adjusted for {comparison.others}"
+    return f"all of {prefix_kind(kind, names[0])}" if len(names) == 1 else f"adjusted for {comparison.others}"
 
 
 def _label(metric: MetricComparison) -> str:
@@ -294,7 +298,7 @@ def amount(value: float, unit: str, digits: int = 3) -> str:
     return f"{number(value, digits)} {unit_shown(unit)}".rstrip()
 
 
-def _estimated(difference: Estimated) -> tuple[str, str, str]:
+def _format_estimate(difference: Estimated) -> tuple[str, str, str]:
     if difference.difference is None or difference.low is None or difference.high is None:
         return _NONE, _NONE, _NONE
     return number(difference.difference), _range(difference.low, difference.high), _p(difference.p)

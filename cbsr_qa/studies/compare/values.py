@@ -11,10 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FleetTable, MetricKey, State, metric_words
-from cbsr_qa.report import named, plural
-from cbsr_qa.stats import LARGEST
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, State
+from cbsr_qa.domain.results.measurement import metric_words
+from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.stats.samples import LARGEST
 
 BoolArray = NDArray[np.bool_]
 
@@ -126,7 +127,7 @@ def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp
         least=_extremes(np.minimum, run[known], value[known], runs),
         most=_extremes(np.maximum, run[known], value[known], runs),
         per_run=int(held.max()),
-        at=_by_location(table, rows[known], runs),
+        at=_average_by_location(table, rows[known], runs),
         failed=np.bincount(run, state & (State.FAILED | State.UNMEASURED), runs) > 0,
         warnings=tuple(warnings),
     )
@@ -147,7 +148,7 @@ def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: Array, runs: int) -
     return extremes
 
 
-def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
+def _average_by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
     members: dict[str, list[int]] = {}
     for index in np.unique(table.kind[rows]):
         members.setdefault(table.kinds[index].location, []).append(int(index))
@@ -185,20 +186,20 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
     strayed = [run for run in without if table.runs[run].recipe in measuring]
     yield from _sensors(_NEVER_MEASURED, table, np.array(strayed, dtype=np.intp))
     if others:
-        yield _OTHER_RECIPE.format(runs=plural(len(others), "run"), recipes=named(sorted(set(others))))
+        yield _OTHER_RECIPE.format(runs=plural(len(others), "run"), recipes=list_names(sorted(set(others))))
 
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that are too large for arithmetic."""
     shown = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
     if shown:
-        yield _BEYOND.format(values=named(sorted(shown)))
+        yield _BEYOND.format(values=list_names(sorted(shown)))
 
 
 def _sensors(template: str, table: FleetTable, runs: NDArray[np.intp], **words: str) -> Iterator[str]:
     """Fill a template with the sensors of runs, if any; several runs are counted."""
     if len(runs):
-        serials = named(sorted({table.runs[run].serial for run in runs}))
+        serials = list_names(sorted({table.runs[run].serial for run in runs}))
         yield template.format(sensors=f"{serials} ({plural(len(runs), 'run')})", **words)
 
 

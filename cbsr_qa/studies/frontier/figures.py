@@ -8,12 +8,12 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, plain_ticks, svg_of
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.report.draw.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, plain_ticks, svg_of
 from cbsr_qa.studies.frontier.point import Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.studies.frontier.station import PAPER
-from cbsr_qa.system import writing
+from cbsr_qa.system.files import writing
 
 _COLOURS: Final = (*CYCLE, INK)  # one per series
 

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Final
 
 import cbsr_qa
-from cbsr_qa.config import toml_document
-from cbsr_qa.domain import RefusedError, check_encodable
+from cbsr_qa.config.text import toml_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import check_encodable
 from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
-from cbsr_qa.system import open_foreign, writing, written_whole
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import open_foreign
 
 #: First words of every recipe written here; files with another beginning are the user's own.
 WRITTEN_BY: Final = "Written by cbsr-qa frontier"
@@ -99,5 +101,5 @@ def write_recipe(recommended: Recommendation, path: Path) -> None:
     text = toml_document(recommended.way.recipe(name), comments)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as file:
+        with write_atomically(path) as file:
             file.write(text.encode())

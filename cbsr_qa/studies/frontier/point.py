@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from cbsr_qa.domain import NumericsError, StoreError
+from cbsr_qa.domain.errors import NumericsError, StoreError
 
 #: Which values are more accurate: larger or smaller ones, or those near a stated one, which are not compared.
 Better = Literal["more", "less", "stated"]
@@ -96,7 +96,7 @@ class Point:
             raise NumericsError(f"a point of series {self.series!r} has {what}", remedy="give finite numbers")
 
 
-def stored(kind: type[T], document: Mapping[str, Any]) -> T:
+def restore(kind: type[T], document: Mapping[str, Any]) -> T:
     """Return a finished piece of a sweep from its document, field by field of the right type.
 
     StoreError if a field is missing, unknown, of another type, or not finite.

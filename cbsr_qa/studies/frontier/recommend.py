@@ -7,13 +7,13 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.report import plural
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.report.tables import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point
 from cbsr_qa.studies.frontier.setting import Setting
 
 
-def compared(
+def mark_worth(
     points: Sequence[Point],
     cost: Callable[[Point], float | None],
     names: Sequence[str] = (),
@@ -122,7 +122,7 @@ class Recommendation:
     seeds: Annotated[int, Field(exclude=True)] = 0
 
     @classmethod
-    def of(cls, point: Point, why: str, way: Setting | None = None) -> "Recommendation":
+    def from_point(cls, point: Point, why: str, way: Setting | None = None) -> "Recommendation":
         return cls(point.knobs, point.accuracy, point.station_s, why, way=way, seeds=point.seeds)
 
 
@@ -146,7 +146,7 @@ def recommend(tried: Sequence[tuple[Setting, Point]], target: Target, *, paper: 
     if force_N is not None:
         setting, point = min(enough, key=_seconds)
         why = f"the fastest of {of} whose force error, with its standard error, is at most {force_N:g} N"
-        return Recommendation.of(point, why, setting)
+        return Recommendation.from_point(point, why, setting)
     setting, point = min(enough, key=_upper_N)
     why = f"the most accurate of {of}"
     if no_target and paper is not None and _FORCE in paper.accuracy:
@@ -155,7 +155,7 @@ def recommend(tried: Sequence[tuple[Setting, Point]], target: Target, *, paper: 
         why += (
             f"; its force error is {share:.2f} times that of the paper's campaign, {met} the {USUAL_ROOM:g} asked for"
         )
-    return Recommendation.of(point, why, setting)
+    return Recommendation.from_point(point, why, setting)
 
 
 def _none(usable: Sequence[tuple[Setting, Point]], force_N: float | None, budget_s: float | None) -> RefusedError:
@@ -167,11 +167,11 @@ def _none(usable: Sequence[tuple[Setting, Point]], force_N: float | None, budget
     best, quickest = min(usable, key=_upper_N), min(usable, key=_seconds)
     return RefusedError(
         f"no setting of {len(usable)} {wanted}",
-        remedy=f"the most accurate has {_described(best)}, the quickest {_described(quickest)}",
+        remedy=f"the most accurate has {_describe_setting(best)}, the quickest {_describe_setting(quickest)}",
     )
 
 
-def _described(way: tuple[Setting, Point]) -> str:
+def _describe_setting(way: tuple[Setting, Point]) -> str:
     force = way[1].accuracy[_FORCE]
     spread = "" if force.stderr is None else f" ± {force.stderr:.3f}"
     return f"{force.value:.3f}{spread} N in {_seconds(way) / 60:.0f} min"

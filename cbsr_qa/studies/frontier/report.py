@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
-from cbsr_qa.report import plural, text_table, unit_column
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report.tables import plural, text_table, unit_column
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.study import Frontier
@@ -75,7 +75,7 @@ def _page(frontier: Frontier) -> Page:
     banner = Banner("plain", _NONE, "No setting recommended", chosen.why)
     facts = []
     if chosen.way is not None and chosen.accuracy is not None:
-        force, minutes = _shown(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
+        force, minutes = _format_accuracy(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
         facts = [("Recommended", _setting(chosen.way))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
@@ -112,7 +112,7 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
     points = [point for point in frontier.points if point.clock is clock and point.series == series]
     columns, rows = table_of(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
-    first = sum(knob in texts for knob in _shown_knobs(points)[:1])  # names are left-aligned
+    first = sum(knob in texts for knob in _varying_knobs(points)[:1])  # names are left-aligned
     caption = _SERIES.format(repetitions=plural(points[0].seeds, "repetition").capitalize())
     yield text_table(caption, columns, rows, range(first, len(columns) - 1))
     if alike := alike_in(points, frontier.points):
@@ -122,24 +122,24 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
 
 def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
     """Columns and rows of one series: differing knobs, values, cost, and whether it is worth it."""
-    knobs = _shown_knobs(points)
+    knobs = _varying_knobs(points)
     values = list(dict.fromkeys(name for point in points for name in point.accuracy))
     rows = [
         (
             *(_knob(point.knobs.get(name)) for name in knobs),
-            *(_shown(point.accuracy[name]) if name in point.accuracy else _NONE for name in values),
+            *(_format_accuracy(point.accuracy[name]) if name in point.accuracy else _NONE for name in values),
             _cost(point),
             "•" if point.pareto else "",
         )
         for point in points
     ]
-    names = [*(unit_column(*_named(name)) for name in knobs), *map(_words, values)]
+    names = [*(unit_column(*_name_knob(name)) for name in knobs), *map(_words, values)]
     return [*names, "time", "worth it"], rows
 
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     """Knobs left out of a series' table because they are constant in it, though other series vary them."""
-    shown = _shown_knobs(members)
+    shown = _varying_knobs(members)
     others = {
         name: value
         for name, value in members[0].knobs.items()
@@ -153,24 +153,24 @@ def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
         return list(filter(None, [members[0].note]))
-    shown = _shown_knobs(members)
+    shown = _varying_knobs(members)
     return [
         f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
     ]
 
 
-def _shown_knobs(points: Sequence[Point]) -> list[str]:
+def _varying_knobs(points: Sequence[Point]) -> list[str]:
     """Knobs that differ between points, or else the first one."""
     knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
     return knobs or list(points[0].knobs)[:1]
 
 
 def _knobs(knobs: Mapping[str, Knob | None]) -> str:
-    named = ((*_named(name), _knob(value)) for name, value in knobs.items())
+    named = ((*_name_knob(name), _knob(value)) for name, value in knobs.items())
     return ", ".join(f"{name} {value} {unit}".rstrip() for name, unit, value in named)
 
 
-def _named(knob: str) -> tuple[str, str]:
+def _name_knob(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
     words, unit = (name, last) if name and last in _UNITS else (knob, "")
@@ -188,7 +188,7 @@ def _knob(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
-def _shown(accuracy: Accuracy) -> str:
+def _format_accuracy(accuracy: Accuracy) -> str:
     scale, unit = (
         (100, " %") if accuracy.unit == "1" and accuracy.value >= 1e-5 else (1, f" {accuracy.unit}".rstrip(" 1"))
     )

@@ -5,16 +5,25 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
-from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import Configuration, DocumentKind, load_recipe
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import AcquireFrames, AnalysisSettings, Hold, Press, Role, SheetDesign, Step
-from cbsr_qa.domain.results import EndReason, RunObservation
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, create_plugin, discover
-from cbsr_qa.station import Plan, dry_run, plan_of
+from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, Press, Role, Step
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import Reconstruction, Sequence as LoadSequence, SequenceContext
+from cbsr_qa.station.dry_runs import dry_run
+from cbsr_qa.station.plan import Plan
+from cbsr_qa.station.setup import plan_of
 from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT, Setting
-from cbsr_qa.studies.simulated import configuration_of, shipped, simulated_run
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 
 #: Imperfections of a simulated sensor, besides those of scene ``base``: its response varies by 20 % over 20 mm, and a
 #: residue of 3 % decays in five minutes.
@@ -33,7 +42,7 @@ def station_seconds(setting: Setting) -> float:
     return dry_run(plan_of(configuration, discover()), setting.frame_period_s).duration_s
 
 
-def simulated_sensor(
+def simulate_sensor(
     recipe: Mapping[str, Any], seed: int, frame_period_s: float = 2.5, whole_holds: bool = True
 ) -> tuple[RunRecord, SheetDesign]:
     """Run a recipe on one sensor at the simulated station; return the run and the sheet's design, which is the truth.
@@ -60,14 +69,14 @@ def simulated_sensor(
         return replace(plan, phases=tuple(phases))
 
     configuration = _configuration(recipe, seed, frame_period_s)
-    record, bench = simulated_run(configuration, f"SIMULATED-{seed}", discover(), sparse)
+    record, bench = simulate_run(configuration, f"SIMULATED-{seed}", discover(), sparse)
     if record.end is not EndReason.FINISHED:
         raise NumericsError(f"the simulated run was {record.end}: {record.end_detail}")
     design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
     return record, design
 
 
-def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
+def analyse_run(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
     """Analyse a run as ``cbsr-qa run`` does, without fits over time."""
     return observe_run(record, _reconstruction(), analysis, over_time=False)
 
@@ -98,11 +107,11 @@ class _Sparse:
 
 
 def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) -> Configuration:
-    station, scene = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.SCENE, "base")
+    station, scene = copy_shipped(DocumentKind.STATION, "simulated"), copy_shipped(DocumentKind.SCENE, "base")
     scene["effects"] = [*scene["effects"], *(dict(effect) for effect in SHEET)]
     usual_s = scene["scene"]["frame_period_s"]
     scene["scene"]["frame_period_s"] = frame_period_s
-    material = shipped(DocumentKind.MATERIAL, MATERIAL)
+    material = copy_shipped(DocumentKind.MATERIAL, MATERIAL)
     material["material"]["relative_noise"]["value"] *= (usual_s / frame_period_s) ** 0.5
     station["instruments"]["bench"]["scene"] = scene
     return configuration_of(station, recipe, material, seed=seed)

@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.config import DocumentKind
-from cbsr_qa.domain.results import Dimensions
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.results.dimensions import Dimensions
 from cbsr_qa.studies.frontier.point import Knob
-from cbsr_qa.studies.simulated import shipped
+from cbsr_qa.studies.simulated import copy_shipped
 
 #: Shipped recipe that provides the imaging, metrics and limits of settings, and what they do not set of its phases.
 BASE: Final = "campaign"
@@ -85,7 +85,7 @@ class Setting:
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:
         """Return a recipe document; all that is not set here is as in the shipped recipe ``campaign``."""
-        recipe = shipped(DocumentKind.RECIPE, BASE)
+        recipe = copy_shipped(DocumentKind.RECIPE, BASE)
         recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
         recipe["phases"] = self._phases(recipe["phases"])
         recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]
@@ -105,7 +105,7 @@ class Setting:
             "force_error_sd": self.checks >= _MANY,
             "force_error_bias": self.checks >= _MANY,
             "force_coverage_68": self.checks >= _MANY,
-            "common_settling_time": Dimensions.of(limit.get("qualifier", "")).direction != "unloading"
+            "common_settling_time": Dimensions.from_qualifier(limit.get("qualifier", "")).direction != "unloading"
             or self.rest_s >= _LONG_S,
         }
         return needs.get(limit["measurement"], True)
@@ -139,9 +139,9 @@ class Setting:
         return [{**phase, **own[phase["name"]]} for phase in base if phase["name"] in own]
 
 
-def held_out_phase(count: int) -> dict[str, Any]:
+def test_loads_phase(count: int) -> dict[str, Any]:
     """Return the phase of random loads used to test simulated sensors, pressed as in the base (and the paper)."""
-    (check,) = (phase for phase in shipped(DocumentKind.RECIPE, BASE)["phases"] if phase["name"] == CHECK)
+    (check,) = (phase for phase in copy_shipped(DocumentKind.RECIPE, BASE)["phases"] if phase["name"] == CHECK)
     return {**check, "name": HELD_OUT, "stream": "held-out", "count": count, "initial_rest_s": 0.0}
 
 

@@ -13,14 +13,24 @@ from typing import Final
 import numpy as np
 
 import cbsr_qa
-from cbsr_qa.domain import CbsrError, finite_numbers
-from cbsr_qa.domain.results import RunObservation
-from cbsr_qa.domain.run import LoadRecord, RunRecord
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.numbers import finite_numbers
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.recommend import compared
-from cbsr_qa.studies.frontier.sensors import analysis_of, observed, simulated_sensor
-from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
-from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, only
+from cbsr_qa.studies.frontier.recommend import mark_worth
+from cbsr_qa.studies.frontier.sensors import analyse_run, analysis_of, simulate_sensor
+from cbsr_qa.studies.frontier.setting import (
+    FARTHEST,
+    GRID,
+    HELD_OUT,
+    LEAST_SURE,
+    SUNFLOWER,
+    Setting,
+    test_loads_phase,
+)
+from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, select_loads
 from cbsr_qa.studies.sweep import Work
 
 #: Random loads to test a simulated sensor, unknown to all settings.
@@ -82,7 +92,7 @@ def choices_of_even() -> Ways:
     ]
 
 
-def simulated_alone(*, quick: bool) -> Ways:
+def ways_by_simulation(*, quick: bool) -> Ways:
     """Ways with other rests or frame times; one of them belongs to several series."""
     short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
     rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
@@ -103,7 +113,7 @@ def station_work(*, quick: bool) -> Iterator[Work]:
         parts = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
         yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", parts)
     alone: dict[Setting, list[str]] = {}
-    for series, setting in simulated_alone(quick=quick):
+    for series, setting in ways_by_simulation(quick=quick):
         alone.setdefault(setting, []).append(series)
     for setting, names in alone.items():
         what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
@@ -130,24 +140,24 @@ class _Simulated:
 
     def __init__(self, setting: Setting, seed: int, *, whole_holds: bool) -> None:
         recipe = setting.recipe()
-        recipe["phases"].append(held_out_phase(TEST_LOADS))
-        self._record, self._design = simulated_sensor(recipe, seed, setting.frame_period_s, whole_holds)
-        run = observed(self._record, analysis_of(recipe))
-        self._seen = {(setting.hold_s, setting.steady_frames): only(run, lambda load: load.phase != HELD_OUT)}
-        self._held_out = only(run, lambda load: load.phase == HELD_OUT)
+        recipe["phases"].append(test_loads_phase(TEST_LOADS))
+        self._record, self._design = simulate_sensor(recipe, seed, setting.frame_period_s, whole_holds)
+        run = analyse_run(self._record, analysis_of(recipe))
+        self._seen = {(setting.hold_s, setting.steady_frames): select_loads(run, lambda load: load.phase != HELD_OUT)}
+        self._held_out = select_loads(run, lambda load: load.phase == HELD_OUT)
 
     def errors(self, setting: Setting) -> tuple[Mapping[str, float], str]:
         """Errors of a setting by name, or why nothing could be learned."""
         try:
-            run = self._observed(setting)
-            chosen = self._chosen(run, setting)
-            own = only(run, lambda load: load.phase != GRID or chosen(load.record))
+            run = self._observe(setting)
+            chosen = self._load_filter(run, setting)
+            own = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
             return errors_of(own, self._held_out, self._design), ""
         except CbsrError as refusal:
             return {}, refusal.reason
 
     @staticmethod
-    def _chosen(run: RunObservation, setting: Setting) -> Callable[[LoadRecord], bool]:
+    def _load_filter(run: RunObservation, setting: Setting) -> Callable[[LoadRecord], bool]:
         """Select the grid's loads of a setting with fewer places, strains or trials."""
         if setting.choice != SUNFLOWER:
             places = set(CHOICES[setting.choice](run, setting.places))
@@ -155,20 +165,20 @@ class _Simulated:
         strains = [percent / 100 for percent in setting.strains_percent]
         return lambda load: load.load.trial < setting.trials and bool(np.isclose(load.load.strain, strains).any())
 
-    def _observed(self, setting: Setting) -> RunObservation:
+    def _observe(self, setting: Setting) -> RunObservation:
         """The loads of the run as a setting would have held and averaged them."""
         key = (setting.hold_s, setting.steady_frames)
         analysis = analysis_of(setting.recipe())
         if key not in self._seen:
-            run = observed(shortened(self._record, setting.hold_s), analysis)
-            self._seen[key] = only(run, lambda load: load.phase != HELD_OUT)
+            run = analyse_run(shorten_holds(self._record, setting.hold_s), analysis)
+            self._seen[key] = select_loads(run, lambda load: load.phase != HELD_OUT)
         return replace(self._seen[key], settings=analysis)
 
 
-def shortened(record: RunRecord, hold_s: float) -> RunRecord:
+def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
     """Return a run with the grid's holds cut to a shorter time."""
 
-    def shortened_load(load: LoadRecord) -> LoadRecord:
+    def shorten_load(load: LoadRecord) -> LoadRecord:
         early_s = load.release_start_s - (load.hold_start_s + hold_s)
         if early_s <= 0:
             return load
@@ -180,7 +190,7 @@ def shortened(record: RunRecord, hold_s: float) -> RunRecord:
         )
 
     phases = tuple(
-        replace(phase, loads=tuple(map(shortened_load, phase.loads))) if phase.name == GRID else phase
+        replace(phase, loads=tuple(map(shorten_load, phase.loads))) if phase.name == GRID else phase
         for phase in record.phases
     )
     return replace(record, phases=phases)
@@ -201,7 +211,7 @@ def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float])
 
 def worth_the_station(points: Sequence[Point]) -> list[Point]:
     """Mark which points no other of any series equals in less station time; settings refused on a sensor are not."""
-    return compared(points, lambda point: point.station_s, ["force_error"], across_series=True)
+    return mark_worth(points, lambda point: point.station_s, ["force_error"], across_series=True)
 
 
 def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:

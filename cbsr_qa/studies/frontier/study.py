@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 from os import cpu_count
 from typing import Final, TypeVar
 
-from cbsr_qa.config import var_folder, writable_folder
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.studies.frontier.computer import computer_work, worth_their_time
+from cbsr_qa.config.paths import var_folder, writable_folder
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
 from cbsr_qa.studies.frontier.files import Files, write_recipe
-from cbsr_qa.studies.frontier.point import Point, TimeBasis, stored
+from cbsr_qa.studies.frontier.point import Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import Recommendation, Target, recommend
 from cbsr_qa.studies.frontier.sensors import station_seconds
 from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried, station_points, station_work
-from cbsr_qa.studies.sweep import Kept, Tell, Work, worked_out
+from cbsr_qa.studies.sweep import Kept, Tell, Work, compute_pieces
 
 #: Processes of timed work, which must not share a core with others.
 _ALONE: Final = 1
@@ -57,8 +57,8 @@ def frontier(
         path = folder / name
         if fresh:
             path.unlink(missing_ok=True)
-        pieces = worked_out(list(work), Kept(path), tell, processes=processes)
-        return [stored(kind, document) for documents in pieces.values() for document in documents]
+        pieces = compute_pieces(list(work), Kept(path), tell, processes=processes)
+        return [restore(kind, document) for documents in pieces.values() for document in documents]
 
     tried: list[tuple[Setting, Point]] = []
     measured: list[Point] = []
@@ -67,14 +67,14 @@ def frontier(
         tried = station_points(trials, station_seconds)
     if TimeBasis.COMPUTER in clocks:
         measured = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
-    recommended = _recommended(tried, target)
+    recommended = _recommend(tried, target)
     if files.recipe is not None:
         write_recipe(recommended, files.recipe)
         recommended = replace(recommended, recipe=str(files.recipe))
     return Frontier(quick, (*(point for _, point in tried), *measured), recommended)
 
 
-def _recommended(tried: Sequence[tuple[Setting, Point]], target: Target) -> Recommendation:
+def _recommend(tried: Sequence[tuple[Setting, Point]], target: Target) -> Recommendation:
     """The recommended setting, or why none is recommended."""
     if not tried:
         return Recommendation(None, None, None, "only the computer's clock was swept")

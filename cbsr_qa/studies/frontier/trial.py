@@ -14,15 +14,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from cbsr_qa.analysis.run import farthest_first, force_tests, gauge_factor, hold_traces, learned_from
-from cbsr_qa.calibration.fits import common_settling_time, fit_common_relaxation
-from cbsr_qa.calibration.force import LearnedForce
-from cbsr_qa.calibration.runtime import interpolate
-from cbsr_qa.calibration.sheet import sheet_places
-from cbsr_qa.domain import Array, CbsrError
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.results import LoadObservation, RunObservation
-from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.analysis.run.fewer_places import farthest_first
+from cbsr_qa.analysis.run.force import force_tests, hold_traces, learn_without_tests
+from cbsr_qa.analysis.run.force_quality import gauge_factor
+from cbsr_qa.calibration.fits.common_relaxation import common_settling_time, fit_common_relaxation
+from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.sheet.response_map import sheet_places
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.sensor.sensor_type import Relaxation
 from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, LEAST_SURE, RADIUS_MM
 
 #: Share of the steady change within which a hold counts as settled (paper, 4.3).
@@ -60,7 +63,7 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     CbsrError
         If no force model can be learned.
     """
-    force = learned_from(run)
+    force = learn_without_tests(run)
     assert force.learned is not None
     errors = _forces(force.learned, held_out)
     model, material = force.learned.model, run.record.material
@@ -81,7 +84,7 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     return {name: value for name, value in errors.items() if np.isfinite(value)}
 
 
-def only(run: RunObservation, wanted: Callable[[LoadObservation], bool]) -> RunObservation:
+def select_loads(run: RunObservation, wanted: Callable[[LoadObservation], bool]) -> RunObservation:
     """Return a run with some of its loads."""
     return replace(run, loads=tuple(load for load in run.loads if wanted(load)))
 
@@ -116,11 +119,11 @@ def true_response(design: SheetDesign, places_mm: Array, radius_mm: float) -> Ar
 def true_settling_s(relaxation: Relaxation) -> float:
     """Time until the remaining part of a step response is 15 % of the steady change [s]."""
 
-    def left(time_s: float) -> float:
+    def residual_change(time_s: float) -> float:
         terms = zip(relaxation.weights, relaxation.time_constants_s, strict=True)
         return abs(sum(float(weight * np.exp(-time_s / tau)) for weight, tau in terms)) - _TOLERANCE
 
-    return float(brentq(left, 0.0, 100 * max(relaxation.time_constants_s)))
+    return float(brentq(residual_change, 0.0, 100 * max(relaxation.time_constants_s)))
 
 
 #: Places pressed before the first map, and places chosen at a time afterwards.
@@ -145,14 +148,14 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
     places = grid_places(run)
     chosen = farthest_first(places, min(FIRST, count))
     while len(chosen) < count:
-        force = learned_from(only(run, lambda load: load.phase != GRID or load.record.index in chosen))
+        force = learn_without_tests(select_loads(run, lambda load: load.phase != GRID or load.record.index in chosen))
         assert force.learned is not None
         _, variance = force.learned.response.predict(places)
-        chosen.extend(_next(places, variance, chosen, min(_AT_A_TIME, count - len(chosen))))
+        chosen.extend(_least_certain_places(places, variance, chosen, min(_AT_A_TIME, count - len(chosen))))
     return chosen
 
 
-def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
+def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
     """The least certain places, apart from each other, or closer if there are no others."""
     picked: list[int] = []
     for apart_mm in (_APART_MM, 0.0):

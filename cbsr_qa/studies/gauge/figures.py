@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain import Array
-from cbsr_qa.report import unit_column
-from cbsr_qa.report.draw import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, drawn, light_grid
-from cbsr_qa.stats import d2_d3
-from cbsr_qa.stats.gauge import Components, Study
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.report.draw.style import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, draw_svg, light_grid
+from cbsr_qa.report.tables import unit_column
+from cbsr_qa.stats.gauge.crossed_study import Components, Study
+from cbsr_qa.stats.nelson import d2_d3
 
 #: Number of names that fit side by side along an axis.
 _MOST_NAMES: Final = 12
@@ -21,7 +21,7 @@ _LEGEND_COLUMNS: Final = 3
 _LEGEND_ROW_IN: Final = 0.15
 
 
-@drawn
+@draw_svg
 def six_panels(study: Study, components: Components, unit: str) -> Canvas:
     """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
     figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))

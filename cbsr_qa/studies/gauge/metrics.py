@@ -3,13 +3,13 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetTable, MetricKey, RunLine
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import named
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine
+from cbsr_qa.report.tables import list_names
 from cbsr_qa.studies.figure_series import Figures, Series, figures_of, series_of
 from cbsr_qa.studies.gauge.request import GaugeRequest, MetricWanted
-from cbsr_qa.studies.selection import not_measured
+from cbsr_qa.studies.selection import missing_metric_error
+from cbsr_qa.system.words import echo
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Toleranced:
     of: str
 
 
-def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunLine]) -> list[Toleranced]:
+def choose_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunLine]) -> list[Toleranced]:
     """Return the metrics of a study, one series each.
 
     Raises
@@ -31,9 +31,9 @@ def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunL
         though these are requested, or nothing was measured.
     """
     _check_known(request, {kind.key for kind in table.kinds})
-    figures = _of_locations(request, figures_of(table, by_location=request.by_location))
+    figures = _select_locations(request, figures_of(table, by_location=request.by_location))
     series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
-    wanted = [toleranced for of_metric in series for toleranced in _toleranced(request, of_metric)]
+    wanted = [toleranced for of_metric in series for toleranced in _add_tolerance(request, of_metric)]
     if not wanted:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     _check_references(request, runs, wanted)
@@ -44,10 +44,10 @@ def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
     for index, wanted in enumerate(request.metrics):
         if not known or any(wanted.means(key) for key in known):
             continue
-        at = request.at("metrics", index, "name")
+        at = request.locate("metrics", index, "name")
         own = [key for key in sorted(known) if key.name == wanted.name]
         if not own:
-            raise not_measured(wanted.name, {key.name for key in known}, at)
+            raise missing_metric_error(wanted.name, {key.name for key in known}, at)
         variants = dict.fromkeys(f"phase {key.phase!r}, qualifier {key.qualifier!r}" for key in own)
         raise RefusedError(
             f"{at}no run of these measured {wanted.name} of "
@@ -56,20 +56,20 @@ def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
         )
 
 
-def _of_locations(request: GaugeRequest, figures: Figures) -> Figures:
+def _select_locations(request: GaugeRequest, figures: Figures) -> Figures:
     if not request.by_location or not figures:
         return figures
     names = {metric.name for metric in request.metrics}
     located = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
     if not located:
         raise RefusedError(
-            f"{request.at('study', 'by_location')}these metrics are not of locations",
+            f"{request.locate('study', 'by_location')}these metrics are not of locations",
             remedy="leave out --by-location (by_location in the study), or name a metric of locations",
         )
     return located
 
 
-def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
+def _add_tolerance(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
     """A series with the tolerance of the study or its own; nothing for a variant that was not named."""
     if not request.metrics:
         yield _with_limits(series, MetricWanted(series.key.name))
@@ -78,7 +78,7 @@ def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
         if not metric.means(series.key):
             continue
         if metric.unit and metric.unit != series.unit:
-            raise _other_unit(request.at("metrics", index, "unit"), metric.unit, series)
+            raise _other_unit(request.locate("metrics", index, "unit"), metric.unit, series)
         yield _with_limits(series, metric)
         return
 
@@ -102,17 +102,17 @@ def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: 
     measured, serials = {metric.series.key.name for metric in metrics}, {line.serial for line in lines}
     for index, reference in enumerate(request.references):
         if reference.metric not in measured:
+            where = request.locate("reference", index, "metric")
             raise RefusedError(
-                f"{request.at('reference', index, 'metric')}there is a reference value of {echo(reference.metric)}, "
-                "which is not studied",
+                f"{where}there is a reference value of {echo(reference.metric)}, which is not studied",
                 remedy=f"studied: {', '.join(sorted(measured))}; name others as metrics",
             )
         if reference.serial not in serials:
             raise RefusedError(
-                f"{request.at('reference', index, 'serial')}there is a reference value of sensor "
+                f"{request.locate('reference', index, 'serial')}there is a reference value of sensor "
                 f"{echo(reference.serial, 64)}, which has no run in this study",
-                remedy=f"sensors: {named(sorted(serials))}",
+                remedy=f"sensors: {list_names(sorted(serials))}",
             )
         for one in metrics:
             if one.series.key.name == reference.metric and reference.unit not in ("", one.series.unit):
-                raise _other_unit(request.at("reference", index, "unit"), reference.unit, one.series)
+                raise _other_unit(request.locate("reference", index, "unit"), reference.unit, one.series)

@@ -10,14 +10,17 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cbsr_qa.config import DocumentKind, FileModel, open_document, validated
-from cbsr_qa.domain import NumericsError, RefusedError, filled
-from cbsr_qa.domain.results import RunLine
-from cbsr_qa.plugin import Table, echo
-from cbsr_qa.stats import Estimate
-from cbsr_qa.stats.gauge import bias, linearity, stability
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.tables import FileModel, validate
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.fleet import RunLine
+from cbsr_qa.plugin.problems import Table
+from cbsr_qa.stats.gauge.reference import bias, linearity, stability
+from cbsr_qa.stats.samples import Estimate
 from cbsr_qa.studies.figure_series import Series
 from cbsr_qa.studies.selection import clock_notes
+from cbsr_qa.system.words import echo
 
 _GIVEN = re.compile(
     r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±\s]+?)\s*"
@@ -123,7 +126,7 @@ class ReferenceTable(Table):
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
 
     def to_domain(self) -> ReferenceValue:
-        return filled(ReferenceValue, self)
+        return fill_from_object(ReferenceValue, self)
 
 
 class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
@@ -140,7 +143,7 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     """
     references: list[ReferenceValue] = []
     for text in given:
-        references += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
+        references += _read_file(text) if text.endswith(".toml") else [_parse_option(text)]
     keys = [(reference.serial, reference.metric) for reference in references]
     for key in keys:
         if keys.count(key) > 1:
@@ -150,11 +153,11 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     return tuple(references)
 
 
-def _of_file(name: str) -> tuple[ReferenceValue, ...]:
-    return validated(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(name)))
+def _read_file(name: str) -> tuple[ReferenceValue, ...]:
+    return validate(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(name)))
 
 
-def _of_text(text: str) -> ReferenceValue:
+def _parse_option(text: str) -> ReferenceValue:
     remedy = (
         "write 'SERIAL.METRIC=VALUE±UNCERTAINTY UNIT', e.g. 'G-01.force_gain=10.6±0.02 N/V', or name a .toml file"
     )

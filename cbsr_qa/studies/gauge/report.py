@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from math import sqrt
 from typing import Final, TypeVar
 
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section, Table
-from cbsr_qa.report import (
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section, Table
+from cbsr_qa.report.tables import (
     capital,
-    fixed,
-    named,
+    format_fixed,
+    list_names,
     number,
     plural,
     text_table,
@@ -16,8 +16,8 @@ from cbsr_qa.report import (
     unit_shown,
     with_uncertainty,
 )
-from cbsr_qa.stats import Estimate, Interval
-from cbsr_qa.stats.gauge import FEWEST_CHARTED
+from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
+from cbsr_qa.stats.samples import Estimate, Interval
 from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability
 from cbsr_qa.studies.gauge.study import GaugeStudy, MetricGauge
 
@@ -71,7 +71,7 @@ def gauge_outcome(study: GaugeStudy) -> CommandOutcome[GaugeStudy]:
 
 
 def _page(study: GaugeStudy) -> Page:
-    facts = [("Recipe", study.recipe), ("Sensors", f"{len(study.sensors)} ({named(study.sensors)})")]
+    facts = [("Recipe", study.recipe), ("Sensors", f"{len(study.sensors)} ({list_names(study.sensors)})")]
     if study.study is not None:
         facts.insert(0, ("Study", f"{study.study.name} ({study.study.file}, SHA-256 {study.study.sha256})"))
     facts.append((f"{study.appraiser.capitalize()}s", ", ".join(study.appraisers)))
@@ -99,7 +99,7 @@ def _banner(study: GaugeStudy) -> Banner:
 
 def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
     if metric.anova is None:
-        uneven = f"; uneven: {named(metric.missing)}" if metric.missing else ""
+        uneven = f"; uneven: {list_names(metric.missing)}" if metric.missing else ""
         yield Paragraph(f"No study: {metric.why}{uneven}.", "warning")
     else:
         yield from (Paragraph(text) for text in _sentences(metric, study))
@@ -107,7 +107,7 @@ def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
         yield _components(metric, study.confidence)
         yield _anova(metric)
         if metric.missing:
-            yield Paragraph(f"Uneven: {named(metric.missing)}.", "note")
+            yield Paragraph(f"Uneven: {list_names(metric.missing)}.", "note")
     yield from (Paragraph(f"{capital(note)}.", "note") for note in metric.notes)
     if metric.references is not None:
         yield from _reference_tables(metric.references, metric.unit, study)
@@ -239,7 +239,7 @@ def _table(
 ) -> Iterator[Table]:
     """Lay out rows, if any; a reason shared by many unknown rows is given once."""
     whys = tuple(dict.fromkeys(row.why for row in rows if row.why))
-    caption = f"{what}; {_NONE}: {named(whys)}." if whys else f"{what}."
+    caption = f"{what}; {_NONE}: {list_names(whys)}." if whys else f"{what}."
     if rows:
         yield text_table(caption, columns, [cells(row) for row in rows], numeric)
 
@@ -251,7 +251,7 @@ def _bias(bias: Bias) -> tuple[str, ...]:
         return *known, *[_NONE] * 4
     return (
         *known,
-        *_estimated(bias.bias),
+        *_format_estimate(bias.bias),
         number(bias.bias.p, 2),
         "not significant" if bias.bias.holds_zero else "biased",
     )
@@ -264,7 +264,7 @@ def _linearity(linearity: BiasLinearity) -> tuple[str, ...]:
     depends = "not significant" if linearity.slope.holds_zero else "yes"
     return (
         linearity.appraiser,
-        *_estimated(linearity.slope),
+        *_format_estimate(linearity.slope),
         ends,
         depends,
         "not significant" if linearity.acceptable else "yes",
@@ -275,10 +275,10 @@ def _stability(stability: BiasStability) -> tuple[str, ...]:
     if stability.drift_per_day is None:
         return stability.serial, stability.appraiser, *[_NONE] * 3
     chart = f"fewer than {FEWEST_CHARTED} runs" if stability.in_control is None else stability.signal or "in control"
-    return stability.serial, stability.appraiser, *_estimated(stability.drift_per_day), chart
+    return stability.serial, stability.appraiser, *_format_estimate(stability.drift_per_day), chart
 
 
-def _estimated(estimate: Estimate) -> tuple[str, str]:
+def _format_estimate(estimate: Estimate) -> tuple[str, str]:
     return number(estimate.value), f"{number(estimate.low)} to {number(estimate.high)}"
 
 
@@ -296,7 +296,7 @@ def _grade(percent: float) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{fixed(value, 1)} %" if value < 10 else f"{fixed(value, 0)} %"
+    return f"{format_fixed(value, 1)} %" if value < 10 else f"{format_fixed(value, 0)} %"
 
 
 def _with_unit(value: float, unit: str) -> str:

@@ -13,11 +13,15 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.config import DocumentKind, FileModel, line_of, open_document, validated
-from cbsr_qa.domain import RefusedError, filled
-from cbsr_qa.domain.results import MetricKey, RunSelection
-from cbsr_qa.plugin import KeyPath, Problem, Table, dotted, echo
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.tables import FileModel, validate
+from cbsr_qa.config.text import line_of
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
+from cbsr_qa.plugin.problems import Problem, Table
 from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
+from cbsr_qa.system.words import KeyPath, echo, format_key_path
 
 #: Possible appraisers.
 APPRAISERS = ("station", "operator")
@@ -91,12 +95,12 @@ class GaugeRequest:
     confidence: float = 0.95
     source: StudySource | None = None
 
-    def at(self, *path: str | int) -> str:
+    def locate(self, *path: str | int) -> str:
         """Line and key of the study's file that a refusal concerns; empty for options."""
         if self.source is None:
             return ""
         line = line_of(self.source.text, path)
-        return f"{self.source.file}{f' line {line}' if line else ''}: {dotted(path)}: "
+        return f"{self.source.file}{f' line {line}' if line else ''}: {format_key_path(path)}: "
 
     def check(self) -> None:
         """Check the request before anything is read.
@@ -181,7 +185,7 @@ class MetricTable(Table):
         return same and (self.phase == other.phase or not self.phase or not other.phase)
 
     def to_domain(self) -> MetricWanted:
-        return filled(MetricWanted, self, unit=self.unit or "")
+        return fill_from_object(MetricWanted, self, unit=self.unit or "")
 
 
 class StudyFile(FileModel[GaugeRequest]):
@@ -222,10 +226,10 @@ class StudyFile(FileModel[GaugeRequest]):
         """Return the request, with per cent as a fraction."""
         study = self.study
         names = {key: tuple(getattr(study, key) or ()) for key in ("serials", "stations", "operators")}
-        return filled(
+        return fill_from_object(
             GaugeRequest,
             study,
-            runs=filled(RunSelection, study, **names),
+            runs=fill_from_object(RunSelection, study, **names),
             metrics=tuple(metric.to_domain() for metric in self.metrics or ()),
             references=tuple(reference.to_domain() for reference in self.reference or ()),
             confidence=study.confidence_percent / 100,
@@ -242,7 +246,7 @@ def read_study(path: Path) -> GaugeRequest:
         If the file does not exist, is not TOML, or has entries that are not allowed: every problem with its line.
     """
     document = open_document(DocumentKind.GAUGE_STUDY, path)
-    request = validated(StudyFile, document)
+    request = validate(StudyFile, document)
     assert request.source is not None
     digest = hashlib.sha256(document.text.encode()).hexdigest()
     return replace(request, source=StudySource(request.source.name, document.label, digest, document.text))

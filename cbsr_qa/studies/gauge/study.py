@@ -11,23 +11,18 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.config import database_url
-from cbsr_qa.domain import NumericsError, RefusedError, filled, of_kind
-from cbsr_qa.domain.results import FleetTable, MetricKey, RunLine, RunSelection
-from cbsr_qa.report import named, plural
-from cbsr_qa.stats.gauge import (
-    GaugeAnova,
-    GaugeRange,
-    Study,
-    gauge_anova,
-    gauge_range,
-    largest_balanced,
-    missing_runs,
-    on,
-    study,
-)
-from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.gauge.metrics import Toleranced, wanted_metrics
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.numbers import prefix_kind
+from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine, RunSelection
+from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.stats.gauge.anova import GaugeAnova, gauge_anova
+from cbsr_qa.stats.gauge.balance import largest_balanced, missing_runs
+from cbsr_qa.stats.gauge.crossed_study import GaugeRange, Study, gauge_range, on, study
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.studies.gauge.metrics import Toleranced, choose_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
 from cbsr_qa.studies.selection import absent_names, check_names, clock_notes, likeness_notes, several_recipes
@@ -38,7 +33,7 @@ def appraiser_of(line: RunLine, kind: str) -> str:
     return line.station if kind == "station" else line.operator
 
 
-def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, tuple[RunLine, ...], tuple[str, ...]]:
+def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, tuple[RunLine, ...], tuple[str, ...]]:
     """Return stored values, the indices of a study's runs, and notes on them.
 
     RefusedError if no run fits, a name matches none (with the nearest one), or the runs have several recipes.
@@ -49,7 +44,7 @@ def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
     recipes = {run.recipe for run in runs}
     if len(recipes) > 1:
         raise RefusedError(
-            f"{request.at('study')}these runs are of {several_recipes(recipes)}",
+            f"{request.locate('study')}these runs are of {several_recipes(recipes)}",
             remedy="choose one by its name: recipe in the study, or --recipe",
         )
     known = tuple(run for run in runs if appraiser_of(run, request.appraiser))
@@ -67,17 +62,17 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     wanted, absent = request.runs, list(absent_names(request.runs, runs))
     if runs and not absent:
         return
-    check_names(store, wanted, lambda field: request.at("study", field))
+    check_names(store, wanted, lambda field: request.locate("study", field))
     of_names = store.run_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any matching run every name is absent, so that names are not the cause.
     if runs:
         refusals = [
-            f"{request.at('study', key)}{of_kind(noun, name)} has no analysed run that fits"
+            f"{request.locate('study', key)}{prefix_kind(noun, name)} has no analysed run that fits"
             for noun, key, name, _ in absent
         ]
         raise RefusedError("\n".join(refusals), remedy=remedy)
-    raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)
+    raise RefusedError(f"{request.locate('study')}no analysed run fits this study", remedy=remedy)
 
 
 def _days(runs: Sequence[RunLine]) -> str:
@@ -163,12 +158,12 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     """
     request.check()
     with open_store(database_url(database), create=False) as store:
-        table, lines, notes = chosen_runs(store, request)
-        wanted = wanted_metrics(table, request, lines)
+        table, lines, notes = choose_runs(store, request)
+        wanted = choose_metrics(table, request, lines)
         notes += likeness_notes(store, lines)
     metrics = tuple(_metric(toleranced, request) for toleranced in wanted)
     _check_any(metrics, largest_balanced=request.largest_balanced)
-    return filled(
+    return fill_from_object(
         GaugeStudy,
         request,
         study=request.source,
@@ -191,7 +186,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
     why = _never_repeated(sensors, appraisers, request.appraiser)
     missing = () if why else missing_runs(sensors, appraisers, request.appraiser)
-    bare = filled(
+    bare = fill_from_object(
         MetricGauge,
         key,
         unit=series.unit,
@@ -218,7 +213,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         bare, kept = replace(bare, notes=(*series.notes, taken)), part.kept
     rows = [(sensors[k], appraisers[k], series.values[k]) for k in kept]
     try:
-        return _studied(bare, rows, request)
+        return _study_metric(bare, rows, request)
     except NumericsError as error:
         return replace(bare, why=error.reason)
 
@@ -232,7 +227,7 @@ def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser
     return f"every sensor was run once {where}: repeatability needs at least two runs of each"
 
 
-def _studied(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request: GaugeRequest) -> MetricGauge:
+def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request: GaugeRequest) -> MetricGauge:
     """Study runs, (sensor, appraiser, value) of each."""
     if not rows:
         raise NumericsError("none of these runs has a value of it")
@@ -257,7 +252,7 @@ def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> Non
         return
     first = metrics[0]
     reason = f"{first.title}: {first.why}"
-    reason += f"; uneven: {named(first.missing)}" if first.missing else ""
+    reason += f"; uneven: {list_names(first.missing)}" if first.missing else ""
     reason += "".join(f"; {note}" for note in first.notes)
     reason += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
     uneven = any(metric.missing for metric in metrics) and not largest_balanced

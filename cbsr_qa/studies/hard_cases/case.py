@@ -16,7 +16,8 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from cbsr_qa.domain import CbsrError, filled
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.filling import fill_from_object
 
 #: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
@@ -84,13 +85,13 @@ class Area:
 
     def against(self, truth: str) -> Callable[[_Run], _Run]:
         """Add a case whose answer is compared with a truth."""
-        return partial(self._added, truth, None)
+        return partial(self._add, truth, None)
 
-    def refused(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Run], _Run]:
+    def refuses(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Run], _Run]:
         """Add a case that must raise an error."""
-        return partial(self._added, truth, error)
+        return partial(self._add, truth, error)
 
-    def _added(self, truth: str, refuses: type[CbsrError] | None, run: _Run) -> _Run:
+    def _add(self, truth: str, refuses: type[CbsrError] | None, run: _Run) -> _Run:
         hard = " ".join((inspect.getdoc(run) or "").split())
         self.cases.append(HardCase(run.__name__.replace("_", "-"), self.name, hard, truth, run, refuses))
         return run
@@ -123,14 +124,14 @@ class CaseResult:
     seconds: float
 
 
-def conditioned_bound(condition: float, floor: float = 0.0) -> float:
+def condition_bound(condition: float, floor: float = 0.0) -> float:
     """Bound of a relative error from a condition number: 100 times it times machine precision, at least a floor."""
     return max(floor, CONDITIONING_ROOM * condition * EPSILON)
 
 
-def conditioned(error: float, condition: float, *, unit: str = "1", note: str = "") -> Answer:
+def answer_from_condition(error: float, condition: float, *, unit: str = "1", note: str = "") -> Answer:
     """Answer with an error bound from its condition number."""
-    return Answer(error, conditioned_bound(condition), condition, unit, note)
+    return Answer(error, condition_bound(condition), condition, unit, note)
 
 
 def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
@@ -152,7 +153,7 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
     except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
         reason = f"{type(error).__name__}: {error}"
     given = answer or Answer(math.nan, math.nan)
-    return filled(
+    return fill_from_object(
         CaseResult,
         case,
         outcome=outcome,

@@ -12,8 +12,8 @@ import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.sheet import ResponseMap
-from cbsr_qa.domain import Array
+from cbsr_qa.calibration.sheet.response_map import ResponseMap
+from cbsr_qa.domain.numbers import Array
 
 #: Of mpmath numbers.
 _Exact = NDArray[np.object_]
@@ -102,7 +102,7 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
         for row, own in enumerate(variance.tolist()):
             system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
         coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
-        split = [_in_parts(value) for value in coefficients]
+        split = [_split_value(value) for value in coefficients]
     parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of the remainder of the previous ones
     image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
     return image
@@ -130,7 +130,7 @@ def exact_gram(rows: Long) -> list[list[Any]]:
     return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
 
 
-def _in_parts(value: Any) -> tuple[float, float, float]:
+def _split_value(value: Any) -> tuple[float, float, float]:
     high = float(value)
     middle = float(value - high)
     return high, middle, float(value - high - middle)

@@ -8,14 +8,25 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, light_grid, name_rows, plain_ticks
+from cbsr_qa.report.draw.style import (
+    BLUE,
+    FAINT,
+    INK,
+    QUIET,
+    VERMILION,
+    canvas,
+    draw_svg,
+    light_grid,
+    name_rows,
+    plain_ticks,
+)
 from cbsr_qa.studies.hard_cases.case import CONDITIONING_ROOM, EPSILON, CaseResult, Ending
 
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _EXACT: Final = 1e-18  # position of errors that are exactly zero
 
 
-@drawn
+@draw_svg
 def errors_svg(results: Sequence[CaseResult]) -> Canvas:
     """Draw every error of an area and its bound on a logarithmic axis."""
     height = 0.8 + 0.15 * len(results)
@@ -35,7 +46,7 @@ def errors_svg(results: Sequence[CaseResult]) -> Canvas:
     return figure
 
 
-@drawn
+@draw_svg
 def conditions_svg(results: Sequence[CaseResult]) -> Canvas:
     """Draw errors against condition number times machine precision, with lines of once and a hundred times it."""
     figure = canvas(3.1)

@@ -4,8 +4,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.domain.results import Banner, Block, Cell, CommandOutcome, Figure, Outcome, Page, Paragraph, Section
-from cbsr_qa.report import number, plural, text_table, unit_shown
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.report import Banner, Block, Cell, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report.tables import number, plural, text_table, unit_shown
 from cbsr_qa.studies.hard_cases.case import CaseResult, Ending
 from cbsr_qa.studies.hard_cases.stability import Stability
 

@@ -13,20 +13,16 @@ import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
-from cbsr_qa.domain.sensor import (
-    DrivePattern,
-    ElectrodeKind,
-    ElectrodeLayout,
-    Mesh,
-    Response,
-    SensorType,
-    adjacent_pattern,
-)
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.plugin import Kind, Plugins, discover
+from cbsr_qa.domain.imaging import ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
 
 IMAGE_MM: Final = 6.0
@@ -43,7 +39,7 @@ def _plugins() -> Plugins:
     return discover()
 
 
-def prepared(name: str, problem: ImagingProblem, options: Mapping[str, Any]) -> PreparedReconstruction:
+def prepare_method(name: str, problem: ImagingProblem, options: Mapping[str, Any]) -> PreparedReconstruction:
     """Prepare an installed method, as ``analyse`` does."""
     method: PreparedReconstruction = _plugins().factory(Kind.RECONSTRUCTION, name)(**options).prepare(problem)
     return method
@@ -55,14 +51,14 @@ def usual_problem(kind: str = "whole") -> ImagingProblem:
     sensor = usual_sensor()
     whole = imaging_problem(sensor, image_size_mm=IMAGE_MM)
     if kind == "masked":
-        return imaging_problem(sensor, used=without_electrodes(sensor, (2, 7, 12)), image_size_mm=IMAGE_MM)
+        return imaging_problem(sensor, used=mask_electrodes(sensor, (2, 7, 12)), image_size_mm=IMAGE_MM)
     if kind == "noisy":
         decades = np.random.default_rng(20261122).permutation(np.linspace(-6, 6, len(whole.reference)))
         return imaging_problem(sensor, noise_variance=0.9 * 10**decades, image_size_mm=IMAGE_MM)
     return whole
 
 
-def without_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[np.bool_]:
+def mask_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[np.bool_]:
     """Readings (drives, measures) that touch none of some electrodes."""
     pattern, chosen = sensor.pattern, list(electrodes)
     drives = (pattern.drive_currents()[chosen] != 0).any(axis=0)
@@ -122,7 +118,7 @@ def islands(parted: float) -> Array:
     return np.where((turn < 0.5) & (np.hypot(x, y) > 30), 1.0, parted)
 
 
-def scattered(decades: float, seed: int = 20261121) -> Array:
+def scatter_conductance(decades: float, seed: int = 20261121) -> Array:
     """Conductances (e,) whose logarithms are scattered evenly over some decades."""
     random = np.random.default_rng(seed)
     return 10 ** random.uniform(-decades / 2, decades / 2, len(small_model().mesh.elements))

@@ -7,10 +7,10 @@ from difflib import get_close_matches
 from os import cpu_count
 from typing import Final
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.studies.hard_cases.case import CaseResult, HardCase, examine
 from cbsr_qa.studies.hard_cases.cases import all_cases
-from cbsr_qa.studies.sweep import finished
+from cbsr_qa.studies.sweep import run_jobs
 
 #: Every case, in order of area.
 CASES: Final = all_cases()
@@ -20,7 +20,7 @@ AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES)
 _FEW: Final = 10
 
 
-def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
+def choose_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
     """Return the cases of some areas or with some names; all if neither is given. ConfigError for unknown ones."""
     for area in areas:
         if area not in AREAS:
@@ -66,12 +66,12 @@ def examine_cases(
     ConfigError
         If an area or case does not exist.
     """
-    cases = chosen_cases(areas, names)
+    cases = choose_cases(areas, names)
     count = min(2, cpu_count() or 1, len(cases)) if processes is None else processes
     examined: dict[str, CaseResult] = {}
     progress(0, len(cases))
     # Processes receive names: functions of cases need not be picklable.
-    with closing(finished([case.name for case in cases], _examine_named, count)) as results:
+    with closing(run_jobs([case.name for case in cases], _examine_named, count)) as results:
         for name, result in results:
             examined[name] = result
             progress(len(examined), len(cases))

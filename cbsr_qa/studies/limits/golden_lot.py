@@ -9,14 +9,17 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.config import canonical_json, validate_serial
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.domain.results import EndReason, Outcome, RunLine, RunSelection
-from cbsr_qa.report import named
-from cbsr_qa.store import Repository
-from cbsr_qa.store.results import StoredAnalysis
+from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.config.serials import validate_serial
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunLine, RunSelection
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.tables import list_names
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.analyses import StoredAnalysis
 from cbsr_qa.studies.selection import check_names, measuring_digest, software_words
-from cbsr_qa.system import read_foreign
+from cbsr_qa.system.foreign import read_foreign
 
 _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
 
@@ -142,11 +145,11 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
     for line in kept:
         if line.altered:
             raise StoreError(line.altered, remedy="restore the database from a copy, or leave out the sensor")
-    not_good = _not_good(kept, choice)
-    runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _analysed(run)]
+    not_good = _refuse_bad(kept, choice)
+    runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _has_result(run)]
     if not runs:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
-    mixed = _mixed(store, runs, choice)
+    mixed = _describe_mixture(store, runs, choice)
     analysed: dict[str, tuple[LotRun, ...]] = {}
     for run in sorted(runs, key=lambda lot_run: lot_run.line.serial):
         analysed[run.line.serial] = (*analysed.get(run.line.serial, ()), run)
@@ -158,27 +161,27 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
         not_good=not_good,
         mixed=mixed,
-        simulated=_simulated(runs),
+        simulated=_describe_simulated(runs),
         analysed=analysed,
     )
 
 
-def _simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
+def _describe_simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Describe simulated parts, each once: seeds differ from run to run."""
     words = {what for run in runs for what in run.line.simulated}
     return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
 
 
-def _analysed(run: RunLine) -> bool:
+def _has_result(run: RunLine) -> bool:
     return run.end is EndReason.FINISHED and run.outcome is not None
 
 
-def _not_good(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
-    bad = [run for run in runs if not (_analysed(run) and run.verdict in _GOOD)]
+def _refuse_bad(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
+    bad = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
     fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
     if bad and not choice.include_failed:
         raise RefusedError(
-            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {named(fates)}",
+            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
             remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
         )
     return fates
@@ -192,12 +195,12 @@ def _fate(run: RunLine) -> str:
     return "never analysed" if run.outcome is None else f"{run.outcome}: {run.reason}"
 
 
-def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
+def _describe_mixture(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
     """Describe differences of the runs that affect numbers; refuse them unless they were allowed."""
-    recipes = _shared_by((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
-    software = _shared_by(zip(runs, software_words([run.line for run in runs]), strict=True))
+    recipes = _group_serials((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
+    software = _group_serials(zip(runs, software_words([run.line for run in runs]), strict=True))
     mixed = tuple(
-        f"{noun}: {'; '.join(f'{what} ({named(serials)})' for what, serials in groups.items())}"
+        f"{noun}: {'; '.join(f'{what} ({list_names(serials)})' for what, serials in groups.items())}"
         for noun, groups in (("recipes", recipes), ("software versions", software))
         if len(groups) > 1
     )
@@ -209,7 +212,7 @@ def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tupl
     return mixed
 
 
-def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
+def _group_serials(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for run, words in pairs:
         serials = groups.setdefault(words, [])

@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Limit, Measurement, MetricKey
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Bound, Limit
+from cbsr_qa.domain.results.fleet import MetricKey
+from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
-from cbsr_qa.studies.selection import not_measured
+from cbsr_qa.studies.selection import missing_metric_error
 
 Taken = Mapping[MetricKey, tuple[Measurement, ...]]
 
@@ -33,7 +35,7 @@ class Group:
                 if nothing:
                     why = nothing[0].how or "no reason given"
                     return f"{serial} has no value in {len(nothing)} of {len(run)}: {why}"
-        lower = [serial for serial, runs in self.sensors.items() if any(_censored(run) for run in runs)]
+        lower = [serial for serial, runs in self.sensors.items() if any(_is_censored(run) for run in runs)]
         if lower:
             return f"of {', '.join(lower)} only lower bounds are known (≥): hold longer, so that it is measured"
         counts = {len(run): serial for serial, runs in self.sensors.items() for run in runs}
@@ -43,7 +45,7 @@ class Group:
         return ""
 
 
-def _censored(run: Iterable[Measurement]) -> bool:
+def _is_censored(run: Iterable[Measurement]) -> bool:
     return any(m.bound is Bound.LOWER for m in run)
 
 
@@ -52,19 +54,19 @@ def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, 
 
     RefusedError if no run measured a name (with the nearest one), or one measurement has several units.
     """
-    runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
-    latest = _by_key(max(lot.runs, key=lambda run: run.line.started_at))
+    runs = {serial: tuple(_group_by_key(run) for run in members) for serial, members in lot.analysed.items()}
+    latest = _group_by_key(max(lot.runs, key=lambda run: run.line.started_at))
     keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
     known = {key.name for key in keys}
     for name in names:
         if name not in known:
-            raise not_measured(name, known)
+            raise missing_metric_error(name, known)
     groups = [_group(key, runs, latest) for key in keys if not names or key.name in names]
     limited = [group for group in groups if group.present is not None]
     return tuple(groups if names or everything or not limited else limited)
 
 
-def _by_key(run: LotRun) -> Taken:
+def _group_by_key(run: LotRun) -> Taken:
     taken: dict[MetricKey, tuple[Measurement, ...]] = {}
     for m in run.analysis.measurements:
         key = MetricKey(m.name, m.phase, m.qualifier)

@@ -5,25 +5,18 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final
 
-from cbsr_qa.domain import RefusedError, did_you_mean, filled
-from cbsr_qa.domain.results import Limit, Measurement, MetricKey, Outcome
-from cbsr_qa.plugin import echo
-from cbsr_qa.stats import (
-    FEWEST_REPEATS,
-    Ask,
-    Bound,
-    Distribution,
-    LotLimits,
-    Risks,
-    Runs,
-    Uncertainty,
-    lot_limits,
-    outward,
-    repeatability,
-    risks,
-)
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.numbers import did_you_mean
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.fleet import MetricKey
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.stats.golden_lots import Ask, Bound, Distribution, LotLimits, Runs, lot_limits, outward
+from cbsr_qa.stats.guard_bands import Risks, Uncertainty, repeatability, risks
+from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 from cbsr_qa.studies.limits.golden_lot import Lot
 from cbsr_qa.studies.limits.groups import Group
+from cbsr_qa.system.words import echo
 
 _DISTRIBUTIONS: Final = {
     "auto": None,
@@ -60,7 +53,7 @@ class Terms:
     distribution: Distribution | None = None
 
     @classmethod
-    def of_words(
+    def from_words(
         cls, coverage_percent: float, confidence_percent: float, guard_factor: float, distribution: str
     ) -> "Terms":
         """Return terms from a user's input.
@@ -201,7 +194,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
     uncertainty, width, source = _guard(group, bounds, lot, terms)
     of_run = RunUncertainty(None, None, None, None, source)
     if uncertainty is not None:
-        of_run = filled(RunUncertainty, uncertainty, degrees_of_freedom=uncertainty.freedom)
+        of_run = fill_from_object(RunUncertainty, uncertainty, degrees_of_freedom=uncertainty.freedom)
     lower, upper = _ends(limits)
     limit = Limit(key.name, group.unit, lower, upper, width, key.phase, key.qualifier)
     found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)
@@ -220,7 +213,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         risks=found_risks,
         no_risks="" if found_risks else _why_no_risks(bounds.values(), uncertainty),
         far_out=far_out,
-        without_far_out=_without(limits, smallest, largest, group.values, ask),
+        without_far_out=_refit_without(limits, smallest, largest, group.values, ask),
         present=present,
         lot_fails_present=None if present is None else _failing(group, present),
         lot_fails=_failing(group, limit),
@@ -246,7 +239,7 @@ def _ends(limits: LotLimits) -> tuple[float | None, float | None]:
     return lower, upper
 
 
-def _without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
+def _refit_without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
     if not limits.far_out:
         return None
     kept = [index for index in range(len(largest)) if index not in limits.far_out]

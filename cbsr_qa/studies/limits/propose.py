@@ -7,16 +7,19 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.config import database_url, limits_digest, toml_document
-from cbsr_qa.domain import RefusedError, filled
-from cbsr_qa.domain.results import Limit
-from cbsr_qa.plugin import echo
-from cbsr_qa.report import plural
-from cbsr_qa.store import open_store
+from cbsr_qa.config.limits import limits_digest
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.text import toml_document
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.report.tables import plural
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.limits.golden_lot import Lot, LotChoice, gather
 from cbsr_qa.studies.limits.groups import groups_of
 from cbsr_qa.studies.limits.proposals import NoLimit, ProposedLimit, Terms, propose
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.words import echo
 
 RULE: Final = (
     "a value beyond a limit fails; one inside by less than the guard band passes marginally, because its uncertainty"
@@ -95,7 +98,7 @@ def propose_limits(
     proposals = tuple(propose(group, lot, terms) for group in groups_of(lot, names, everything))
     _check_any(proposals, names)
     limits = tuple(proposal for proposal in proposals if isinstance(proposal, ProposedLimit))
-    proposed = filled(
+    proposed = fill_from_object(
         ProposedLimits,
         terms,
         version=version or f"{made.isoformat()}-{digest[:8]}",
@@ -106,7 +109,7 @@ def propose_limits(
         limits=limits,
         not_proposed=tuple(proposal for proposal in proposals if isinstance(proposal, NoLimit)),
         lot_fails_any=tuple(sorted({serial for limit in limits for serial in limit.lot_fails})),
-        without_size=_without_size(limits),
+        without_size=_name_unsized(limits),
         output=None if output is None else str(output),
     )
     if output is not None:
@@ -135,7 +138,7 @@ def far_from_others(refusal: NoLimit) -> str:
     return f" ({', '.join(refusal.far_out)} far from the others)" if refusal.far_out else ""
 
 
-def _without_size(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
+def _name_unsized(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
     sized = {
         (limit.phase, limit.qualifier)
         for limit in limits
@@ -199,7 +202,7 @@ def _limit_table(limit: Limit) -> dict[str, Any]:
 def write_new(path: Path, text: str) -> None:
     """Write a new file, whole or not at all; RefusedError if it exists, or its folder cannot be written to."""
     refuse_existing(path)
-    with writing(path), written_whole(path) as file:
+    with writing(path), write_atomically(path) as file:
         file.write(text.encode())
 
 

@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Limit, Page, Paragraph, Section, Table
-from cbsr_qa.report import named, number, plural, text_table, unit_shown
-from cbsr_qa.stats import Bound, Risks
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
+from cbsr_qa.report.tables import list_names, number, plural, text_table, unit_shown
+from cbsr_qa.stats.golden_lots import Bound
+from cbsr_qa.stats.guard_bands import Risks
 from cbsr_qa.studies.limits.proposals import ProposedLimit
 from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
 
@@ -51,7 +53,7 @@ def _page(proposed: ProposedLimits) -> Page:
     lot, count, failing = proposed.lot, len(proposed.limits), proposed.lot_fails_any
     together = min(100 * count * (1 - proposed.coverage), 100.0)
     fails = _LOT_FAILS.format(
-        failing=len(failing), sensors=len(lot.sensors), names=f": {named(failing)}" if failing else ""
+        failing=len(failing), sensors=len(lot.sensors), names=f": {list_names(failing)}" if failing else ""
     )
     reason = _EACH.format(
         coverage=100 * proposed.coverage,

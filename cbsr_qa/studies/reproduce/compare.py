@@ -7,8 +7,8 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from cbsr_qa.domain import Array, finite_numbers
-from cbsr_qa.eit.imaging import overlap_grade
+from cbsr_qa.domain.numbers import Array, finite_numbers
+from cbsr_qa.eit.imaging.shape import overlap_grade
 
 
 class Rule(StrEnum):
@@ -108,7 +108,7 @@ class ComparedTable:
     rows: tuple[ComparedRow, ...]
 
 
-def compared_table(title: str, notes: tuple[str, ...], rows: Iterable[ComparedRow]) -> ComparedTable:
+def make_table(title: str, notes: tuple[str, ...], rows: Iterable[ComparedRow]) -> ComparedTable:
     """Count how many rows agree."""
     rows = tuple(rows)
     judged = [row.agrees for row in rows if row.agrees is not None]
@@ -132,7 +132,7 @@ def deviations_agree(ours: float, count: int, printed: float, printed_count: int
     return abs(ours - printed) <= 2 * hypot(*errors)
 
 
-def compared(
+def compare_value(
     group: str,
     name: str,
     unit: str,
@@ -158,7 +158,7 @@ def compared(
     if value is None:
         note = f"not measured: {ours.uncertainty_is}"
     elif rule is Rule.RANGE:
-        agrees, note = _in_ranges(ours, value, paper)
+        agrees, note = _match_ranges(ours, value, paper)
     else:
         assert printed is not None
         if rule is Rule.BAND:  # the paper's bands do not depend on size
@@ -169,7 +169,7 @@ def compared(
     return ComparedRow(group, name, unit, kind, rule, paper, ours, tuple(beside), agrees, reason)
 
 
-def not_compared(group: str, name: str, unit: str, paper: Printed, ours: Ours, why: str) -> ComparedRow:
+def show_beside(group: str, name: str, unit: str, paper: Printed, ours: Ours, why: str) -> ComparedRow:
     """Show a number beside a printed one with another meaning, and explain."""
     return ComparedRow(group, name, unit, ValueOrigin.OUTCOME, Rule.NONE, paper, ours, reason=why)
 
@@ -191,7 +191,7 @@ def _agree(rule: Rule, paper: Printed, printed: float, ours: Ours, value: float,
     return within_digits(value, printed, paper.half_digit, ours.uncertainty or 0.0)
 
 
-def _in_ranges(ours: Ours, value: float, paper: Printed) -> tuple[bool | None, str]:
+def _match_ranges(ours: Ours, value: float, paper: Printed) -> tuple[bool | None, str]:
     """Whether a value is in any printed range, within its uncertainty, and in which."""
     if ours.at_least and value <= max(printed.high for printed in paper.ranges):
         return None, "a lower bound: not all loads had settled"

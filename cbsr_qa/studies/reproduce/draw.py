@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw import (
+from cbsr_qa.report.draw.style import (
     BLUE,
     FAINT,
     INK,
@@ -14,7 +14,7 @@ from cbsr_qa.report.draw import (
     QUIET,
     VERMILION,
     canvas,
-    drawn,
+    draw_svg,
     fit_left,
     light_grid,
     name_rows,
@@ -23,7 +23,7 @@ from cbsr_qa.studies.reproduce.compare import ComparedRow, Ours, Printed
 from cbsr_qa.studies.reproduce.reproduce import CentreForces
 
 
-@drawn
+@draw_svg
 def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
     """Draw every row with the paper's mean and ± beside ours, one panel per quantity."""
     names = list(dict.fromkeys(row.name for row in table))
@@ -68,7 +68,7 @@ def _limits(rows: Sequence[ComparedRow]) -> tuple[float, float]:
     return 0.0, 1.06 * max(ends)
 
 
-@drawn
+@draw_svg
 def _two_panels(height_in: float, draw: Callable[[list[Axes]], None]) -> Canvas:
     figure = canvas(height_in)
     grid = figure.add_gridspec(1, 2, left=0.08, right=0.985, bottom=0.42 / height_in, top=0.88, wspace=0.12)

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
-from cbsr_qa.report import number, text_table, with_uncertainty
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report.tables import number, text_table, with_uncertainty
 from cbsr_qa.studies.reproduce.compare import ComparedRow, ComparedTable, Ours, Printed, Rule, ValueOrigin
 from cbsr_qa.studies.reproduce.reproduce import Reproduction
 
@@ -92,10 +92,10 @@ def _cells(row: ComparedRow, reasons: Sequence[str]) -> tuple[str, ...]:
     agrees = "not compared" if row.rule is Rule.NONE else _AGREES[row.agrees]
     why = _letter(reasons.index(row.reason)) if row.reason else ""
     bands = f"{row.paper.band}, {row.ours.band}" if row.paper.band else ""
-    return row.group, name, _printed_text(row.paper), _ours_text(row.ours), beside, agrees, why, bands
+    return row.group, name, _format_printed(row.paper), _ours_text(row.ours), beside, agrees, why, bands
 
 
-def _printed_text(printed: Printed) -> str:
+def _format_printed(printed: Printed) -> str:
     """Format a printed number as in the paper: ``18.1 ± 9.8``, ``0.6``, or both ranges."""
     if printed.ranges:
         return " / ".join(f"{r.low:g}–{r.high:g}" for r in printed.ranges)

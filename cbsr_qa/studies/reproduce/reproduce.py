@@ -10,10 +10,10 @@ from os import cpu_count
 from typing import Any, Final
 
 from cbsr_qa.studies.reproduce.compare import ComparedTable
-from cbsr_qa.studies.reproduce.runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, not_reproduced, simulate
-from cbsr_qa.studies.reproduce.tables import centre_presses, compared_tables
+from cbsr_qa.studies.reproduce.runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, reproduction_error, simulate
+from cbsr_qa.studies.reproduce.tables import centre_presses, compare_tables
 from cbsr_qa.studies.reproduce.values import SheetValues, StripValues
-from cbsr_qa.studies.sweep import finished
+from cbsr_qa.studies.sweep import run_jobs
 
 SOURCE: Final = (
     "Ellingham et al., Algorithms and Metrics Towards an Improved an Electrical Impedance Tomography Based "
@@ -75,7 +75,7 @@ class Reproduction:
         )  # fmt: skip
 
 
-def published() -> dict[str, Any]:
+def read_published() -> dict[str, Any]:
     """Read the paper's printed numbers, which ship with the program."""
     text = files("cbsr_qa._stations").joinpath("published", "ellingham.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
@@ -100,14 +100,14 @@ def reproduce_paper(
     jobs = all_jobs(quick=quick)
     tell(f"simulating {len(jobs)} sensors with seed {SEED}: {', '.join(job.words for job in jobs)}")
     count = min(2, cpu_count() or 1) if processes is None else processes
-    return reproduction(_simulated(jobs, count, tell), quick=quick)
+    return reproduction(_simulate_all(jobs, count, tell), quick=quick)
 
 
 def reproduction(simulated: Mapping[Job, Values], *, quick: bool) -> Reproduction:
     """Compare the simulated values with the paper's."""
     sheets = {(job.sheet, job.percent): v for job, v in simulated.items() if isinstance(v, SheetValues)}
     strips = {job.percent: v for job, v in simulated.items() if isinstance(v, StripValues)}
-    paper = published()
+    paper = read_published()
     about = About(
         SOURCE,
         SIMULATED,
@@ -125,7 +125,7 @@ def reproduction(simulated: Mapping[Job, Values], *, quick: bool) -> Reproductio
         )
         for percent in (8, 9)
     )
-    return Reproduction(about, **compared_tables(paper, sheets, strips), presses=presses)
+    return Reproduction(about, **compare_tables(paper, sheets, strips), presses=presses)
 
 
 def _forces_N(sheet: SheetValues | None) -> tuple[tuple[float, float], ...]:
@@ -133,14 +133,14 @@ def _forces_N(sheet: SheetValues | None) -> tuple[tuple[float, float], ...]:
     return tuple((press.measured_N, press.global_N) for press in presses)
 
 
-def _simulated(jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]) -> dict[Job, Values]:
+def _simulate_all(jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]) -> dict[Job, Values]:
     simulated: dict[Job, Values] = {}
     try:
-        with closing(finished(jobs, simulate, processes)) as results:
+        with closing(run_jobs(jobs, simulate, processes)) as results:
             for job, values in results:
                 simulated[job] = values
                 tell(f"{job.words}: {values.compute_s:.0f} s ({len(simulated)} of {len(jobs)})")
     except BrokenProcessPool as error:
         first = next(job for job in jobs if job not in simulated)
-        raise not_reproduced(first, "its process was killed; see whether memory ran out") from error
+        raise reproduction_error(first, "its process was killed; see whether memory ran out") from error
     return simulated

@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cbsr_qa.analysis import evaluate_run
-from cbsr_qa.analysis.run import run_force
-from cbsr_qa.config import Configuration, DocumentKind
-from cbsr_qa.domain import NotReproducedError
-from cbsr_qa.plugin import discover
+from cbsr_qa.analysis.evaluate import evaluate_run
+from cbsr_qa.analysis.run.force import run_force
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.merging import Configuration
+from cbsr_qa.domain.errors import NotReproducedError
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.studies.reproduce.values import SheetValues, StripValues, sheet_values, strip_values
-from cbsr_qa.studies.simulated import configuration_of as merged, shipped, simulated_run
-from cbsr_qa.system import Stages
+from cbsr_qa.studies.simulated import configuration_of as merged, copy_shipped, simulate_run
+from cbsr_qa.system.clock import Stages
 
 #: Seed of every simulated sensor; the first one, not chosen for its result.
 SEED: Final = 1
@@ -85,12 +86,12 @@ def simulate(job: Job) -> SheetValues | StripValues:
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
-    record, _ = simulated_run(configuration, "REPRODUCED", plugins)
+    record, _ = simulate_run(configuration, "REPRODUCED", plugins)
     conclusion = evaluate_run(record, configuration.recipe, plugins, Stages())
     if conclusion.characterisation is not None:
         return strip_values(conclusion.characterisation, record.station_s, time.perf_counter() - started)
     if conclusion.observation is None:
-        raise not_reproduced(job, conclusion.verdict.reason)
+        raise reproduction_error(job, conclusion.verdict.reason)
     force = run_force(conclusion.observation)
     return sheet_values(
         conclusion.observation,
@@ -102,7 +103,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
     )
 
 
-def not_reproduced(job: Job, why: str) -> NotReproducedError:
+def reproduction_error(job: Job, why: str) -> NotReproducedError:
     """Return the error that ends a reproduction, for the sensor without results."""
     station, recipe, scene = _SETTINGS[job.sheet]
     return NotReproducedError(
@@ -115,7 +116,7 @@ def not_reproduced(job: Job, why: str) -> NotReproducedError:
 def configuration_of(job: Job) -> Configuration:
     """Return shipped station, recipe, sensor type and material of a sensor, with its scene."""
     station_name, recipe_name, scene = _SETTINGS[job.sheet]
-    station, recipe = shipped(DocumentKind.STATION, station_name), shipped(DocumentKind.RECIPE, recipe_name)
+    station, recipe = copy_shipped(DocumentKind.STATION, station_name), copy_shipped(DocumentKind.RECIPE, recipe_name)
     station["instruments"]["bench"]["scene"] = scene
     replaced = (_QUICK if job.quick else _SHORTER).get(job.sheet, {})
     for phase in recipe["phases"]:

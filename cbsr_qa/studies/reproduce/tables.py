@@ -13,10 +13,10 @@ from cbsr_qa.studies.reproduce.compare import (
     PrintedRange,
     Rule,
     ValueOrigin,
-    compared,
-    compared_table,
+    compare_value,
+    make_table,
     mean_of_deviations,
-    not_compared,
+    show_beside,
 )
 from cbsr_qa.studies.reproduce.reasons import NOTES, REASONS as WHY, TITLES
 from cbsr_qa.studies.reproduce.values import ForcePress, SettlingOf, SheetValues, StripValues
@@ -32,7 +32,7 @@ _PAPER_PRESSES: Final = 18
 _SPATIAL: Final = (("E_CoM", "mm"), ("A_OL", "%"), ("SD", "mm²"))
 
 
-def compared_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, ComparedTable]:
+def compare_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, ComparedTable]:
     """Compare the printed numbers of the shipped ``published/ellingham.toml`` with ours, table by table."""
     rows: dict[str, Iterator[ComparedRow]] = {
         "table1": _table1(paper, sheets, strips),
@@ -44,7 +44,7 @@ def compared_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, 
         "settling": _settling(paper, sheets, strips),
         "force": _force(paper, sheets),
     }
-    return {key: compared_table(TITLES[key], NOTES[key], rows[key]) for key in rows}
+    return {key: make_table(TITLES[key], NOTES[key], rows[key]) for key in rows}
 
 
 def _both(sheets: Sheets, percent: int) -> list[SheetValues]:
@@ -59,14 +59,16 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
         group, both, strip = f"{percent} wt%", _both(sheets, percent), strips[percent]
         modulus = Printed(row["E_kPa"], None, 0.05)
         factor = Printed(paper["gauge_factor"][str(percent)], None, 0.05)
-        yield compared(
+        yield compare_value(
             group, "R_int", "kΩ", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["R_int_kohm"]),
             [sheet.resistance for sheet in both],
         )  # fmt: skip
-        yield compared(group, "E", "kPa", ValueOrigin.INPUT, Rule.DIGITS, modulus, [strip.modulus])
-        yield not_compared(group, "E on the sheet, 60 s held", "kPa", modulus, both[0].modulus, WHY["modulus sheet"])
-        yield compared(group, "gauge factor", "1", ValueOrigin.INPUT, Rule.DIGITS, factor, [strip.local_gauge_factor])
-        yield not_compared(
+        yield compare_value(group, "E", "kPa", ValueOrigin.INPUT, Rule.DIGITS, modulus, [strip.modulus])
+        yield show_beside(group, "E on the sheet, 60 s held", "kPa", modulus, both[0].modulus, WHY["modulus sheet"])
+        yield compare_value(
+            group, "gauge factor", "1", ValueOrigin.INPUT, Rule.DIGITS, factor, [strip.local_gauge_factor]
+        )
+        yield show_beside(
             group, "gauge factor between the pins", "1", factor, strip.gauge_factor, WHY["gauge factor pins"]
         )
 
@@ -74,16 +76,16 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
 def _table2(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
         group, both, row = f"{percent} wt%", _both(sheets, percent), paper["table2_noise"][str(percent)]
-        yield compared(
+        yield compare_value(
             group, "NF", "1", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["NF"]),
             [sheet.noise_figure for sheet in both], why=WHY["noise figure"],
         )  # fmt: skip
         floor = Printed(paper["relative_noise_floor"][str(percent)], None, 5e-6)
-        yield compared(
+        yield compare_value(
             group, "noise floor, relative (3.3.2)", "1", ValueOrigin.INPUT, Rule.DIGITS, floor,
             [sheet.noise_floor for sheet in both], why=WHY["noise floor"],
         )  # fmt: skip
-        yield not_compared(
+        yield show_beside(
             group, "σ_n, printed in mS; ours relative", "1", Printed(row["sigma_n_mS_as_printed"]), both[0].noise,
             WHY["noise in mS"],
         )  # fmt: skip
@@ -99,7 +101,7 @@ def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
                 rule, why = Rule.BAND, f"{why} Our mean A_b/A_FA is {both[0].size_ratio[number][1]:.1f}."
             ours = [sheet.by_mask[number][1][column] for sheet in both]
             group = f"mask {100 * mask:g} %"
-            yield compared(group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), ours, why=why)
+            yield compare_value(group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), ours, why=why)
 
 
 def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
@@ -110,7 +112,7 @@ def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
             ours = [sheet.by_place[number][1][column] for sheet in both]
             why = WHY["contradiction"] if place in ("L0", "L1", "L8") and name == "SD" else WHY[f"{name} place"]
             printed = Printed(*row[column])
-            yield compared(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, ours, why=why)
+            yield compare_value(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, ours, why=why)
 
 
 def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[ComparedRow]:
@@ -118,7 +120,7 @@ def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[Co
     for number, (radius_mm, angle_deg, strain_percent, *printed) in enumerate(paper[key]["rows"]):
         group = f"({radius_mm:g} mm, {angle_deg:g}°) {strain_percent:g} %"
         for percent, pair in zip(_PERCENTS, printed, strict=True):
-            yield compared(
+            yield compare_value(
                 group, f"{name}, {percent} wt%", unit, ValueOrigin.OUTCOME, Rule.DEVIATION, Printed(*pair),
                 [sheet.random[number][column] for sheet in _both(sheets, percent)], why=WHY[f"{name} random"],
             )  # fmt: skip
@@ -147,7 +149,7 @@ def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: li
     direction = "loading" if settling.loading else "unloading"
     name = "all strains in one fit" if settling.strain is None else f"{100 * settling.strain:g} % strain"
     ours = [settling.ours, *beside]
-    return compared(
+    return compare_value(
         f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, ours, why=WHY["settling"]
     )
 
@@ -155,12 +157,12 @@ def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: li
 def _force(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
         group, key, both = f"{percent} wt%", str(percent), _both(sheets, percent)
-        yield compared(
+        yield compare_value(
             group, "force error at L0, one ρ̄₀", "N", ValueOrigin.OUTCOME, Rule.SCATTER,
             Printed(paper["force_error_sd_N_at_L0"][key], None, 0.005), [force_error(sheet) for sheet in both],
             why=WHY["force"], printed_count=_PAPER_PRESSES,
         )  # fmt: skip
-        yield compared(
+        yield compare_value(
             group, "least force, from the noise floor", "N", ValueOrigin.OUTCOME, Rule.DIGITS,
             Printed(paper["min_force_N_as_printed"][key], None, 0.005), [least_force(sheet) for sheet in both],
             why=WHY[f"least force {percent}"],

@@ -6,19 +6,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import RunForce
-from cbsr_qa.calibration.fits import estimate_restricted_mean
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
-    Characterisation,
-    Dimensions,
-    FittedLine,
-    LoadObservation,
-    Measurement,
-    RunObservation,
-)
-from cbsr_qa.eit.inverse import changes
+from cbsr_qa.analysis.run.force import RunForce
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.characterisation import Characterisation, FittedLine
+from cbsr_qa.domain.results.dimensions import Dimensions
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
+from cbsr_qa.eit.inverse.scaling import changes
 from cbsr_qa.studies.reproduce.compare import Ours
 
 #: Frames of a noise floor (paper 3.2.1).

@@ -11,10 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.domain.plan import SceneLoad, ScenePlan, approach_s, press_times
-from cbsr_qa.plugin import AnyEffect
-from cbsr_qa.simulate import SAMPLE_RATE_HZ, EffectFactory, SimulatedWorld, planned_middles_s, press_loads
-from cbsr_qa.studies.scenes.setting import SceneSetup, made_world, naming
+from cbsr_qa.domain.plan.scene_plan import SceneLoad, ScenePlan, approach_s, press_times
+from cbsr_qa.plugin.interfaces import AnyEffect
+from cbsr_qa.simulate.chain import EffectFactory
+from cbsr_qa.simulate.recording import SAMPLE_RATE_HZ, frame_middles_s, press_loads
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, naming
 
 #: Stages that affect how much is solved: their effects cost more than the time within them.
 SOLVED_STAGES: Final = ("sheet", "times", "response", "contacts")
@@ -66,18 +68,18 @@ class Watched:
             for method in ("apply", "design", "record"):
                 if hasattr(effect, method):
                     with suppress(AttributeError):  # an effect with slots cannot be watched
-                        setattr(effect, method, self._timed(name, getattr(effect, method)))
+                        setattr(effect, method, self._time_method(name, getattr(effect, method)))
             return effect
 
         return make
 
-    def _timed(self, name: str, method: Callable[[Any], None]) -> Callable[[Any], None]:
-        def timed(changed: Any) -> None:
+    def _time_method(self, name: str, method: Callable[[Any], None]) -> Callable[[Any], None]:
+        def call_timed(changed: Any) -> None:
             start_s = _clock_s()
             method(changed)
             self.spent_s[name] += _clock_s() - start_s
 
-        return timed
+        return call_timed
 
     def within(self, work: Callable[[], object]) -> dict[str, float]:
         """Call a function and return the time spent within each effect [s]."""
@@ -86,7 +88,7 @@ class Watched:
         return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
 
 
-def measured_costs(
+def measure_costs(
     setup: SceneSetup,
     effect_factory: EffectFactory,
     *,
@@ -100,7 +102,7 @@ def measured_costs(
 
     ConfigError if a frame cannot be taken, with the scene's file.
     """
-    plan = recorded_plan(setup)
+    plan = plan_recording(setup)
     watched = Watched(effect_factory)
     with naming(setup.label):
         bench = _Bench(setup, plan, watched, effect_factory)
@@ -115,7 +117,7 @@ def measured_costs(
         return Costs(shared_ms, each_ms, once_ms, bench.frame_ms(), bench.compute_s())
 
 
-def recorded_plan(setup: SceneSetup) -> ScenePlan:
+def plan_recording(setup: SceneSetup) -> ScenePlan:
     """Return the scene's plan; for a station's scene, with a substitute recording and load."""
     plan = setup.plan
     if plan.duration_s is not None:
@@ -137,25 +139,25 @@ class _Bench:
         begun_s = _clock_s()
         self._seen = self._world(plan, watched)
         self._once.append(dict(watched.spent_s))  # while the sheet was made
-        self._once.append(watched.within(lambda: self._seen.transcript(planned_middles_s(plan))))
+        self._once.append(watched.within(lambda: self._seen.transcript(frame_middles_s(plan))))
         end_s = plan.frame_count * plan.scene.frame_period_s
         self._once.append(watched.within(lambda: press_loads(self._seen, plan, end_s)))
         self._setup_s = _clock_s() - begun_s
         self._plain = self._world(plan, effect_factory, like=self._seen)
-        self._loaded = _loaded_frames(plan, setup.sensor_type.value.thickness_mm)
+        self._loaded = _choose_frames(plan, setup.sensor_type.value.thickness_mm)
 
     def _world(
         self, plan: ScenePlan, factory: EffectFactory, like: SimulatedWorld | None = None, *, same_sheet: bool = True
     ) -> SimulatedWorld:
         sheet = like.sheet if like is not None and same_sheet else None
-        world = made_world(self._setup, factory, seed=plan.seed or 0, plan=plan, sheet=sheet)
+        world = make_world(self._setup, factory, seed=plan.seed or 0, plan=plan, sheet=sheet)
         if like is not None:
             world.presses = like.presses
         return world
 
     def within_ms(self) -> dict[str, float]:
         """Time per frame within each effect."""
-        frames = [self._watched.within(partial(self._taken, self._seen, index)) for index in self._loaded]
+        frames = [self._watched.within(partial(self._take_frame, self._seen, index)) for index in self._loaded]
         return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
 
     def once_ms(self) -> dict[str, float]:
@@ -188,10 +190,10 @@ class _Bench:
     def _whole_s(self, index: int) -> float:
         self._plain.frame(*self._times(index))  # caches between frames of one place are filled
         start_s = _clock_s()
-        self._taken(self._plain, index)
+        self._take_frame(self._plain, index)
         return _clock_s() - start_s
 
-    def _taken(self, world: SimulatedWorld, index: int) -> None:
+    def _take_frame(self, world: SimulatedWorld, index: int) -> None:
         world.frame(*self._times(index))
         period_s = self._plan.scene.frame_period_s
         first, last = (int(each * period_s * SAMPLE_RATE_HZ) for each in (index, index + 1))
@@ -231,7 +233,7 @@ def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
     return dependents
 
 
-def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
+def _choose_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
     """A few frames in the middle of holds, or spread over the recording."""
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
     middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)

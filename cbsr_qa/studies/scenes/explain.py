@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from cbsr_qa.domain import PluginError
-from cbsr_qa.domain.plan import SceneSetting
-from cbsr_qa.plugin import Kind, Plugins, discover
-from cbsr_qa.simulate import NOT_MODELLED, build_chain
-from cbsr_qa.studies.scenes.costs import Costs, Watched, measured_costs
+from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.plan.world import SceneSetting
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.chain import NOT_MODELLED, build_chain
+from cbsr_qa.studies.scenes.costs import Costs, Watched, measure_costs
 from cbsr_qa.studies.scenes.setting import SceneSetup, naming, set_up
 
 
@@ -94,7 +95,7 @@ def explain_scene(
     costs = None
     if measure:
         tell("measuring the cost of effects")
-        costs = measured_costs(setup, factory, progress=progress)
+        costs = measure_costs(setup, factory, progress=progress)
     return Explained(
         scene=setup.plan.scene.name,
         effects=(*_on(setup, watched, costs), *_off(setup, plugins)),
@@ -102,11 +103,11 @@ def explain_scene(
         frames=setup.plan.frame_count or None,
         frame_ms=None if costs is None else costs.frame_ms,
         compute_s=None if costs is None or not setup.plan.frame_count else costs.compute_s,
-        measured_with=None if costs is None else _measured_with(setup),
+        measured_with=None if costs is None else _describe_setting(setup),
     )
 
 
-def _measured_with(setup: SceneSetup) -> str:
+def _describe_setting(setup: SceneSetup) -> str:
     plan = setup.plan
     sensor = f"{setup.sensor_type.value.name} of {setup.material.value.name}"
     if plan.sensor_type is None:

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.config import scenes_folder, writable_folder
-from cbsr_qa.domain import CbsrError, ConfigError, PluginError, RefusedError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, create_plugin
-from cbsr_qa.simulate import RecordedScene
-from cbsr_qa.system import writing
+from cbsr_qa.config.paths import scenes_folder, writable_folder
+from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError, RefusedError
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import RecordingWriter
+from cbsr_qa.simulate.recording import RecordedScene
+from cbsr_qa.system.files import writing
 
 #: Format in which every scene is written.
 OWN_FORMAT = "cbsr-recording"
@@ -44,7 +46,7 @@ class Written:
     notes: tuple[str, ...]
 
 
-def checked_targets(
+def check_targets(
     scene: str, seed: int, output: Path | None, formats: tuple[str, ...], plugins: Plugins
 ) -> tuple[Target, ...]:
     """Return the file of a scene in each format, our own first; none exists yet.
@@ -92,7 +94,7 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
             if os.path.lexists(target.path):  # the simulation takes a while; files created meanwhile are the user's
                 raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
             begun.append(target.path)
-            written.append(_written(recorded, target))
+            written.append(_write_target(recorded, target))
     except BaseException:
         for path in begun:
             with suppress(OSError):  # a folder, or an impossible file name
@@ -101,7 +103,7 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
     return tuple(written)
 
 
-def _written(recorded: RecordedScene, target: Target) -> Written:
+def _write_target(recorded: RecordedScene, target: Target) -> Written:
     recording = replace(recorded.recording, path=target.path)
     with writing(target.path):
         try:
@@ -112,15 +114,15 @@ def _written(recorded: RecordedScene, target: Target) -> Written:
         except OSError:
             raise
         except Exception as error:
-            raise _failed(target, f"{type(error).__name__}: {error}") from error
+            raise _writer_error(target, f"{type(error).__name__}: {error}") from error
     if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
-        raise _failed(target, f"it returned {type(notes).__name__} instead of a tuple of texts")
+        raise _writer_error(target, f"it returned {type(notes).__name__} instead of a tuple of texts")
     if not target.path.is_file():
-        raise _failed(target, f"there is no {target.path}")
+        raise _writer_error(target, f"there is no {target.path}")
     return Written(target.format, str(target.path), notes)
 
 
-def _failed(target: Target, why: str) -> PluginError:
+def _writer_error(target: Target, why: str) -> PluginError:
     return PluginError(
         f"format {target.format!r} failed to write the scene: {why}", remedy="report it to its author, or omit it"
     )
@@ -135,7 +137,7 @@ def _writer(name: str, plugins: Plugins) -> RecordingWriter:
 
 def _writable(plugins: Plugins) -> list[str]:
     names = []
-    for name in plugins.in_order(Kind.RECORDING):
+    for name in plugins.list_names(Kind.RECORDING):
         try:
             if isinstance(create_plugin(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
                 names.append(name)
@@ -150,7 +152,7 @@ def _file_name(scene: str) -> str:
 
 
 @contextmanager
-def made_folder(folder: Path, output: Path | None) -> Iterator[None]:
+def make_folder(folder: Path, output: Path | None) -> Iterator[None]:
     """Make the output folder of a scene, and remove new, empty folders on failure.
 
     Parameters

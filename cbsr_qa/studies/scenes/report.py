@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from cbsr_qa.config import text as echo
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
-from cbsr_qa.report import plural, text_table
-from cbsr_qa.simulate import STAGES
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
+from cbsr_qa.report.tables import plural, text_table
+from cbsr_qa.simulate.chain import STAGES
 from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect
 from cbsr_qa.studies.scenes.run import SceneRun
 
@@ -34,7 +34,7 @@ _SEEDED: Final = "{scene}, seed {seed}"
 _SENSOR: Final = "{sensor_type} of {material}, {effects}"
 
 
-def explained_outcome(explained: Explained) -> CommandOutcome[Explained]:
+def explain_outcome(explained: Explained) -> CommandOutcome[Explained]:
     """Lay out what a scene contains."""
     on = sorted((e for e in explained.effects if e.on), key=lambda effect: STAGES.index(effect.perturbs))
     off = [effect for effect in explained.effects if not effect.on]

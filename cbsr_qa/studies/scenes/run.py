@@ -11,14 +11,17 @@ from typing import Final
 import numpy as np
 
 import cbsr_qa
-from cbsr_qa.config import edge_remarks
-from cbsr_qa.domain import filled
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import Kind, Plugins, discover
-from cbsr_qa.simulate import NOT_MODELLED, PressedLoad, RecordedScene, SimulatedWorld, planned_middles_s, record_scene
-from cbsr_qa.studies.scenes.files import Target, Written, checked_targets, made_folder, write_all
-from cbsr_qa.studies.scenes.setting import SceneSetup, made_world, naming, set_up
+from cbsr_qa.config.scene_checks import edge_remarks
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.chain import NOT_MODELLED
+from cbsr_qa.simulate.recording import PressedLoad, RecordedScene, frame_middles_s, record_scene
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.studies.scenes.files import Target, Written, check_targets, make_folder, write_all
+from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, naming, set_up
 
 _MOST_REHEARSED: Final = 200  # frames
 
@@ -103,12 +106,12 @@ def run_scene(
     plugins = discover()
     setup = set_up(request.scene, plugins, recorded=True)
     seed = setup.plan.seed or 0 if request.seed is None else request.seed
-    targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
+    targets = check_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
     world = _world(setup, plugins, seed, tell)
     with naming(setup.label):
         _rehearse(world, setup, targets)
-    with made_folder(targets[0].path.parent, request.output):
-        recorded, remarks = _recorded(world, setup, plugins, tell, progress)
+    with make_folder(targets[0].path.parent, request.output):
+        recorded, remarks = _record(world, setup, plugins, tell, progress)
         tell("writing")
         return _scene_run(setup, seed, recorded, write_all(recorded, targets), remarks)
 
@@ -140,17 +143,17 @@ def simulate_to_memory(
     setup = set_up(scene, plugins, recorded=True)
     chosen = setup.plan.seed or 0 if seed is None else seed
     world = _world(setup, plugins, chosen, tell)
-    recorded, remarks = _recorded(world, setup, plugins, tell, progress)
+    recorded, remarks = _record(world, setup, plugins, tell, progress)
     run = _scene_run(setup, chosen, recorded, (), remarks)
     return SimulatedScene(run, recorded.recording, setup.sensor_type.value)
 
 
 def _world(setup: SceneSetup, plugins: Plugins, seed: int, tell: Callable[[str], None]) -> SimulatedWorld:
     tell("creating the sheet")
-    return made_world(setup, partial(plugins.factory, Kind.EFFECT), seed=seed)
+    return make_world(setup, partial(plugins.factory, Kind.EFFECT), seed=seed)
 
 
-def _recorded(
+def _record(
     world: SimulatedWorld,
     setup: SceneSetup,
     plugins: Plugins,
@@ -162,7 +165,7 @@ def _recorded(
     tell(f"simulating {setup.plan.frame_count} frames")
     with naming(setup.label):
         recorded = record_scene(world, setup.plan, progress=progress)
-    return _labelled(recorded, world, setup, plugins, tuple(remarks.values())), remarks
+    return _label_recording(recorded, world, setup, plugins, tuple(remarks.values())), remarks
 
 
 def _scene_run(
@@ -196,7 +199,7 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
     """
     if len(targets) == 1 or not setup.plan.frame_count:
         return
-    dumps = world.transcript(planned_middles_s(setup.plan)).dumps
+    dumps = world.transcript(frame_middles_s(setup.plan)).dumps
     frames = 1 + min(dumps[0].frame, _MOST_REHEARSED) if dumps else 1
     plan = replace(setup.plan, loads=(), duration_s=frames * setup.plan.scene.frame_period_s)
     recorded = record_scene(world, plan)
@@ -206,7 +209,7 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
         write_all(replace(recorded, transcript=whole), elsewhere)
 
 
-def _labelled(
+def _label_recording(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
     on = set(world.chain.names)
@@ -219,7 +222,7 @@ def _labelled(
 
 def _load(pressed: PressedLoad, remark: str | None) -> RecordedLoad:
     load, record, press = pressed.load, pressed.record, pressed.press
-    return filled(
+    return fill_from_object(
         RecordedLoad,
         record,
         label=record.load.label,

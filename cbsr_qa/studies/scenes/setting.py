@@ -4,12 +4,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from cbsr_qa.config import Loaded, check_plan, load_material, load_scene_plan, load_sensor_type
-from cbsr_qa.domain import CbsrError, ConfigError
-from cbsr_qa.domain.plan import ScenePlan
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Plugins
-from cbsr_qa.simulate import EffectFactory, SimulatedSheet, SimulatedWorld
+from cbsr_qa.config.loader import Loaded, load_material, load_scene_plan, load_sensor_type
+from cbsr_qa.config.scene_checks import check_plan
+from cbsr_qa.domain.errors import CbsrError, ConfigError
+from cbsr_qa.domain.plan.scene_plan import ScenePlan
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.simulate.chain import EffectFactory
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
 
 #: Sensor and material used to explain a scene that leaves them to a station.
 USUAL_SENSOR_TYPE, USUAL_MATERIAL = "disc-100mm", "cbsr-8wt"
@@ -84,7 +87,7 @@ def _check_complete(loaded: Loaded[ScenePlan]) -> None:
         )
 
 
-def made_world(
+def make_world(
     setup: SceneSetup,
     effect_factory: EffectFactory,
     *,
@@ -97,7 +100,7 @@ def made_world(
     Parameters
     ----------
     plan : instead of the setup's own.
-    sheet : see :class:`~cbsr_qa.simulate.SimulatedWorld`.
+    sheet : see :class:`~cbsr_qa.simulate.world.SimulatedWorld`.
 
     Raises
     ------

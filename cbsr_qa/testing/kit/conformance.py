@@ -11,8 +11,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.plugin import Example, Factory, Kind, Plugins, failure, options_of, plugin_reference
+from cbsr_qa.plugin import ConfigError, Example, Kind, options_of
+from cbsr_qa.plugin.discovery import Factory, Plugins
+from cbsr_qa.plugin.failures import failure
+from cbsr_qa.plugin.reference import plugin_reference
 from cbsr_qa.testing.checked import Checked
 from cbsr_qa.testing.kit.kinds import CHECKS_OF, Check, Subject
 from cbsr_qa.testing.kit.package import Targets, targets_of
@@ -69,7 +71,7 @@ def check_plugins(targets: Targets, progress: Callable[[str], None] = lambda sta
     for kind, name in targets.names:
         progress(f"checking {kind} {name}")
         for check in _checks(targets.plugins, kind, name):
-            lines += made(kind, name, check)
+            lines += carry_out(kind, name, check)
     failed = sum(check.outcome is CheckOutcome.FAILED for check in lines)
     passed = sum(check.outcome is CheckOutcome.PASSED for check in lines)
     return CheckedPlugins(tuple(lines), passed, failed)
@@ -85,11 +87,11 @@ def assert_conforms(asked: str | Path) -> None:
     """
     checked = check_plugins(targets_of(str(asked)))
     failed = [check for check in checked.checks if check.outcome is CheckOutcome.FAILED]
-    assert not failed, "\n\n".join(described(check) for check in failed)
+    assert not failed, "\n\n".join(describe_check(check) for check in failed)
     assert checked.passed, f"no check was made of {asked}"
 
 
-def described(check: PluginCheck) -> str:
+def describe_check(check: PluginCheck) -> str:
     """Return a failed check in words, a line each."""
     return (
         f"{check.kind} {check.name}: {check.check}\n"
@@ -233,7 +235,7 @@ def check_creation(error: Exception) -> Checked:
     raise error
 
 
-def made(kind: Kind, name: str, check: Check) -> Iterable[PluginCheck]:
+def carry_out(kind: Kind, name: str, check: Check) -> Iterable[PluginCheck]:
     """Make a check; whatever it raises is a failure with rule and remedy."""
     rule, remedy = _rule(check)
     try:

@@ -3,12 +3,12 @@
 from functools import cache
 from typing import Any, Final
 
-from cbsr_qa.analysis import evaluate_run
-from cbsr_qa.config import DocumentKind
-from cbsr_qa.domain.results import RunResult
-from cbsr_qa.plugin import discover
-from cbsr_qa.studies import configuration_of, shipped, simulated_run
-from cbsr_qa.system import Stages
+from cbsr_qa.analysis.evaluate import evaluate_run
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.plugin import RunResult
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
+from cbsr_qa.system.clock import Stages
 
 _RECIPE: Final[dict[str, Any]] = {
     "recipe": {"name": "example", "calibrate_phases": ["three places"]},
@@ -33,8 +33,8 @@ _RECIPE: Final[dict[str, Any]] = {
 def example_result() -> RunResult:
     """Return a run of three presses on the shipped simulated station, analysed; always the same one."""
     plugins = discover()
-    configuration = configuration_of(shipped(DocumentKind.STATION, "simulated"), _RECIPE, seed=1)
-    record, _ = simulated_run(configuration, "EXAMPLE-1", plugins)
+    configuration = configuration_of(copy_shipped(DocumentKind.STATION, "simulated"), _RECIPE, seed=1)
+    record, _ = simulate_run(configuration, "EXAMPLE-1", plugins)
     conclusion = evaluate_run(record, configuration.recipe, plugins, Stages())
     return RunResult(
         record,

@@ -11,30 +11,32 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type, load_station
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import ReadOptions, Recording
-from cbsr_qa.domain.results import Banner, Page, Section
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.results.report import Banner, Page, Section
 from cbsr_qa.plugin import (
+    CbsrError,
     Example,
-    Factory,
     ForceApplicator,
     FrameSource,
     Kind,
     Linked,
     Multiplexer,
-    Plugins,
+    ReadOptions,
+    Recording,
     Sampler,
     SelfTesting,
     SequenceContext,
     SourceMeter,
     StationContext,
 )
-from cbsr_qa.report import render_sections
-from cbsr_qa.simulate import SimulatedWorld
-from cbsr_qa.station import PlannedPhase, dry_run
-from cbsr_qa.system import LARGEST_FILE, VirtualClock, read_foreign
+from cbsr_qa.plugin.discovery import Factory, Plugins
+from cbsr_qa.report.render import render_sections
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.station.dry_runs import dry_run
+from cbsr_qa.station.plan import PlannedPhase
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.system.foreign import LARGEST_FILE, read_foreign
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa.testing.checked import Checked, Tolerances
 from cbsr_qa.testing.instruments import (
@@ -195,7 +197,7 @@ def check_scene(subject: Subject) -> Checked:
     others = tuple(effect for effect in base.effects if effect.name != subject.name)
     scene, station = replace(base, effects=(*others, choice)), load_station("simulated").value
 
-    def simulated() -> tuple[Any, ...]:
+    def simulate() -> tuple[Any, ...]:
         world = SimulatedWorld(
             scene, load_sensor_type(station.sensor_type).value, load_material(station.material).value,
             station.indenter, seed=_SEED, effect_factory=partial(subject.plugins.factory, Kind.EFFECT),
@@ -204,7 +206,7 @@ def check_scene(subject: Subject) -> Checked:
         transcript = world.transcript(times_s)
         return [world.frame(float(t), n).voltages for n, t in enumerate(times_s)], transcript.lost
 
-    (voltages, lost), (voltages_again, lost_again) = simulated(), simulated()
+    (voltages, lost), (voltages_again, lost_again) = simulate(), simulate()
     assert np.isfinite(voltages).all(), "readings that are not finite"
     same = np.array_equal(voltages, voltages_again) and np.array_equal(lost, lost_again)
     assert same, "other readings the second time, for the same seed"

@@ -11,8 +11,8 @@ from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.plugin import Kind, Plugins
+from cbsr_qa.plugin import Kind, RefusedError
+from cbsr_qa.plugin.discovery import Plugins
 
 #: Names of folders and modules are made from it, and lines of code hold it.
 _LONGEST_NAME: Final = 24

@@ -8,9 +8,9 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.domain import PluginError
-from cbsr_qa.plugin import Kind, Plugins, discover
-from cbsr_qa.system import read_foreign
+from cbsr_qa.plugin import Kind, PluginError
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.system.foreign import read_foreign
 
 _GROUP = "cbsr_qa"
 _LARGEST_PROJECT = 2**20
@@ -39,10 +39,10 @@ def targets_of(asked: str | None, kind: Kind | None = None) -> Targets:
         loaded, with the reason.
     """
     if asked is None:
-        return _of_others(discover(), kind)
+        return _list_others(discover(), kind)
     folder = Path(asked)
     if folder.is_dir() or "/" in asked:
-        return _in_folder(folder, kind)
+        return _list_in_folder(folder, kind)
     plugins = discover()
     names = tuple((each, asked) for each in Kind if kind in (None, each) and asked in plugins.names(each))
     if not names:
@@ -50,7 +50,7 @@ def targets_of(asked: str | None, kind: Kind | None = None) -> Targets:
     return Targets(plugins, names)
 
 
-def _of_others(plugins: Plugins, kind: Kind | None) -> Targets:
+def _list_others(plugins: Plugins, kind: Kind | None) -> Targets:
     others = [one for one in plugins.registrations(kind) if one.distribution != "cbsr-qa"]
     if not others:
         raise PluginError(
@@ -59,7 +59,7 @@ def _of_others(plugins: Plugins, kind: Kind | None) -> Targets:
     return Targets(plugins, tuple((one.kind, one.name) for one in others))
 
 
-def _in_folder(folder: Path, kind: Kind | None) -> Targets:
+def _list_in_folder(folder: Path, kind: Kind | None) -> Targets:
     file = folder / "pyproject.toml"
     project = _project(file)
     distribution, version = str(project.get("name", "unnamed")), str(project.get("version", "unknown"))

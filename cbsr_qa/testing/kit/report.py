@@ -2,9 +2,10 @@
 
 from itertools import groupby
 
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Paragraph, Section
-from cbsr_qa.report import plural, text_table
-from cbsr_qa.testing.kit.conformance import CheckedPlugins, CheckOutcome, PluginCheck, described
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
+from cbsr_qa.plugin import Paragraph
+from cbsr_qa.report.tables import plural, text_table
+from cbsr_qa.testing.kit.conformance import CheckedPlugins, CheckOutcome, PluginCheck, describe_check
 
 
 def checks_outcome(checked: CheckedPlugins) -> CommandOutcome[CheckedPlugins]:
@@ -20,7 +21,7 @@ def checks_outcome(checked: CheckedPlugins) -> CommandOutcome[CheckedPlugins]:
         _table(plugin, list(checks)) for plugin, checks in groupby(checked.checks, lambda c: (c.kind, c.name))
     ]
     if failed:
-        blocks = tuple(Paragraph(line) for check in failed for line in described(check).splitlines())
+        blocks = tuple(Paragraph(line) for check in failed for line in describe_check(check).splitlines())
         sections.append(Section("What to change", blocks))
     return CommandOutcome(checked, Page("", "", banner, ()), tuple(sections), exit_code=int(bool(failed)))
 

@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.plan import Moment
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.report.draw import BLUE, CHANGE_MAP, FAINT, QUIET, VERMILION, change_norm
-from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.plugin import Moment, ReadingFlag
+from cbsr_qa.report.draw.style import BLUE, CHANGE_MAP, FAINT, QUIET, VERMILION, change_norm
+from cbsr_qa.simulate.world import SimulatedWorld
 from simulation_figures import worlds
 from simulation_figures.look import (
     CLOSED,

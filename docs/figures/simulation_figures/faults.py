@@ -6,9 +6,8 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain.plan import Moment, SceneSetting
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.report.draw import AMOUNT_MAP, BLUE, QUIET, VERMILION
+from cbsr_qa.plugin import Moment, ReadingFlag, SceneSetting
+from cbsr_qa.report.draw.style import AMOUNT_MAP, BLUE, QUIET, VERMILION
 from simulation_figures import worlds
 from simulation_figures.look import (
     CLOSED,

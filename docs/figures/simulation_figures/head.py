@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.report.draw import BLUE, QUIET, VERMILION
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.plugin import NINE_LOCATIONS_MM
+from cbsr_qa.report.draw.style import BLUE, QUIET, VERMILION
+from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 from simulation_figures import worlds
 from simulation_figures.look import CLOSED, WITHOUT, Draw, key, panels, say

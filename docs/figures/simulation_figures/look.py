@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
-from cbsr_qa.report.draw import AMOUNT_MAP, INK, QUIET, checked_svg, light_grid, svg_of
+from cbsr_qa.report.draw.style import AMOUNT_MAP, INK, QUIET, check_svg, light_grid, svg_of
 from simulation_figures.worlds import Array, sensor_type
 
 #: Makes one figure.
@@ -135,7 +135,7 @@ def as_file(name: str, draw: Draw) -> str:
         svg = svg.replace(f'id="{own}"', f'id="n{count}"').replace(f"#{own}", f"#n{count}")
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"\d+\.\d{3,}", _rounded, tag[0]), svg)
     head, end, rest = svg.partition(">")
-    return checked_svg(f'{head}{end}\n<rect width="100%" height="100%" fill="#ffffff"/>{rest}\n')
+    return check_svg(f'{head}{end}\n<rect width="100%" height="100%" fill="#ffffff"/>{rest}\n')
 
 
 def _rounded(number: re.Match[str]) -> str:

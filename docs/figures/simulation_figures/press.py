@@ -6,10 +6,9 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain.plan import Moment
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report.draw import BLUE, QUIET, VERMILION
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
+from cbsr_qa.plugin import Indenter, Moment
+from cbsr_qa.report.draw.style import BLUE, QUIET, VERMILION
 from simulation_figures import worlds
 from simulation_figures.look import CLOSED, WITHOUT, Draw, key, note, panels, say
 from simulation_figures.worlds import RAMP_S, Array, press

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw import BLUE, QUIET, VERMILION
+from cbsr_qa.report.draw.style import BLUE, QUIET, VERMILION
 from simulation_figures import worlds
 from simulation_figures.look import CLOSED, WITHOUT, Draw, by_electrode, key, note, panels, say
 from simulation_figures.worlds import Array

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw import BLUE, QUIET, VERMILION
-from cbsr_qa.simulate import SimulatedHead
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.report.draw.style import BLUE, QUIET, VERMILION
+from cbsr_qa.simulate.head import SimulatedHead
+from cbsr_qa.system.clock import VirtualClock
 from simulation_figures import worlds
 from simulation_figures.look import CLOSED, WITHOUT, Draw, by_electrode, disc_map, key, outline, panels, say
 from simulation_figures.worlds import HEAD, MOTION, NINE_MM, Array

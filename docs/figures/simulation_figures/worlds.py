@@ -8,13 +8,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SceneSetting, SheetDesign, SimulatedPress, StrainRamp
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.plugin import Kind, Plugins, StationContext, discover
-from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, build_chain
-from cbsr_qa.system import Clock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.plan.plan import PluginChoice, Scene
+from cbsr_qa.domain.plan.world import StrainRamp
+from cbsr_qa.domain.sensor.sensor_type import Material
+from cbsr_qa.plugin import (
+    Indenter,
+    Kind,
+    Motion,
+    SceneSetting,
+    SensorType,
+    SheetDesign,
+    SimulatedPress,
+    StationContext,
+)
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.simulate.chain import build_chain
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.system.clock import Clock
 
 Array = NDArray[np.float64]
 

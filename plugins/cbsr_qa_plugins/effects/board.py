@@ -6,12 +6,11 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.plan import Dump, Moment, SceneSetting, Transcript
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.plugin import PluginOptions, Problem
-from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, check_at_most
-from cbsr_qa.system import TICK_S
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import Dump, Moment, PluginOptions, Problem, ReadingFlag, RefusedError, SceneSetting, Transcript
+from cbsr_qa.simulate.effect import Positive, SceneEffect, check_at_most
+from cbsr_qa.simulate.streams import RandomStream
+from cbsr_qa.system.clock import TICK_S
 from cbsr_qa_plugins.effects.readings import ReadingEffect
 
 #: Effects on readings before they are converted.
@@ -119,7 +118,7 @@ class ReadingMemory(ReadingEffect):
     def read(self, moment: Moment, voltages: Array) -> Array:
         turned = self._order(moment) == "drive"
         frame = voltages.T if turned else voltages
-        mixed = (self._mixed(frame.size) @ frame.ravel()).reshape(frame.shape)
+        mixed = (self._mixing_matrix(frame.size) @ frame.ravel()).reshape(frame.shape)
         return mixed.T if turned else mixed
 
     def _order(self, moment: Moment) -> str:
@@ -134,7 +133,7 @@ class ReadingMemory(ReadingEffect):
             )
         return told if at_s[1, 0] != at_s[0, 1] else self.options.inner or "measure"
 
-    def _mixed(self, count: int) -> Array:
+    def _mixing_matrix(self, count: int) -> Array:
         """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
         if self._shares is None or len(self._shares) != count:
             kept, back = self.options.share, np.subtract.outer(np.arange(count), np.arange(count)) % count

@@ -7,16 +7,15 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign
-from cbsr_qa.plugin import Array, PluginOptions, Problem
-from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
+from cbsr_qa.plugin import Array, Moment, PluginOptions, Problem, RefusedError, SceneSetting, SheetDesign
+from cbsr_qa.simulate.effect import Amount, Electrode, Positive, SceneEffect, check_electrode
+from cbsr_qa.simulate.streams import RandomStream
 
 #: Effects on sheet and contacts, which leave what is outside as it is.
 BESIDE_THE_SHEET: Final = ("temperature-drift",)
 
 
-def in_series(moment: Moment, electrode: int, resistance_ohm: float) -> None:
+def add_series_resistance(moment: Moment, electrode: int, resistance_ohm: float) -> None:
     """Add a resistance to an electrode's own potential.
 
     A voltmeter draws no current through it: only the driven pairs of this electrode show it.
@@ -130,7 +129,7 @@ class ElectrodeIntermittent(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         if self._is_open(moment.run_s):
-            in_series(moment, self.options.electrode, self.options.resistance_ohm)
+            add_series_resistance(moment, self.options.electrode, self.options.resistance_ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         began_s = moment.setting.began_s
@@ -187,7 +186,7 @@ class _BadLead(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         if self.options.from_s <= moment.run_s < self.options.to_s:
-            in_series(moment, self.options.electrode, self.options.resistance_ohm)
+            add_series_resistance(moment, self.options.electrode, self.options.resistance_ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         times_s = (at_s - moment.setting.began_s for at_s in (self.options.from_s, self.options.to_s))

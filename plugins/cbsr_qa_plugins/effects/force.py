@@ -1,8 +1,9 @@
 """Effects of stress and load cell: elastic stress, confinement, relaxation, noise, and a cell that ends."""
 
-from cbsr_qa.domain.plan import Moment, SceneSetting
-from cbsr_qa.plugin import PluginOptions
-from cbsr_qa.simulate import Amount, Positive, RandomStream, SceneEffect, Transients
+from cbsr_qa.plugin import Moment, PluginOptions, SceneSetting
+from cbsr_qa.simulate.effect import Amount, Positive, SceneEffect
+from cbsr_qa.simulate.ramps import Transients
+from cbsr_qa.simulate.streams import RandomStream
 
 
 class ElasticStress(SceneEffect):
@@ -65,7 +66,7 @@ class StressRelaxation(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         for index, press in enumerate(moment.presses):
-            moment.stress_kPa[index] += self._modulus_kPa * self._transients.of(press, moment.time_s)
+            moment.stress_kPa[index] += self._modulus_kPa * self._transients.change_at(press, moment.time_s)
 
 
 class LoadCellNoise(SceneEffect):

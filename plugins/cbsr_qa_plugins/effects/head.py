@@ -9,11 +9,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import HeadRing, Moment, SceneSetting, SheetDesign
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.plugin import PluginOptions
-from cbsr_qa.simulate import Amount, RandomStream, SceneEffect, check_at_most
+from cbsr_qa.plugin import ConfigError, HeadRing, Indenter, Moment, PluginOptions, SceneSetting, SheetDesign
+from cbsr_qa.simulate.effect import Amount, SceneEffect, check_at_most
+from cbsr_qa.simulate.streams import RandomStream
 
 _ROUNDING = 1e-9  # of the square of the head's reach
 
@@ -154,11 +152,11 @@ class Backlash(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         (x, y), (from_x, from_y) = moment.place_mm, moment.from_mm
-        moment.place_mm = (_played(x, from_x, self.options.play_mm), _played(y, from_y, self.options.play_mm))
-        moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self.options.depth_play_mm)
+        moment.place_mm = (_apply_play(x, from_x, self.options.play_mm), _apply_play(y, from_y, self.options.play_mm))
+        moment.depth_mm = _apply_play(moment.depth_mm, moment.from_depth_mm, self.options.depth_play_mm)
 
 
-def _played(to_mm: float, from_mm: float, play_mm: float) -> float:
+def _apply_play(to_mm: float, from_mm: float, play_mm: float) -> float:
     return min(max(from_mm, to_mm - play_mm / 2), to_mm + play_mm / 2)
 
 

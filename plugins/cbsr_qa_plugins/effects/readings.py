@@ -6,11 +6,10 @@ import numpy as np
 from pydantic import Field
 from scipy.constants import Boltzmann, zero_Celsius
 
-from cbsr_qa.domain import Array, ConfigError
-from cbsr_qa.domain.plan import Moment, SceneSetting
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.plugin import PluginOptions
-from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import ConfigError, Moment, PluginOptions, ReadingFlag, SceneSetting
+from cbsr_qa.simulate.effect import Amount, Electrode, Positive, SceneEffect, check_electrode
+from cbsr_qa.simulate.streams import RandomStream
 
 #: What the materials' noise is stated at: the rig's script reads at 0.01 power line cycles. The paper prints none.
 REFERENCE_NPLC: Final = 0.01

@@ -6,12 +6,21 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.geometry import SheetOutline
-from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, SheetField, SimulatedPress
-from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.plugin import PluginOptions
-from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, Transients, quasi_static
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
+    Moment,
+    PluginOptions,
+    RefusedError,
+    Relaxation,
+    SceneSetting,
+    SheetDesign,
+    SheetField,
+    SheetOutline,
+    SimulatedPress,
+)
+from cbsr_qa.simulate.effect import Positive, SceneEffect
+from cbsr_qa.simulate.ramps import Transients, quasi_static
+from cbsr_qa.simulate.streams import RandomStream
 
 _LATTICE: Final = 41  # places a side
 _WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400
@@ -114,7 +123,7 @@ class Piezoresistivity(SceneEffect):
     """The conductance under the head follows the strain along the material's quasi-static line.
 
     Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads, but an
-    unloaded sheet has no change. So β_ε fades in over the first contact (:data:`cbsr_qa.simulate.CONTACT_STRAIN`).
+    unloaded sheet has no change. So β_ε fades in over the first contact (``CONTACT_STRAIN``).
     """
 
     perturbs = "response"
@@ -138,7 +147,7 @@ class _Transient(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         for index, press in enumerate(moment.presses):
-            moment.response[index] += self._transients.of(press, moment.time_s)
+            moment.response[index] += self._transients.change_at(press, moment.time_s)
 
 
 class ConductanceRelaxation(_Transient):

@@ -6,10 +6,18 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_carry_over
-from cbsr_qa.plugin import Array, PluginOptions, Problem, StationContext
+from cbsr_qa.plugin import (
+    Array,
+    FrameBlock,
+    PluginOptions,
+    Problem,
+    ReadingFlag,
+    StationContext,
+    VoltageUnit,
+    correct_carry_over,
+)
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, stream_order
-from cbsr_qa_plugins.hardware._driver import Port, misconfigured
+from cbsr_qa_plugins.hardware._driver import Port, config_error
 
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
@@ -93,4 +101,4 @@ def check_sensor(context: StationContext, driver: str) -> None:
     if (rows, columns) != _SHAPE:
         problem = f" sends 16 x 16 readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}"
         remedy = "use a sensor type of 16 drive and 16 measure pairs, or another driver"
-        raise misconfigured(context, driver, problem, remedy)
+        raise config_error(context, driver, problem, remedy)

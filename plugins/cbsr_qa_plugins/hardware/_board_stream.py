@@ -81,7 +81,7 @@ class BinaryStream(BoardStream):
         """Take what has come, and return the frames that are whole by now."""
         self._held += data
         frames: list[BoardFrame] = []
-        while self._locked or self._synchronised():
+        while self._locked or self._synchronise():
             if len(self._held) < BINARY_FRAME:
                 break
             if not _fits(self._held, 0):
@@ -95,7 +95,7 @@ class BinaryStream(BoardStream):
         super().restart()
         self._locked = False
 
-    def _synchronised(self) -> bool:
+    def _synchronise(self) -> bool:
         """Find the start of a frame, and drop bytes before it."""
         held = self._held
         start = next((k for k in range(len(held) - BINARY_FRAME + 1) if _fits(held, k)), None)
@@ -103,7 +103,7 @@ class BinaryStream(BoardStream):
             self._drop(max(len(held) - BINARY_FRAME + 1, 0))
             return False
         if np.isin(_counts(held, start), _MARKS_AS_COUNTS).any():
-            undoubted = self._undoubted(start)
+            undoubted = self._find_unique_start(start)
             if undoubted is None:
                 return False
             start = undoubted
@@ -111,7 +111,7 @@ class BinaryStream(BoardStream):
         self._locked = True
         return True
 
-    def _undoubted(self, start: int) -> int | None:
+    def _find_unique_start(self, start: int) -> int | None:
         """Return the only start within a round that keeps fitting; None if more bytes are needed."""
         left = list(range(start, start + BINARY_FRAME))
         for number in range(_MOST_ROUNDS):
@@ -168,7 +168,7 @@ class TextStream(BoardStream):
     def _line(self, line: bytes) -> BoardFrame | None:
         text = line.decode("ascii", "replace").strip()
         if text == "A":
-            return self._marked()
+            return self._finish_frame()
         if self._rows is not None and _is_row(text):
             row = self._row(text)
             if row is None or len(self._rows) == PAIRS:
@@ -177,7 +177,7 @@ class TextStream(BoardStream):
                 self._rows.append(row)
         return None
 
-    def _marked(self) -> BoardFrame | None:
+    def _finish_frame(self) -> BoardFrame | None:
         frame = None
         if self._rows is not None and len(self._rows) == PAIRS:
             frame = self._whole(np.array(self._rows, dtype=np.int64))

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.sensor import DrivePattern, Pair
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import DrivePattern, Pair
 
 #: Of the median pair. On the paper's sensors the largest is 1.5 times the median.
 _OPEN: Final = 5.0
@@ -48,15 +48,17 @@ class ContactFault:
     def words(self) -> str:
         """Say it, e.g. ``pin 7 open: pairs 6-7 and 7-8 read 1.2 MΩ and 980 kΩ, the median pair 18.1 kΩ``."""
         if self.state is ContactState.TOUCH:
-            who = f"pins {_listed(self.pins, 'and')} touch"
+            who = f"pins {_join_words(self.pins, 'and')} touch"
         else:
-            who = f"pin{'' if len(self.pins) == 1 else 's'} {_listed(self.pins, 'or')} {self.state}"
+            who = f"pin{'' if len(self.pins) == 1 else 's'} {_join_words(self.pins, 'or')} {self.state}"
         plural = len(self.pairs) > 1
-        pairs = _listed([f"{a}-{b}" for a, b in self.pairs], "and")
+        pairs = _join_words([f"{a}-{b}" for a, b in self.pairs], "and")
         # If none could be driven, one message covers all.
-        read = _listed([_shown(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and")
+        read = _join_words(
+            [_format_ohm(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and"
+        )
         text = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
-        return text + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
+        return text + (f", the median pair {_format_ohm(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
 
 
 def contact_faults(pattern: DrivePattern, drive_ohm: Array) -> tuple[ContactFault, ...]:
@@ -69,7 +71,7 @@ def contact_faults(pattern: DrivePattern, drive_ohm: Array) -> tuple[ContactFaul
     known = drive_ohm[np.isfinite(drive_ohm)]
     median = float(np.median(known)) if known.size else np.inf
     high = drive_ohm >= _POOR * median if known.size else np.ones(len(drive_ohm), dtype=bool)
-    faults = [_high(pattern, drive_ohm, median, pins, rows) for pins, rows in _explained(pattern.drive, high)]
+    faults = [_high(pattern, drive_ohm, median, pins, rows) for pins, rows in _explain_pairs(pattern.drive, high)]
     for row in np.flatnonzero(drive_ohm <= _SHORT * median) if known.size else ():
         pair = pattern.drive[row]
         faults.append(ContactFault(ContactState.TOUCH, pair, (pair,), (float(drive_ohm[row]),), median))
@@ -85,7 +87,7 @@ def _high(
     return ContactFault(state, pins, tuple(pattern.drive[row] for row in rows), ohm, median)
 
 
-def _explained(pairs: Sequence[Pair], high: NDArray[np.bool_]) -> Iterable[tuple[tuple[int, ...], list[int]]]:
+def _explain_pairs(pairs: Sequence[Pair], high: NDArray[np.bool_]) -> Iterable[tuple[tuple[int, ...], list[int]]]:
     """Yield pins, and the rows of the pairs each explains, until every high pair is explained."""
     rows_of: dict[int, set[int]] = {}
     for row, pair in enumerate(pairs):
@@ -107,12 +109,12 @@ def _explained(pairs: Sequence[Pair], high: NDArray[np.bool_]) -> Iterable[tuple
         left -= explained
 
 
-def _listed(values: Sequence[object], word: str) -> str:
+def _join_words(values: Sequence[object], word: str) -> str:
     *first, last = map(str, values)
     return f"{', '.join(first)} {word} {last}" if first else last
 
 
-def _shown(ohm: float) -> str:
+def _format_ohm(ohm: float) -> str:
     if not np.isfinite(ohm):
         return "more than the source can drive"
     for unit, size in (("MΩ", 1e6), ("kΩ", 1e3)):

@@ -7,10 +7,15 @@ from typing import Annotated, Final, Protocol, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.plan import Motion
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import (
+    CheckOutcome,
+    CheckResult,
+    ConfigError,
+    InstrumentError,
+    InstrumentIdentity,
+    Motion,
+    StationContext,
+)
 
 #: Where a station states no motion: the rig's press speed of 40 mm/min, and the shipped station's other numbers.
 RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
@@ -18,23 +23,23 @@ RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hov
 Number = TypeVar("Number", bound=float)
 
 
-def _not_empty(text: str) -> str:
+def _check_not_empty(text: str) -> str:
     if not text.strip():
         raise ValueError("it must be text that is not empty")
     return text
 
 
-def _not_zero(number: Number) -> Number:
+def _check_nonzero(number: Number) -> Number:
     if number == 0:
         raise ValueError("it must be a number other than 0")
     return number
 
 
-Text = Annotated[str, AfterValidator(_not_empty)]
+Text = Annotated[str, AfterValidator(_check_not_empty)]
 Port = Annotated[Text, Field(description='the path of a serial port, or "usb:VID:PID:SERIAL"')]
 Baud = Annotated[int, Field(ge=300, le=4_000_000)]
-Factor = Annotated[float, AfterValidator(_not_zero)]
-Sign = Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero)]
+Factor = Annotated[float, AfterValidator(_check_nonzero)]
+Sign = Annotated[int, Field(ge=-1, le=1), AfterValidator(_check_nonzero)]
 
 
 class Closable(Protocol):
@@ -44,7 +49,7 @@ class Closable(Protocol):
 
 
 @contextmanager
-def closed_on_error(opened: Closable) -> Iterator[None]:
+def close_on_error(opened: Closable) -> Iterator[None]:
     """Give back what was opened if the rest of an opening fails: the next attempt must find it free."""
     try:
         yield
@@ -53,12 +58,12 @@ def closed_on_error(opened: Closable) -> Iterator[None]:
         raise
 
 
-def misconfigured(context: StationContext, driver: str, problem: str, remedy: str) -> ConfigError:
+def config_error(context: StationContext, driver: str, problem: str, remedy: str) -> ConfigError:
     """Return the error of a station file, sensor type or station that this driver cannot work with."""
     return ConfigError(f"instrument {context.role!r} ({driver}){problem}", remedy=remedy)
 
 
-def checked(
+def check_result(
     name: str,
     well: bool,
     value: float | None = None,
@@ -93,7 +98,7 @@ class DriverBase:
     def close(self) -> None:
         """Give back nothing."""
 
-    def _identified(
+    def _build_identity(
         self,
         model: str,
         serial: str = "",
@@ -112,7 +117,7 @@ class DriverBase:
     def _error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
 
-    def _repeated(self, error: InstrumentError, *, retryable: bool) -> InstrumentError:
+    def _restate_error(self, error: InstrumentError, *, retryable: bool) -> InstrumentError:
         """Return an error of this instrument, retryable or not."""
         reason = error.reason.removeprefix(f"{error.role} at {error.address}: ")
         return self._error(reason, error.remedy, retryable=retryable)

@@ -3,8 +3,7 @@
 import re
 from typing import Final
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.sensor import DrivePattern, Pair, Pairs
+from cbsr_qa.plugin import DrivePattern, Pair, Pairs, RefusedError
 
 #: (source, sink) and the two voltage pins. Which of these is the positive one is a matter of how the meter is wired.
 Connection = tuple[Pair, Pair]

@@ -6,11 +6,17 @@ from typing import Annotated, Final, Protocol
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, SafetyError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, StationContext
-from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, Sign, checked
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
+    CheckOutcome,
+    CheckResult,
+    InstrumentIdentity,
+    PluginOptions,
+    SafetyError,
+    SampleBlock,
+    StationContext,
+)
+from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, Sign, check_result
 
 #: Newtons of one gram force: standard gravity (CGPM 1901); places on earth differ by half a percent at most.
 NEWTON_PER_G: Final = 9.80665e-3
@@ -91,7 +97,7 @@ class ForceCell(DriverBase):
         notes: tuple[tuple[str, str], ...] = ()
         if self._settings.tare_s > 0:
             notes = (("tare", f"{self._zero_N:.4g} N, mean of {self._settings.tare_s:g} s".replace("-", "−")),)
-        return self._identified(*self._who(), notes=notes)
+        return self._build_identity(*self._who(), notes=notes)
 
     def alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
@@ -135,7 +141,7 @@ class ForceCell(DriverBase):
         """
         mean_N, error_N = self._mean_N(_TEST_S)
         zero_N, limit_N = mean_N - self._zero_N, self._settings.tare_limit_N
-        zero = checked(
+        zero = check_result(
             "zero",
             abs(zero_N) <= limit_N,
             zero_N,
@@ -150,16 +156,16 @@ class ForceCell(DriverBase):
     def _dead_weight(self) -> CheckResult:
         mass_g, ask = self._settings.dead_weight_g, self._context.ask
         if mass_g is None:
-            return _not_done("state a mass as 'dead_weight_g' in its table")
+            return _skip_dead_weight("state a mass as 'dead_weight_g' in its table")
         if ask is None:
-            return _not_done("somebody must put the mass on: start the check on a terminal")
+            return _skip_dead_weight("somebody must put the mass on: start the check on a terminal")
         ask(f"Put {mass_g:g} g on the load cell {self._role!r}.")
         mean_N, error_N = self._mean_N(_TEST_S)
         ask(f"Take the {mass_g:g} g off again.")
         found_N, expected_N = mean_N - self._zero_N, NEWTON_PER_G * mass_g
         tolerance_N = _WEIGHT_SHARE * expected_N
         expected = f"{expected_N:.4g} N ± {tolerance_N:.2g} N"
-        return checked(
+        return check_result(
             "dead weight",
             abs(found_N - expected_N) <= tolerance_N,
             found_N,
@@ -194,5 +200,5 @@ class ForceCell(DriverBase):
             )
 
 
-def _not_done(remedy: str) -> CheckResult:
+def _skip_dead_weight(remedy: str) -> CheckResult:
     return CheckResult("dead weight", CheckOutcome.NOT_DONE, remedy=remedy)

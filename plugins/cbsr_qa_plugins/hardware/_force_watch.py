@@ -5,10 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
-from cbsr_qa.domain.plan import SafetyLimits
-from cbsr_qa.plugin import Instrument, Sampler
-from cbsr_qa.system import Clock
+from cbsr_qa.plugin import ConfigError, Instrument, InstrumentError, SafetyError, SafetyLimits, Sampler
+from cbsr_qa.system.clock import Clock
 
 #: Makes an error of a reason and a remedy.
 Fail = Callable[[str, str], InstrumentError]

@@ -7,9 +7,9 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.domain import Array, InstrumentError
-from cbsr_qa.plugin import PluginOptions, Problem
-from cbsr_qa.plugin.links import VisaLink
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import InstrumentError, PluginOptions, Problem
+from cbsr_qa.plugin.links.visa_link import VisaLink
 from cbsr_qa_plugins.hardware._driver import Text
 
 #: Set values may be rounded to the instrument's resolution; what is further off was not taken.

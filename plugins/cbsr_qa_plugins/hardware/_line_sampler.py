@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, InstrumentError
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa.system import Clock, RealClock
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import InstrumentError, SerialLink
+from cbsr_qa.system.clock import Clock, RealClock
 
 #: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
 KEPT_S: Final = 3600.0
@@ -42,7 +42,7 @@ class SampleLog:
             if old > len(self._times) // 2:
                 del self._times[:old], self._values[:old]
 
-    def since(self, time_s: float) -> tuple[Array, Array]:
+    def read_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and values, both (n,), after a time."""
         with self._keeping:
             first = bisect_right(self._times, time_s)
@@ -176,10 +176,10 @@ class LineSampler:
             if self._unread >= _UNREADABLE:
                 raise self._link.error(
                     f"{self._unread} lines after each other could not be read, the last is {self._example!r};"
-                    f" {self._expected()} was expected",
+                    f" {self._line_format()} was expected",
                     "check its address, its baud rate, and 'time' in its table",
                 )
-        return self._log.since(time_s)
+        return self._log.read_since(time_s)
 
     def newest(self, count: int) -> Array:
         """Return the last values, at most so many, (n,)."""
@@ -192,7 +192,7 @@ class LineSampler:
             if self._clock.now() >= until_s:
                 received = f"{self._example!r}" if self._example else "nothing"
                 raise self._link.error(
-                    f"{received} was found within {allowed_s:g} s; {self._expected()} was expected",
+                    f"{received} was found within {allowed_s:g} s; {self._line_format()} was expected",
                     "check that it is switched on, its address, its baud rate, and 'time' in its table",
                 )
             self._clock.sleep(self._period_s)
@@ -250,20 +250,20 @@ class LineSampler:
         now_s = self._clock.now()
         *lines, self._partial = (self._partial + data).split(b"\n")
         with self._keeping:
-            read = [sample for line in lines if (sample := self._understood(line)) is not None]
+            read = [sample for line in lines if (sample := self._parse_line(line)) is not None]
             for number, (device_s, value) in enumerate(read):
                 waited = len(read) - 1 - number
                 time_s = (
                     self._device.on_station(device_s, now_s)
                     if device_s is not None
-                    else self._arrived(now_s - waited * self._period_s, now_s)
+                    else self._estimate_arrival(now_s - waited * self._period_s, now_s)
                 )
                 if time_s is None:
                     self.skipped += 1
                     continue
                 self._log.append(time_s, self._convert(value))
 
-    def _understood(self, line: bytes) -> tuple[float | None, float] | None:
+    def _parse_line(self, line: bytes) -> tuple[float | None, float] | None:
         """Return (device time [s] or None, number) of a line; None if it is not one."""
         text = line.decode("ascii", "replace").strip()
         match = (_TIMED if self._timed else _PLAIN).match(text)
@@ -282,7 +282,7 @@ class LineSampler:
             return int(match[1]) / 1e3, float(match[2])
         return None, float(match[1])
 
-    def _arrived(self, about_s: float, now_s: float) -> float:
+    def _estimate_arrival(self, about_s: float, now_s: float) -> float:
         """Return a time for a line without one: lines read together came a period apart, and after those before."""
         last_s = max(self._log.last_s, self._began_s)
         return min(max(about_s, last_s + 1e-6), max(now_s, last_s + 1e-6))
@@ -290,5 +290,5 @@ class LineSampler:
     def _silent_s(self) -> float:
         return 1.0 + _SILENT_PERIODS * self._period_s
 
-    def _expected(self) -> str:
+    def _line_format(self) -> str:
         return "'<milliseconds>,<value>'" if self._timed else "'<value>'"

@@ -7,8 +7,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.domain import CbsrError, InstrumentError
-from cbsr_qa.system import Clock
+from cbsr_qa.plugin import CbsrError, InstrumentError
+from cbsr_qa.system.clock import Clock
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
 
 Position = tuple[float, float, float]
@@ -126,7 +126,7 @@ class MarlinAxes:
         self._check_not_stopped()
         self._homed_at, self._at = self._link.restarts, None
 
-    def at(self) -> Position:
+    def final_position(self) -> Position:
         """Return the position after all motions; target and live position must agree."""
         if self._at is None:
             self._link.command("M400")
@@ -147,7 +147,7 @@ class MarlinAxes:
         called with the live position while it moves; what it raises stops and lifts the head.
         """
         self.check_homed()
-        origin = self.at()
+        origin = self.final_position()
         length_mm = math.dist(origin, goal)
         if length_mm < 1e-4:
             return

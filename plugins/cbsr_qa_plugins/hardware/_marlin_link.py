@@ -11,9 +11,8 @@ from functools import reduce
 from operator import xor
 from typing import Final
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa.system import RealClock
+from cbsr_qa.plugin import InstrumentError, SerialLink
+from cbsr_qa.system.clock import RealClock
 
 #: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
 _FIRST_NUMBER: Final = 1000

@@ -7,11 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext, driver
-from cbsr_qa.plugin.links import SerialLink
+from cbsr_qa.plugin import FrameBlock, InstrumentError, InstrumentIdentity, SerialLink, StationContext, driver
 from cbsr_qa_plugins.hardware._board_settings import BoardOptions, check_sensor
 from cbsr_qa_plugins.hardware._board_stream import (
     BINARY_FRAME,
@@ -21,7 +17,7 @@ from cbsr_qa_plugins.hardware._board_stream import (
     BoardStream,
     TextStream,
 )
-from cbsr_qa_plugins.hardware._driver import DriverBase, closed_on_error
+from cbsr_qa_plugins.hardware._driver import DriverBase, close_on_error
 
 _DRIVER: Final = "ert-board-stream"
 #: Between two calls nothing on the bench moves within this time: a frame that spans them counts [s].
@@ -58,8 +54,9 @@ def open_board(context: StationContext, options: BoardOptions) -> "ErtBoardStrea
     first_reading : where in that order a frame begins.
     current_mA : drive current, if known.
     memory_share : share of the previous reading that each reading keeps, as
-        :func:`cbsr_qa.domain.readings.estimate_carry_over` finds it from reciprocity. The driver removes it. A
-        saturated reading counts as the end of the range; the first reading of a call is not corrected.
+        :func:`cbsr_qa.domain.readings.carry_over.estimate_carry_over` finds it from
+        reciprocity. The driver removes it. A saturated reading counts as the end of the range; the first reading of a
+        call is not corrected.
 
     Raises
     ------
@@ -94,7 +91,7 @@ class ErtBoardStream(DriverBase):
         self.frames_lost = 0
         assert options.speed is not None
         self._link = SerialLink(self._role, options.address, baud=options.speed)
-        with closed_on_error(self._link):
+        with close_on_error(self._link):
             self._check_stream()
 
     # --- instrument ---
@@ -104,14 +101,14 @@ class ErtBoardStream(DriverBase):
         model = f"ERT board, {self._options.format} stream of {self._period_s:g} s a frame"
         if self._options.memory_share:
             model += f", reading memory of {self._options.memory_share:g} taken out"
-        return self._identified(model)
+        return self._build_identity(model)
 
     def alive(self) -> None:
         """Return as soon as the board has sent anything; what it sent is thrown away.
 
         InstrumentError if nothing comes for the time of some frames, or the link is down (retryable).
         """
-        with self._retried():
+        with self._recover_link():
             self._drain()
             asked_s, self._heard = self._clock.now(), 0
             while not self._heard:
@@ -137,12 +134,12 @@ class ErtBoardStream(DriverBase):
         InstrumentError if no frame arrives in time or the link is down (retryable: the port is opened again).
         """
         self._check_count(count, retryable=True)
-        with self._retried():
-            since_s = self._begun_since()
-            taken = [self._next(since_s) for _ in range(count)]
+        with self._recover_link():
+            since_s = self._earliest_start()
+            taken = [self._read_frame(since_s) for _ in range(count)]
         return self._options.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
 
-    def _begun_since(self) -> float:
+    def _earliest_start(self) -> float:
         """Return the earliest allowed start of a frame; discard earlier ones."""
         now_s = self._clock.now()
         slack_s = _WAITED_ROWS * self._row_s
@@ -151,7 +148,7 @@ class ErtBoardStream(DriverBase):
         self._drain()
         return now_s - slack_s
 
-    def _next(self, since_s: float) -> tuple[float, BoardFrame]:
+    def _read_frame(self, since_s: float) -> tuple[float, BoardFrame]:
         """Return the next frame that began after a time, with the time of its end."""
         asked_s, self._heard = self._clock.now(), 0
         while True:
@@ -177,7 +174,7 @@ class ErtBoardStream(DriverBase):
         if not data:
             # One that has sent nothing for some rows is not looked after row by row.
             self._clock.sleep((1 + self._waits) * _WAITED_ROWS * self._row_s)
-            data = self._waited()
+            data = self._read_pending()
         self._waits = 0 if data else self._waits + 1
         self._heard += len(data)
         frames = self._stream.feed(data)
@@ -186,7 +183,7 @@ class ErtBoardStream(DriverBase):
             (now_s - (len(frames) - 1 - number) * self._period_s, frame) for number, frame in enumerate(frames)
         )
 
-    def _waited(self) -> bytes:
+    def _read_pending(self) -> bytes:
         """Return pending input, after a short wait for more."""
         try:
             first = self._link.read(1, timeout_s=_ON_ITS_WAY_S)
@@ -218,8 +215,8 @@ class ErtBoardStream(DriverBase):
     def _check_stream(self) -> None:
         """Check that frames arrive at the stated rate."""
         self._drain()
-        _, first = self._next(-math.inf), self._clock.now()
-        self._next(-math.inf)
+        _, first = self._read_frame(-math.inf), self._clock.now()
+        self._read_frame(-math.inf)
         found_s = self._clock.now() - first
         if abs(found_s - self._period_s) > _PERIOD_SHARE * self._period_s:
             raise self._error(
@@ -230,7 +227,7 @@ class ErtBoardStream(DriverBase):
         self._read_s = -math.inf
 
     @contextmanager
-    def _retried(self) -> Iterator[None]:
+    def _recover_link(self) -> Iterator[None]:
         """Reopen a lost port; mark failures as retryable with a new stream."""
         try:
             if self._down:
@@ -243,7 +240,7 @@ class ErtBoardStream(DriverBase):
             if error.retryable:
                 raise
             self._down = True
-            raise self._repeated(error, retryable=True) from error
+            raise self._restate_error(error, retryable=True) from error
 
     def _check_patience(self, asked_s: float) -> None:
         """Raise if no frame arrived for too long."""

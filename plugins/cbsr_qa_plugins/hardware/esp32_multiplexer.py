@@ -7,12 +7,18 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.domain import InstrumentError, RefusedError
-from cbsr_qa.domain.run import CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa.system import RealClock
-from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Port, checked, closed_on_error, misconfigured
+from cbsr_qa.plugin import (
+    CheckResult,
+    InstrumentError,
+    InstrumentIdentity,
+    PluginOptions,
+    RefusedError,
+    SerialLink,
+    StationContext,
+    driver,
+)
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Port, check_result, close_on_error, config_error
 from cbsr_qa_plugins.hardware._esp32 import Connection, Order, counter_in, is_log, last_position, stepping_order
 
 _DRIVER: Final = "esp32-multiplexer"
@@ -79,13 +85,13 @@ class Esp32Multiplexer(DriverBase):
         self._options = options
         self._time = RealClock()
         self._pattern = context.sensor_type.pattern
-        self._order = self._declared()
+        self._order = self._build_order()
         self._lock = threading.RLock()
         self._in_step = False
         #: Index of the connected combination; None if a query is needed.
         self._at: int | None = None
         self._link = SerialLink(self._role, options.address, baud=options.baud, timeout_s=options.timeout_s)
-        with closed_on_error(self._link):
+        with close_on_error(self._link):
             self._await_boot()
             self._check_order()
 
@@ -94,9 +100,9 @@ class Esp32Multiplexer(DriverBase):
     def identity(self) -> InstrumentIdentity:
         """Its firmware says nothing of itself; what it does is its identity."""
         with self._talking():
-            self._asked()
+            self._ask_position()
         notes = (("order", f"{self._options.inner} pair inner"),)
-        return self._identified("ESP32 16-channel multiplexer", "", "command firmware", notes=notes)
+        return self._build_identity("ESP32 16-channel multiplexer", "", "command firmware", notes=notes)
 
     def close(self) -> None:
         self._link.close()
@@ -105,20 +111,20 @@ class Esp32Multiplexer(DriverBase):
         """Check that its combination is unchanged. InstrumentError if it does not answer, or has restarted."""
         with self._talking():
             before = self._at
-            if self._asked() != before and before is not None:
+            if self._ask_position() != before and before is not None:
                 raise self._error("it has been restarted: it is not where it was left", retryable=True)
 
     def self_test(self) -> tuple[CheckResult, ...]:
         """Step through a whole round, and check that it ends where it began (line ``round``)."""
         with self._talking():
-            self._started()
+            self._step_to_start()
             for _ in self._order:
-                self._stepped()
-            end = self._asked()
+                self._step_once()
+            end = self._ask_position()
         count = len(self._order)
         result = f"{count} steps lead from the first combination to number {end + 1}"
         remedy = "steps are lost or done twice: look at the cable, and at what else is on its supply"
-        return (checked("round", end == 0, said=result, remedy=remedy),)
+        return (check_result("round", end == 0, said=result, remedy=remedy),)
 
     # --- multiplexer ---
 
@@ -132,7 +138,7 @@ class Esp32Multiplexer(DriverBase):
         InstrumentError if it does not get there, or an answer is lost (both retryable).
         """
         with self._talking():
-            moved = self._started()
+            moved = self._step_to_start()
         if moved:
             self._clock.sleep(1e-3 * self._options.settle_ms)
 
@@ -142,34 +148,34 @@ class Esp32Multiplexer(DriverBase):
         InstrumentError if the step is not echoed (retryable).
         """
         with self._talking():
-            self._stepped()
+            self._step_once()
         self._clock.sleep(1e-3 * self._options.settle_ms)
 
     def position(self) -> int:
         """Ask which combination is connected; its index in :meth:`order`."""
         with self._talking():
-            return self._asked()
+            return self._ask_position()
 
     # --- how ---
 
-    def _declared(self) -> Order:
+    def _build_order(self) -> Order:
         skips = self._options.model_dump(include={"current_skip", "voltage_skip"})
         most = self._pattern.electrode_count - 2
         for key, skip in skips.items():
             if skip > most:
                 remedy = f"it must be at most {most} with the electrodes of this sensor type"
-                raise misconfigured(self._context, _DRIVER, f": {key} is {skip}", remedy)
+                raise config_error(self._context, _DRIVER, f": {key} is {skip}", remedy)
         try:
             return stepping_order(self._pattern, inner=self._options.inner, **skips)
         except RefusedError as error:
-            raise misconfigured(self._context, _DRIVER, f": {error.reason}", error.remedy) from error
+            raise config_error(self._context, _DRIVER, f": {error.reason}", error.remedy) from error
 
     def _await_boot(self) -> None:
         """Ask until it answers: while it starts, what it is sent is lost."""
         until_s = self._time.now() + self._options.boot_s
         while True:
             try:
-                self._asked()
+                self._ask_position()
             except InstrumentError:
                 if self._time.now() >= until_s:
                     raise
@@ -180,10 +186,10 @@ class Esp32Multiplexer(DriverBase):
     def _check_order(self) -> None:
         """Check by two steps and the counter that it follows the station file."""
         with self._talking():
-            self._check_counter(self._asked())
-            self._started()
-            self._stepped()
-            expected, reached = self._at, self._asked()
+            self._check_counter(self._ask_position())
+            self._step_to_start()
+            self._step_once()
+            expected, reached = self._at, self._ask_position()
             if reached != expected:
                 (drive, measure), declared = self._order[reached], self._order[1]
                 raise self._error(
@@ -192,14 +198,14 @@ class Esp32Multiplexer(DriverBase):
                     remedy="correct inner in its table: the pair that changes with every step is the inner one",
                 )
 
-    def _started(self) -> bool:
+    def _step_to_start(self) -> bool:
         """Step on to the first combination; false if already there."""
-        at = self._asked() if self._at is None else self._at
+        at = self._ask_position() if self._at is None else self._at
         if at == 0:
             return False
         for _ in range(len(self._order) - at):
-            self._stepped()
-        if (reached := self._asked()) != 0:
+            self._step_once()
+        if (reached := self._ask_position()) != 0:
             raise self._error(f"told to go to its first combination, it is at number {reached + 1}", retryable=True)
         return True
 
@@ -225,13 +231,13 @@ class Esp32Multiplexer(DriverBase):
                 yield
             except InstrumentError as error:
                 # Also a line that hung up may be tried again: by then it may be plugged in again.
-                raise self._repeated(error, retryable=error.retryable or self._link.down) from error
+                raise self._restate_error(error, retryable=error.retryable or self._link.down) from error
             self._in_step = True
 
     def _recover(self) -> None:
         self._at = None
         with suppress(InstrumentError):
-            self._asked(late=True)
+            self._ask_position(late=True)
             return
         until_s = self._time.now() + self._options.reconnect_s
         while True:
@@ -240,10 +246,10 @@ class Esp32Multiplexer(DriverBase):
                 return self._await_boot()
             except InstrumentError as error:
                 if self._time.now() >= until_s:
-                    raise self._repeated(error, retryable=False) from error
+                    raise self._restate_error(error, retryable=False) from error
             self._time.sleep(_LOOK_AGAIN_S)
 
-    def _stepped(self) -> None:
+    def _step_once(self) -> None:
         before, self._at = self._at, None
         self._forget()
         self._link.write(b"i")
@@ -261,7 +267,7 @@ class Esp32Multiplexer(DriverBase):
         if unread.rfind(_ESCAPE) > unread.rfind(b"\n") or is_log(unread.rpartition(b"\n")[2]):
             self._link.read_line()
 
-    def _asked(self, *, late: bool = False) -> int:
+    def _ask_position(self, *, late: bool = False) -> int:
         """Ask where it is.
 
         ``late``: answers to earlier questions may still come: wait until there are no more, and take the last.

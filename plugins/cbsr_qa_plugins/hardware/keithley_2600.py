@@ -7,11 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, InstrumentError
-from cbsr_qa.domain.run import CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import MeterReading, StationContext, driver
-from cbsr_qa.plugin.links import VisaLink
-from cbsr_qa_plugins.hardware._driver import DriverBase, checked, closed_on_error
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import CheckResult, InstrumentError, InstrumentIdentity, MeterReading, StationContext, driver
+from cbsr_qa.plugin.links.visa_link import VisaLink
+from cbsr_qa_plugins.hardware._driver import DriverBase, check_result, close_on_error
 from cbsr_qa_plugins.hardware._keithley_tsp import CURRENT_NPLC, MEASURE, KeithleyOptions, TspUnit, settings
 
 _DRIVER: Final = "keithley-2600"
@@ -76,7 +75,7 @@ class Keithley2600(DriverBase):
         timeout_s = options.timeout_s + self.reading_period_s
         self._link = VisaLink(self._role, options.address, timeout_s=timeout_s, backend=options.visa_backend)
         self._unit = TspUnit(self._link)
-        with closed_on_error(self._link):
+        with close_on_error(self._link):
             self._unit.greet()
             with self._talking():
                 pass
@@ -86,7 +85,7 @@ class Keithley2600(DriverBase):
     def identity(self) -> InstrumentIdentity:
         with self._talking():
             maker, model, serial, firmware = self._unit.identity()
-        return self._identified(f"{maker} {model}", serial, firmware)
+        return self._build_identity(f"{maker} {model}", serial, firmware)
 
     def safe_state(self) -> None:
         """Switch both outputs off, going around a thread that hangs in a question; checked by reading back.
@@ -102,7 +101,7 @@ class Keithley2600(DriverBase):
                 held = self._lock.acquire(timeout=2 * self._link.timeout_s)
                 if not held:
                     raise self._error("told to switch off; another question hangs, so that it cannot confirm it")
-            self._confirmed_off()
+            self._confirm_off()
         finally:
             if held:
                 self._lock.release()
@@ -128,9 +127,9 @@ class Keithley2600(DriverBase):
                 self._unit.write(f"{self._source}.source.leveli = 0")
                 self._switch_on()
                 volts, amperes = self._unit.numbers(f"{self._meter}.measure.v()", f"{self._source}.measure.i()")
-            self._confirmed_off()
+            self._confirm_off()
         return (
-            checked("errors", not errors, said="; ".join(errors) or "none in its queue"),
+            check_result("errors", not errors, said="; ".join(errors) or "none in its queue"),
             _zero("zero voltage", volts, "V", _ZERO_SHARE * self._options.meter_range_V),
             _zero("zero current", amperes, "A", _ZERO_SHARE * self._options.largest_A),
         )
@@ -167,7 +166,7 @@ class Keithley2600(DriverBase):
     def off(self) -> None:
         """Switch both channels off, and read back that they are."""
         with self._lock:
-            self._confirmed_off()
+            self._confirm_off()
 
     def measure(self) -> MeterReading:
         """Take one measurement: the readings are averaged, and all must have come.
@@ -198,13 +197,13 @@ class Keithley2600(DriverBase):
         compliance = bool(bits_source & _COMPLIANCE)
         return MeterReading(
             volts=float(volts.mean()),
-            current_A=self._given(amperes, compliance),
+            current_A=self._check_current(amperes, compliance),
             compliance=compliance,
             saturated=bool(beyond.any() or at_limit.any() or bits_meter & _COMPLIANCE),
             time_s=time_s,
         )
 
-    def _given(self, amperes: Array, compliance: bool) -> float:
+    def _check_current(self, amperes: Array, compliance: bool) -> float:
         """Return the current that flowed; it must be the requested one, unless the source is at its limit."""
         asked_A = float(self._given_A or 0.0)
         if (np.abs(amperes) > _NO_NUMBER).any():
@@ -255,7 +254,7 @@ class Keithley2600(DriverBase):
         for channel in (self._source, self._meter):
             self._unit.write(f"{channel}.source.output = 0")
 
-    def _confirmed_off(self) -> None:
+    def _confirm_off(self) -> None:
         """Switch off and read back, again if the link was out of step."""
         self._given_A = None
         ready, self._ready = self._ready, False
@@ -280,4 +279,4 @@ class Keithley2600(DriverBase):
 def _zero(name: str, value: float, unit: str, most: float) -> CheckResult:
     number = value if abs(value) < _NO_NUMBER else None
     remedy = "take the leads off and ask again: what is left is the unit's own and wants its calibration"
-    return checked(name, abs(value) <= most, number, unit, f"within {most:.3g} {unit}", remedy=remedy)
+    return check_result(name, abs(value) <= most, number, unit, f"within {most:.3g} {unit}", remedy=remedy)

@@ -4,8 +4,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, StationContext, driver
+from cbsr_qa.plugin import InstrumentIdentity, PluginOptions, StationContext, driver
 from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text
 from cbsr_qa_plugins.hardware.manual_samplers import Operator
 
@@ -57,7 +56,7 @@ class ManualApplicator(DriverBase):
 
     def identity(self) -> InstrumentIdentity:
         """Return the identity in the table: the stand has no query."""
-        return self._identified(self._options.label, self._options.number or "")
+        return self._build_identity(self._options.label, self._options.number or "")
 
     def safe_state(self) -> None:
         """Report that a head which is down can only be lifted by hand, without waiting for an operator.
@@ -85,7 +84,9 @@ class ManualApplicator(DriverBase):
         """Ask for the head to be lifted, and for its scales to be set to zero over the sheet's centre."""
         self._orders += 1
         hover = f"{self._motion.hover_mm:g} mm above the sheet"
-        self._operator.told(f"lift the head to {hover}, bring it over the sheet's centre and set its scales to zero")
+        self._operator.request_action(
+            f"lift the head to {hover}, bring it over the sheet's centre and set its scales to zero"
+        )
         self._place, self._down = (0.0, 0.0), False
         self._surfaces.clear()  # the scale they were read from has a new zero
 
@@ -110,7 +111,7 @@ class ManualApplicator(DriverBase):
         self._orders += 1
         if self._place != (x_mm, y_mm):
             self._place = None  # until it is answered, it may be anywhere between
-            self._operator.told(f"bring the head over {_words((x_mm, y_mm))}, at the hover height")
+            self._operator.request_action(f"bring the head over {_words((x_mm, y_mm))}, at the hover height")
             self._place = (x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
@@ -142,7 +143,7 @@ class ManualApplicator(DriverBase):
         """Request to lift a head that is down."""
         if self._down:
             self._orders += 1
-            self._operator.told("lift the head straight up to the hover height")
+            self._operator.request_action("lift the head straight up to the hover height")
             self._down = False
 
     def _surface_mm(self) -> float:

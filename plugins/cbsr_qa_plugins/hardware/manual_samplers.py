@@ -8,11 +8,17 @@ from typing import Annotated, Final, Literal, Protocol, runtime_checkable
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Instrument, PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._driver import DriverBase, Text, misconfigured
+from cbsr_qa.plugin import (
+    ConfigError,
+    Instrument,
+    InstrumentError,
+    InstrumentIdentity,
+    PluginOptions,
+    SampleBlock,
+    StationContext,
+    driver,
+)
+from cbsr_qa_plugins.hardware._driver import DriverBase, Text, config_error
 
 #: Number of invalid answers before giving up.
 _MOST_ASKED: Final = 5
@@ -39,11 +45,11 @@ class Operator:
         if context.ask is None:
             problem = " is operated by hand, and there is no operator to ask"
             remedy = "start the run at a terminal, or use a driver that needs no operator"
-            raise misconfigured(context, driver, problem, remedy)
+            raise config_error(context, driver, problem, remedy)
         self._role = context.role
         self._ask: Callable[[str], str] = context.ask
 
-    def told(self, text: str) -> None:
+    def request_action(self, text: str) -> None:
         """Request an action; any answer confirms it."""
         self._ask(f"{self._role}: {text}. Press Enter when done.")
 
@@ -62,7 +68,7 @@ class Operator:
             answer = self._ask(question).strip()
             if not answer and default is not None:
                 return default
-            value = _parsed(answer, unit)
+            value = _parse_number(answer, unit)
             if value is not None and least <= value <= most:
                 return value
             wrong = f"{answer!r} is not a number" if value is None else f"{value:g} {unit} is not within its bounds"
@@ -74,7 +80,7 @@ class Operator:
         )
 
 
-def _parsed(answer: str, unit: str) -> float | None:
+def _parse_number(answer: str, unit: str) -> float | None:
     """Return the number of an answer such as ``1.5`` or ``1.5 mm``; None if it is not one, or not a finite one."""
     text = answer.removesuffix(unit).strip()
     if not _NUMBER.fullmatch(text):
@@ -105,7 +111,7 @@ class HandRead(DriverBase):
 
     def identity(self) -> InstrumentIdentity:
         """Return the identity in the table: it has no query."""
-        return self._identified(self._label, self._number)
+        return self._build_identity(self._label, self._number)
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Link to the head; ConfigError if it is motorised: it would press on while the operator reads."""
@@ -195,15 +201,15 @@ class ManualLoadCell(HandRead):
         down = self._head is not None and self._head.down
         orders = -1 if self._head is None else self._head.orders
         if self._tare is None and not down:
-            self._tare = self._asked("with the head up and nothing on it, read the load cell (its tare)")
+            self._tare = self._ask_force("with the head up and nothing on it, read the load cell (its tare)")
             shown = self._tare
         else:
-            shown = self._asked(f"read the load cell, the head is {'down' if down else 'up'}")
+            shown = self._ask_force(f"read the load cell, the head is {'down' if down else 'up'}")
         # No order can change the depth during this reading, which is taken in one thread.
         self._orders = orders
         return (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
 
-    def _asked(self, text: str) -> float:
+    def _ask_force(self, text: str) -> float:
         return self._operator.number(f"{text}, compression positive", self._shown, least=-self._most, most=self._most)
 
 

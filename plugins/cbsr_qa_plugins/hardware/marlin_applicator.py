@@ -13,13 +13,24 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import CLEARANCE_MM, SEARCH_CONTACT_STEPS, SEARCH_DWELL_S, SEARCH_FROM_MM, SEARCH_STEP_MM
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Array, Instrument, PluginOptions, Problem, StationContext, driver
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._driver import HeadDriver, Port, closed_on_error, misconfigured
+from cbsr_qa.plugin import (
+    CLEARANCE_MM,
+    SEARCH_CONTACT_STEPS,
+    SEARCH_DWELL_S,
+    SEARCH_FROM_MM,
+    SEARCH_STEP_MM,
+    Array,
+    Instrument,
+    InstrumentError,
+    InstrumentIdentity,
+    PluginOptions,
+    Problem,
+    SampleBlock,
+    SerialLink,
+    StationContext,
+    driver,
+)
+from cbsr_qa_plugins.hardware._driver import HeadDriver, Port, close_on_error, config_error
 from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 from cbsr_qa_plugins.hardware._marlin_axes import MachineFrame, MarlinAxes, Position
@@ -87,13 +98,13 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
         If there is no answer at the address, or another instrument or firmware answers.
     """
     if context.motion is None:
-        raise misconfigured(context, _DRIVER, " was given no motion", "open it by a station")
+        raise config_error(context, _DRIVER, " was given no motion", "open it by a station")
     thickness_mm = context.sensor_type.thickness_mm
     if options.search_depth_mm > thickness_mm:
         remedy = f"it must be at most the sheet's thickness, {thickness_mm:g}"
-        raise misconfigured(context, _DRIVER, f": search_depth_mm is {options.search_depth_mm}", remedy)
+        raise config_error(context, _DRIVER, f": search_depth_mm is {options.search_depth_mm}", remedy)
     link = SerialLink(context.role, options.address, baud=options.baud, timeout_s=options.timeout_s)
-    with closed_on_error(link):
+    with close_on_error(link):
         return MarlinApplicator(context, options, link, MarlinLink(link, boot_s=options.boot_s))
 
 
@@ -134,7 +145,7 @@ class MarlinApplicator(HeadDriver):
                 f"firmware {name or answer[:60]!r} was found; {self._options.firmware!r} was expected",
                 "check its address, and 'firmware' in its table: it gives the unit of reported positions",
             )
-        return self._identified(names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name)
+        return self._build_identity(names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name)
 
     def alive(self) -> None:
         """Return if it answers and has not restarted since it homed."""
@@ -163,7 +174,7 @@ class MarlinApplicator(HeadDriver):
             self._axes.check_homed()
             if self._depths.last_s < self._clock.now():
                 self._note(self._axes.live())
-        return SampleBlock(self.channel, self.unit, *self._depths.since(time_s))
+        return SampleBlock(self.channel, self.unit, *self._depths.read_since(time_s))
 
     # --- force applicator ---
 
@@ -171,7 +182,7 @@ class MarlinApplicator(HeadDriver):
         """Lift, find the zero of all axes, and go to the sheet's centre at the hover height."""
         self._axes.begin()
         self._axes.home()
-        x, y, _ = self._axes.at()
+        x, y, _ = self._axes.final_position()
         self._go((x, y, self._machine.hover_z_mm), self._motion.travel_speed_mm_s)
         self._travel(0.0, 0.0)
 
@@ -200,7 +211,7 @@ class MarlinApplicator(HeadDriver):
         self._axes.check_homed()
         surface = self._surface_mm()
         self._speed_mm_s = speed_mm_s
-        self._watched().look()
+        self._require_watch().look()
         if self._depth_mm() < surface - CLEARANCE_MM:
             self._go_to_depth(surface - CLEARANCE_MM, self._motion.travel_speed_mm_s, watched=True)
         self._go_to_depth(surface + depth_mm, speed_mm_s, watched=True)
@@ -214,7 +225,7 @@ class MarlinApplicator(HeadDriver):
 
     def _search(self) -> tuple[list[float], list[float]]:
         """Step down past the contact force; return the last depths [mm] and their forces [N]."""
-        watch, press_mm_s = self._watched(), self._motion.press_speed_mm_s
+        watch, press_mm_s = self._require_watch(), self._motion.press_speed_mm_s
         self._speed_mm_s = press_mm_s
         watch.look()
         self._go_to_depth(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s, watched=True)
@@ -223,7 +234,7 @@ class MarlinApplicator(HeadDriver):
         while sum(force >= self._options.contact_force_N for force in forces) < SEARCH_CONTACT_STEPS:
             depth_mm = self._depth_mm()
             if depth_mm > self._options.search_depth_mm:
-                raise self._given_up(
+                raise self._give_up(
                     f"no contact force of {self._options.contact_force_N:g} N"
                     f" down to {self._options.search_depth_mm:g} mm below nominal",
                     "look whether a sheet is in place, and whether the load cell reads pushes as positive",
@@ -235,13 +246,13 @@ class MarlinApplicator(HeadDriver):
                 forces.append(watch.mean_since(stepped_s))
             depths.append(self._depth_mm())
             if len(forces) == 1 and abs(forces[0]) >= self._options.contact_force_N:
-                raise self._given_up(
+                raise self._give_up(
                     f"the load cell reads {forces[0]:.3g} N {SEARCH_FROM_MM:g} mm above the nominal surface",
                     "tare it with the head in the air, and check 'hover_height_mm' in the applicator's table",
                 )
         return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
 
-    def _given_up(self, reason: str, remedy: str) -> InstrumentError:
+    def _give_up(self, reason: str, remedy: str) -> InstrumentError:
         """Lift the head, and return why the surface was not found."""
         with suppress(InstrumentError):
             self._lift()
@@ -258,11 +269,11 @@ class MarlinApplicator(HeadDriver):
         self._go(self._machine.position(x_mm, y_mm, -self._motion.hover_mm), self._motion.travel_speed_mm_s)
 
     def _go_to_depth(self, depth_mm: float, speed_mm_s: float, *, watched: bool = False) -> None:
-        x, y, _ = self._axes.at()
+        x, y, _ = self._axes.final_position()
         self._go((x, y, self._machine.position(0.0, 0.0, depth_mm)[2]), speed_mm_s, watched=watched)
 
     def _go(self, goal: Position, speed_mm_s: float, *, watched: bool = False) -> None:
-        watch = self._watched() if watched else None
+        watch = self._require_watch() if watched else None
 
         def look(live: Position) -> None:
             self._note(live)
@@ -277,15 +288,15 @@ class MarlinApplicator(HeadDriver):
 
     def _depth_mm(self) -> float:
         """Depth below the nominal surface at its position."""
-        return self._machine.depth_mm(self._axes.at()[2])
+        return self._machine.depth_mm(self._axes.final_position()[2])
 
     def _surface_mm(self) -> float:
         """Where the surface is taken to be below nominal: found here, or else found nearest, or else nominal."""
-        x, y, _ = self._axes.at()
+        x, y, _ = self._axes.final_position()
         here = (x - self._machine.centre_mm[0], y - self._machine.centre_mm[1])
         return min(((math.dist(place, here), depth) for place, depth in self._found.items()), default=(0.0, 0.0))[1]
 
-    def _watched(self) -> ForceWatch:
+    def _require_watch(self) -> ForceWatch:
         if self._watch is None:
             raise self._error("no instrument measures the force", "link it with a load cell before it presses")
         return self._watch

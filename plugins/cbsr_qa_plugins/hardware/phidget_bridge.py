@@ -13,10 +13,10 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, ConfigError, InstrumentError
-from cbsr_qa.plugin import StationContext, WholeNumber, driver
-from cbsr_qa.plugin.links import AddressLock
-from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import ConfigError, InstrumentError, StationContext, WholeNumber, driver
+from cbsr_qa.plugin.links.locks import AddressLock
+from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, close_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 
@@ -65,7 +65,7 @@ def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
         If the bridge does not attach, or something presses on the cell while it is tared.
     """
     source = PhidgetSource(context, options)
-    with closed_on_error(source):
+    with close_on_error(source):
         cell = ForceCell(context, source, options, driver=_DRIVER, address=source.address, who=source.identity)
         cell.tare()
         return cell
@@ -89,7 +89,7 @@ class PhidgetSource(DriverBase):
         self._began_s = self._clock.now()
         self._input = _bridge_input(self._role)
         self._lock = AddressLock(self._role, self._address)
-        with closed_on_error(self):
+        with close_on_error(self):
             self._open()
         self._began_s = self._clock.now()
 
@@ -104,7 +104,7 @@ class PhidgetSource(DriverBase):
             model, serial = self._input.getDeviceName(), self._input.getDeviceSerialNumber()
             version = self._input.getDeviceVersion()
         except Exception as error:
-            raise self._failed("does not say who it is", error) from error
+            raise self._bridge_error("does not say who it is", error) from error
         return str(model), str(serial), str(version)
 
     def samples_since(self, time_s: float) -> tuple[Array, Array]:
@@ -112,7 +112,7 @@ class PhidgetSource(DriverBase):
         if not self._attached:
             complaint = f" ({self._said})" if self._said else ""
             raise self._error(f"the bridge is unplugged{complaint}", _PLUG)
-        return self._log.since(time_s)
+        return self._log.read_since(time_s)
 
     def newest(self, count: int) -> Array:
         """Return the last forces [N], at most so many, (n,)."""
@@ -147,7 +147,7 @@ class PhidgetSource(DriverBase):
         except Exception as error:
             if getattr(error, "code", None) == _TIMEOUT:
                 raise self._error(f"no bridge attached within {options.attach_s:g} s", _PLUG) from error
-            raise self._failed("does not open", error) from error
+            raise self._bridge_error("does not open", error) from error
         self._attached = True
 
     def _set_up(self, bridge: Any) -> None:
@@ -177,7 +177,7 @@ class PhidgetSource(DriverBase):
         if now_s > self._log.last_s:  # a virtual clock may not have moved: one sample a moment
             self._log.append(now_s, self._options.force_N(ratio, "g"))
 
-    def _failed(self, what: str, error: Exception) -> InstrumentError:
+    def _bridge_error(self, what: str, error: Exception) -> InstrumentError:
         details = getattr(error, "details", "") or getattr(error, "description", "") or error
         return self._error(f"the bridge {what}: {details}", _PLUG)
 

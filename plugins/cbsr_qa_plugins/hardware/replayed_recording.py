@@ -7,12 +7,21 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import NoMoreFramesError, PluginError, RecordingError
 from cbsr_qa.domain.plan import steps as kinematics
-from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text, misconfigured
+from cbsr_qa.plugin import (
+    FrameBlock,
+    InstrumentIdentity,
+    NoMoreFramesError,
+    PluginError,
+    PluginOptions,
+    Recording,
+    RecordingError,
+    SampleBlock,
+    ScanKind,
+    StationContext,
+    driver,
+)
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text, config_error
 
 _DRIVER: Final = "replayed-recording"
 
@@ -81,7 +90,7 @@ class ReplayedRecording(DriverBase):
         origin = f"; itself of {'; '.join(recording.simulated)}" if recording.simulated else ""
         dataset = f", data set {recording.dataset}" if recording.dataset else ""
         model = f"replay of {recording.path.name} ({recording.format}{dataset}){origin}"
-        return self._identified(model, simulated=True)
+        return self._build_identity(model, simulated=True)
 
     def safe_state(self) -> None:
         """Count the head as up; nothing moves."""
@@ -126,25 +135,25 @@ class ReplayedRecording(DriverBase):
     @property
     def channel(self) -> str:
         """Name of the channel that is played. ConfigError if the recording does not hold it."""
-        return self._played().channel
+        return self._require_samples().channel
 
     @property
     def unit(self) -> str:
-        return self._played().unit
+        return self._require_samples().unit
 
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return what was recorded after a time of the station's clock, up to now."""
-        block = self._played()
+        block = self._require_samples()
         times_s = block.time_s + self._shift_s
         which = (times_s > time_s) & (times_s <= self._clock.now())
         return SampleBlock(block.channel, block.unit, times_s[which], block.values[which])
 
-    def _played(self) -> SampleBlock:
+    def _require_samples(self) -> SampleBlock:
         if self._samples is None:
             name = self._recording.path.name
             held = ", ".join(block.channel for block in self._recording.samples) or "none"
             remedy = f"channels it holds: {held}; take that role out of 'provides', or replay another recording"
-            raise misconfigured(self._context, _DRIVER, f": {name} holds no channel {self._wanted!r}", remedy)
+            raise config_error(self._context, _DRIVER, f": {name} holds no channel {self._wanted!r}", remedy)
         return self._samples
 
     # --- force applicator ---
@@ -183,11 +192,11 @@ class ReplayedRecording(DriverBase):
 
 def _read(context: StationContext, options: ReplayOptions) -> Recording:
     if context.read_recording is None:
-        raise misconfigured(context, _DRIVER, " was given no way to read recordings", "open it by a station file")
+        raise config_error(context, _DRIVER, " was given no way to read recordings", "open it by a station file")
     try:
         return context.read_recording(Path(options.file).expanduser(), options.format, options.dataset)
     except (RecordingError, PluginError) as error:
-        raise misconfigured(context, _DRIVER, f": {error.reason}", error.remedy) from error
+        raise config_error(context, _DRIVER, f": {error.reason}", error.remedy) from error
 
 
 def _check_frames(recording: Recording, context: StationContext) -> None:
@@ -207,4 +216,4 @@ def _check_frames(recording: Recording, context: StationContext) -> None:
         problem += " whose times say nothing" if recording.still else ""
         remedy = "only a recording over time can be played on a clock"
     if problem:
-        raise misconfigured(context, _DRIVER, problem, remedy)
+        raise config_error(context, _DRIVER, problem, remedy)

@@ -7,21 +7,27 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import Array, ConfigError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, join_frames
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import (
+    CheckOutcome,
+    CheckResult,
+    ConfigError,
+    FrameBlock,
     Instrument,
+    InstrumentIdentity,
     MeterReading,
     Multiplexer,
     PluginOptions,
     Problem,
+    ReadingFlag,
     SourceMeter,
     StationContext,
+    VoltageUnit,
     driver,
+    join_frames,
 )
 from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
-from cbsr_qa_plugins.hardware._driver import DriverBase, checked
+from cbsr_qa_plugins.hardware._driver import DriverBase, check_result
 
 _DRIVER: Final = "scanned-frames"
 Milliampere = Annotated[float, Field(ge=1e-4, le=1000)]
@@ -94,14 +100,14 @@ class ScannedFrames(DriverBase):
     def identity(self) -> InstrumentIdentity:
         """Name what it scans with; the meter and the multiplexer say themselves who they are."""
         notes = (("current", f"{1e3 * self._current_A:g} mA"), ("contacts", self._contacts))
-        return self._identified("source-measure unit and multiplexer", notes=notes)
+        return self._build_identity("source-measure unit and multiplexer", notes=notes)
 
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at the contacts by the driven pairs (line ``contacts``), and at the current (``current``)."""
-        ohm = self._driven_ohm()
+        ohm = self._measure_pairs_ohm()
         faults = self._contact_faults(ohm)
         poor = all(fault.state is ContactState.POOR for fault in faults)
-        contacts = checked(
+        contacts = check_result(
             "contacts",
             not faults,
             said=self._contacts,
@@ -126,9 +132,9 @@ class ScannedFrames(DriverBase):
                 remedy=f'name one whose table has provides = ["{lacks}"]',
             )
         self._meter, self._multiplexer = meter, multiplexer
-        ohm = self._driven_ohm()
+        ohm = self._measure_pairs_ohm()
         self._check_contacts(ohm)
-        self._current_A = self._chosen_A(ohm)
+        self._current_A = self._choose_current_A(ohm)
 
     # --- frame source ---
 
@@ -179,7 +185,7 @@ class ScannedFrames(DriverBase):
                 retryable=True,
             )
 
-    def _driven_ohm(self) -> Array:
+    def _measure_pairs_ohm(self) -> Array:
         """Resistance of each driven pair (drives,): infinite with the source at its limit, NaN where not measured."""
         pattern, multiplexer, meter = self._pattern, self._multiplexer, self._meter
         columns = {frozenset(pair): index for index, pair in enumerate(pattern.measure)}
@@ -246,7 +252,7 @@ class ScannedFrames(DriverBase):
         self._contacts = "; ".join([pairs, *(fault.words() for fault in faults)])
         return faults
 
-    def _chosen_A(self, ohm: Array) -> float:
+    def _choose_current_A(self, ohm: Array) -> float:
         """Return the stated current if it leaves the headroom, else the largest round one that does."""
         known = np.where(np.isfinite(ohm), np.abs(ohm), 0.0)
         limit_V, free_percent = self._meter.compliance_V, self._options.headroom_percent

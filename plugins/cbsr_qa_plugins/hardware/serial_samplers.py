@@ -10,11 +10,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, Problem, StationContext, driver
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Factor, Port, closed_on_error
+from cbsr_qa.plugin import InstrumentIdentity, PluginOptions, Problem, SampleBlock, SerialLink, StationContext, driver
+from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Factor, Port, close_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import LineSampler
 
@@ -64,7 +61,7 @@ def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCe
     """
     lines = _lines(context, options, partial(options.force_N, unit=options.unit))
     model = f"load cell that sends lines of text, {options.unit}"
-    with closed_on_error(lines):
+    with close_on_error(lines):
         cell = ForceCell(context, lines, options, driver=_CELL, address=options.address, who=lambda: (model,))
         cell.tare()
         return cell
@@ -111,7 +108,7 @@ def _lines(
     link = SerialLink(context.role, options.address, baud=options.baud)
     timed = options.time == "device_ms"
     lines = LineSampler(link, context.clock, timed=timed, rate_hz=options.rate_hz, convert=convert)
-    with closed_on_error(lines):
+    with close_on_error(lines):
         lines.wait_for_first(options.boot_s)
     return lines
 
@@ -129,7 +126,7 @@ class SerialThermometer(DriverBase):
     def identity(self) -> InstrumentIdentity:
         """Name it by its address: lines of numbers do not say who sends them."""
         self._lines.check_alive()
-        return self._identified("thermometer that sends lines of text")
+        return self._build_identity("thermometer that sends lines of text")
 
     def alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""

@@ -6,13 +6,22 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Motion
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa.simulate import SimulatedHead, SimulatedWorld, StepAddresses
-from cbsr_qa.system import in_ticks, on_tick
-from cbsr_qa_plugins.hardware._driver import RIG_MOTION, HeadDriver, misconfigured
+from cbsr_qa.plugin import (
+    CONTACT_LENGTH_MM,
+    FrameBlock,
+    InstrumentIdentity,
+    Motion,
+    PluginOptions,
+    SampleBlock,
+    StationContext,
+    VoltageUnit,
+    driver,
+)
+from cbsr_qa.simulate.head import SimulatedHead
+from cbsr_qa.simulate.streams import StepAddresses
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.system.clock import on_tick, round_to_ticks
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, HeadDriver, config_error
 
 _DRIVER: Final = "simulated-bench"
 _FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact
@@ -54,7 +63,7 @@ class SimulatedBench(HeadDriver):
     def __init__(self, context: StationContext, options: BenchOptions) -> None:
         if context.scene is None or context.effect_factory is None:
             remedy = 'name one in its table, e.g. scene = "base"'
-            raise misconfigured(context, _DRIVER, " was given no scene", remedy)
+            raise config_error(context, _DRIVER, " was given no scene", remedy)
         super().__init__(context, _DRIVER, "simulated")
         self._scene = context.scene
         self.world = SimulatedWorld(
@@ -81,7 +90,7 @@ class SimulatedBench(HeadDriver):
         """Name the scene and the seed: together with the software's version they are this bench."""
         self._check_open()
         model = f"simulated bench, scene {self._scene.name}, seed {self._context.seed}"
-        return self._identified(model, str(self._context.seed), simulated=True)
+        return self._build_identity(model, str(self._context.seed), simulated=True)
 
     def safe_state(self) -> None:
         """Start lifting the head and return at once."""
@@ -102,7 +111,7 @@ class SimulatedBench(HeadDriver):
         self._check_open()
         self._check_count(count)
         clock, period_s = self._clock, self.frame_period_s
-        half_s = in_ticks(period_s / 2)
+        half_s = round_to_ticks(period_s / 2)
         times, frames = [], []
         for _ in range(count):
             middle_s = clock.now() + half_s

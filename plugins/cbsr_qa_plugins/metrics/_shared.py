@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.calibration.sheet import Estimate
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import Bound, LoadObservation, MaskView, Measurement, RunObservation
+from cbsr_qa.calibration.fits.estimates import Estimate
+from cbsr_qa.plugin import Bound, LoadObservation, MaskView, Measurement, NumericsError, RunObservation
 
 _NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
 _MERGED: Final = "not detected by itself: it shares the region of another load held at the same time"
@@ -25,7 +24,7 @@ def masks_of(load: LoadObservation, run: RunObservation) -> Iterator[tuple[MaskV
         yield view, run.mask_qualifier(view.fraction)
 
 
-def at_load(
+def measurement_of_load(
     load: LoadObservation,
     name: str,
     value: float | None,
@@ -62,12 +61,12 @@ def percent(name: str, estimate: Estimate, how: str, *, qualifier: str = "", loc
     )
 
 
-def refused(name: str, unit: str, error: NumericsError, *, qualifier: str = "") -> Measurement:
+def refuse_measurement(name: str, unit: str, error: NumericsError, *, qualifier: str = "") -> Measurement:
     """Make a measurement without a value that says why, and what would help."""
     how = f"{error.reason}; {error.remedy}" if error.remedy else error.reason
     return Measurement(name, None, unit, qualifier=qualifier, how=how)
 
 
-def counted(count: int, singular: str, many: str = "") -> str:
+def format_count(count: int, singular: str, many: str = "") -> str:
     """Write a count with its noun: ``1 press``, ``3 presses``."""
     return f"{count} {singular if count == 1 else many or f'{singular}s'}"

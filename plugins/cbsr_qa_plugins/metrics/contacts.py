@@ -4,10 +4,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import reciprocity_errors
-from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.results import Dimensions, Measurement, RunObservation
-from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa.analysis.defects.quality import reciprocity_errors
+from cbsr_qa.plugin import (
+    UNUSABLE,
+    Dimensions,
+    Measurement,
+    PluginOptions,
+    ReadingFlag,
+    RunObservation,
+    VoltageUnit,
+    WithOptions,
+)
 
 
 class ReciprocityError(WithOptions):
@@ -70,7 +77,7 @@ class ContactResistance:
             return _together([], why)
         current_A = run.unloaded.current_A
         assert current_A is not None
-        pairs = [_pair(run, drive, measure, name, current_A) for drive, measure, name in _driven(run)]
+        pairs = [_pair(run, drive, measure, name, current_A) for drive, measure, name in _list_driven_pairs(run)]
         return (*pairs, *_together(pairs, "no pair has a reading that can be used"))
 
 
@@ -79,12 +86,12 @@ def _why_not(run: RunObservation) -> str:
         return f"frames are in {run.unloaded.unit}, not in volts"
     if not run.unloaded.current_A:
         return "the drive current is not known"
-    if not _driven(run):
+    if not _list_driven_pairs(run):
         return "no driven pair is measured itself by this pattern"
     return ""
 
 
-def _driven(run: RunObservation) -> list[tuple[int, int, str]]:
+def _list_driven_pairs(run: RunObservation) -> list[tuple[int, int, str]]:
     """Row, column and name of every reading that is driven and measured by one pair."""
     pattern = run.record.sensor_type.pattern
     column = {pair: index for index, pair in enumerate(pattern.measure)}

@@ -9,40 +9,46 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.calibration.fits import (
+from cbsr_qa.calibration.fits.creep_fit import (
     FROM_S,
     SIGNAL,
     STRESS,
-    LoopCurve,
     change_between,
     creep,
     creep_at_constant_stress,
-    hysteresis,
     last_cycles,
     last_stresses,
-    loop_curve,
     select_equal_holds,
     zero_return,
 )
-from cbsr_qa.calibration.sheet import (
+from cbsr_qa.calibration.fits.estimates import (
     FEWEST_POINTS,
-    Characteristic,
     Estimate,
     best_straight_line,
+    pool_deviations,
+    terminal_line,
+)
+from cbsr_qa.calibration.fits.hysteresis_fit import LoopCurve, hysteresis, loop_curve
+from cbsr_qa.calibration.sheet.characteristic import (
+    Characteristic,
     characteristics,
     collect_repeated_changes,
     data_sheet_loads,
     mean_characteristic,
-    pool_deviations,
     repeatability,
-    terminal_line,
     why_no_force,
 )
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Dimensions, LoadObservation, Measurement, RunObservation
-from cbsr_qa.plugin import PluginOptions, WithOptions
-from cbsr_qa_plugins.metrics._shared import counted, percent, refused
+from cbsr_qa.plugin import (
+    Dimensions,
+    LoadObservation,
+    Measurement,
+    NumericsError,
+    PluginOptions,
+    Role,
+    RunObservation,
+    WithOptions,
+)
+from cbsr_qa_plugins.metrics._shared import format_count, percent, refuse_measurement
 
 
 class Repeatability:
@@ -60,7 +66,7 @@ class Repeatability:
         try:
             overall = repeatability(loads, run.main_mask)
         except NumericsError as error:
-            return (refused("repeatability", "%", error),)
+            return (refuse_measurement("repeatability", "%", error),)
         highest = max(load.record.load.strain for load in loads)
         cells = collect_repeated_changes(loads, run.main_mask)
         measured = [_one(overall, highest, sum(map(len, cells.values())))]
@@ -72,10 +78,10 @@ class Repeatability:
 
 
 def _one(scatter: Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
-    again = counted(cells, "place and strain", "places and strains")
+    again = format_count(cells, "place and strain", "places and strains")
     how = (
         f"of the place's span, its mean change at {100 * highest:g} % strain; {again} pressed again,"
-        f" {counted(scatter.degrees, 'degree')} of freedom"
+        f" {format_count(scatter.degrees, 'degree')} of freedom"
     )
     return percent("repeatability", scatter, how, qualifier=qualifier)
 
@@ -107,19 +113,19 @@ class Nonlinearity:
             mean = mean_characteristic(curves)
             if mean.stress_kPa is None:
                 raise NumericsError(f"no stress to draw the change against: {why_no_force(loads)}")
-            measured = [_of(mean, scatter, line) for line in range(len(_LINES))]
+            measured = [_fit_nonlinearity(mean, scatter, line) for line in range(len(_LINES))]
         except NumericsError as error:
-            return (refused("nonlinearity", "%", error),)
+            return (refuse_measurement("nonlinearity", "%", error),)
         each = [c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
-        return (*measured, *(_of(curve, scatter, 0) for curve in each))
+        return (*measured, *(_fit_nonlinearity(curve, scatter, 0) for curve in each))
 
 
-def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
+def _fit_nonlinearity(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
     assert curve.stress_kPa is not None
     qualifier, words, draw = _LINES[line]
     errors = None if scatter is None else (scatter / np.sqrt(curve.loads)).tolist()
     drawn = draw(curve.stress_kPa.tolist(), (curve.change / curve.span).tolist(), errors)
-    presses = counted(int(curve.loads.sum()), "press", "presses")
+    presses = format_count(int(curve.loads.sum()), "press", "presses")
     how = (
         f"from the {words} through {len(curve.strain)} strains from {100 * curve.strain[0]:g} to"
         f" {100 * curve.strain[-1]:g} %, of the change at the highest; {presses}"
@@ -156,10 +162,9 @@ class Creep(WithOptions):
         try:
             loads, hold_s = select_equal_holds(data_sheet_loads(run), lambda load: load.hold_s)
         except NumericsError as error:
-            return (refused("creep", "%", error),)
-        how = (
-            f"from {self.options.from_s:g} s after the ramp to the end of {hold_s:g} s; {counted(len(loads), 'hold')}"
-        )
+            return (refuse_measurement("creep", "%", error),)
+        holds = format_count(len(loads), "hold")
+        how = f"from {self.options.from_s:g} s after the ramp to the end of {hold_s:g} s; {holds}"
         return tuple(self._one(kind, loads, run.settings.steady_frames, how) for kind in _KINDS)
 
     def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:
@@ -169,7 +174,7 @@ class Creep(WithOptions):
                 return percent("creep", creep(loads, kind, from_s=from_s, frames=frames), how, qualifier=kind)
             estimate = creep_at_constant_stress(loads, from_s=from_s, frames=frames)
         except NumericsError as error:
-            return refused("creep", "%", error, qualifier=kind)
+            return refuse_measurement("creep", "%", error, qualifier=kind)
         return percent("creep", estimate, f"conductance minus stress, {how}")
 
 
@@ -188,8 +193,8 @@ class ZeroReturn:
             loads, rest_s = select_equal_holds(data_sheet_loads(run), _rest_s)
             estimate = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
-            return (refused("zero_return", "%", error),)
-        presses = counted(len(loads), "press", "presses")
+            return (refuse_measurement("zero_return", "%", error),)
+        presses = format_count(len(loads), "press", "presses")
         how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {presses}"
         return (percent("zero_return", estimate, how),)
 
@@ -218,18 +223,18 @@ class Hysteresis:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         if not run.loops:
-            return (refused("hysteresis", "%", _NO_LOOP),)
-        return (*_measured(run, relaxed=True), *_measured(run, relaxed=False))
+            return (refuse_measurement("hysteresis", "%", _NO_LOOP),)
+        return (*_measure_loops(run, relaxed=True), *_measure_loops(run, relaxed=False))
 
 
-def _measured(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
+def _measure_loops(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
     qualifier = "" if relaxed else _READ
     last_s = run.settings.steady_frames * run.frame_period_s
     try:
         curves = [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
         measured = [_hysteresis(curves, relaxed, qualifier)]
     except NumericsError as error:
-        return [refused("hysteresis", "%", error, qualifier=qualifier)]
+        return [refuse_measurement("hysteresis", "%", error, qualifier=qualifier)]
     if len(curves) > 1:
         measured += [_hysteresis([curve], relaxed, qualifier, curve.location) for curve in curves]
     return measured
@@ -242,7 +247,7 @@ def _hysteresis(curves: Sequence[LoopCurve], relaxed: bool, qualifier: str, loca
     how = (
         f"way down {side} way up at equal stress, most at {100 * widest.strain:g} % strain, of the output at"
         f" {100 * first.strain[first.peak]:g} %; {creep}, holds of {first.hold_s:.0f} s;"
-        f" {counted(sum(curve.cycles for curve in curves), 'loop')}"
+        f" {format_count(sum(curve.cycles for curve in curves), 'loop')}"
     )
     return percent("hysteresis", widest.estimate, how, qualifier=qualifier, location=location)
 
@@ -266,7 +271,7 @@ class PreconditioningChange:
             none = NumericsError(
                 "the recipe has no preconditioning", remedy="begin it with the sequence preconditioning"
             )
-            return (refused(_NAME, "%", none),)
+            return (refuse_measurement(_NAME, "%", none),)
         cycles = 1 + max(load.record.load.trial for load in loads)
         strain = max(load.record.load.strain for load in loads)
         frames = run.settings.steady_frames
@@ -274,21 +279,21 @@ class PreconditioningChange:
         count = Measurement("preconditioning_cycles", float(cycles), "1", how="cycles of each location, as planned")
         return (
             count,
-            *_of_preconditioning_change(last_cycles(loads, frames=frames), "", how),
-            *_of_preconditioning_change(last_stresses(loads), "stress", how),
+            *_measure_preconditioning(last_cycles(loads, frames=frames), "", how),
+            *_measure_preconditioning(last_stresses(loads), "stress", how),
         )
 
 
-def _of_preconditioning_change(
+def _measure_preconditioning(
     levels: Mapping[str, tuple[float, float]], qualifier: str, how: str
 ) -> tuple[Measurement, ...]:
     try:
         change = change_between(levels.values())
     except NumericsError as error:
-        return (refused(_NAME, "%", error, qualifier=qualifier),)
+        return (refuse_measurement(_NAME, "%", error, qualifier=qualifier),)
     each = [
         Measurement(_NAME, 100 * (after - before) / after, "%", location=place, qualifier=qualifier, how=how)
         for place, (before, after) in levels.items()
         if after > 0
     ]
-    return (percent(_NAME, change, f"{how}; {counted(len(levels), 'location')}", qualifier=qualifier), *each)
+    return (percent(_NAME, change, f"{how}; {format_count(len(levels), 'location')}", qualifier=qualifier), *each)

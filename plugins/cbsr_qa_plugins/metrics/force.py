@@ -8,32 +8,27 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.analysis import Verification, verify_calibration
-from cbsr_qa.analysis.run import (
-    HELD_OUT,
-    TRIAL_LEFT_OUT,
+from cbsr_qa.analysis.run.force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
+from cbsr_qa.analysis.run.force_quality import (
     ForceErrors,
-    ForceTest,
-    RunForce,
-    calibrated_radius_mm,
+    calibration_radius_mm,
     detectable_forces,
     errors_of,
     gauge_factor,
     global_errors,
     map_quality,
     places_mm,
-    run_force,
     tests_of,
 )
-from cbsr_qa.calibration.file import read_contained
-from cbsr_qa.calibration.force import LearnedForce
-from cbsr_qa.calibration.runtime import Calibration
-from cbsr_qa.calibration.sheet import Estimate
-from cbsr_qa.config import calibrations_folder
-from cbsr_qa.domain import CbsrError, ConfigError
-from cbsr_qa.domain.results import Measurement, RunObservation
-from cbsr_qa.plugin import PluginOptions, Problem, WithOptions, shown
-from cbsr_qa_plugins.metrics._shared import at_load
+from cbsr_qa.analysis.verification import Verification, verify_calibration
+from cbsr_qa.calibration.file.hdf5 import read_contained
+from cbsr_qa.calibration.fits.estimates import Estimate
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.paths import calibrations_folder
+from cbsr_qa.plugin import CbsrError, ConfigError, Measurement, PluginOptions, Problem, RunObservation, WithOptions
+from cbsr_qa.system.words import quote_value
+from cbsr_qa_plugins.metrics._shared import measurement_of_load
 
 KNOWN: Final = "place known"
 ESTIMATED: Final = "place estimated"
@@ -76,7 +71,7 @@ class ForceError:
         """Measure; without a force model nothing has a value, and ``how`` says why."""
         force = run_force(run)
         if force.learned is None:
-            return tuple(_without(name, qualifier, force.why) for name, qualifier in _everything())
+            return tuple(_missing_measurement(name, qualifier, force.why) for name, qualifier in _everything())
         return (
             *_errors(tests_of(run, force, HELD_OUT), "", "no load was held out: every phase calibrates"),
             *_errors(
@@ -106,27 +101,29 @@ def _everything() -> Iterator[tuple[str, str]]:
 
 def _errors(tests: tuple[ForceTest, ...], after: str, none: str) -> Iterator[Measurement]:
     if after and not tests:
-        yield _without("force_error_sd", f"{KNOWN}{after}", none)  # reported once
+        yield _missing_measurement("force_error_sd", f"{KNOWN}{after}", none)  # reported once
         return
     for qualifier, errors in (
         (f"{KNOWN}{after}", errors_of(tests, known=True)),
         (f"{ESTIMATED}{after}", errors_of(tests, known=False)),
     ):
-        how = _counted(errors) if tests else none
-        yield _of("force_error_sd", qualifier, errors.deviation, how, none=not tests)
-        yield _of("force_error_bias", qualifier, errors.bias, how, none=not tests)
+        how = _describe_tests(errors) if tests else none
+        yield _measure_estimate("force_error_sd", qualifier, errors.deviation, how, none=not tests)
+        yield _measure_estimate("force_error_bias", qualifier, errors.bias, how, none=not tests)
         for name, reach, nominal in _LEVELS if not after else ():
             words = f"{how}; ± is what chance gives an honest interval of as many"
             share = partial(errors.coverage, reach, nominal)
-            yield _of(name, qualifier, share, words, 100.0, none=not tests)
+            yield _measure_estimate(name, qualifier, share, words, 100.0, none=not tests)
     flat = global_errors(tests)
     how = (
-        f"{_counted(flat)}; one response for the whole sheet, the mean of the calibration's loads" if tests else none
+        f"{_describe_tests(flat)}; one response for the whole sheet, the mean of the calibration's loads"
+        if tests
+        else none
     )
-    yield _of("force_error_global_sd", f"{KNOWN}{after}", flat.deviation, how, none=not tests)
+    yield _measure_estimate("force_error_global_sd", f"{KNOWN}{after}", flat.deviation, how, none=not tests)
 
 
-def _counted(errors: ForceErrors) -> str:
+def _describe_tests(errors: ForceErrors) -> str:
     phases = list(dict.fromkeys(test.load.phase for test in errors.tests))
     missed = f", {errors.missed} not detected" if errors.missed else ""
     forces = [test.measured_N for test in errors.tests]
@@ -135,7 +132,7 @@ def _counted(errors: ForceErrors) -> str:
 
 
 def _map(force: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
-    radius_mm = calibrated_radius_mm(force)
+    radius_mm = calibration_radius_mm(force)
     quality = map_quality(learned, radius_mm)
     used = [load for load, why in zip(force.used, learned.refused, strict=True) if not why]
     places = len(np.unique(places_mm(used), axis=0))
@@ -151,11 +148,11 @@ def _map(force: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
 
 def _detectable(run: RunObservation, force: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
     name = "minimum_detectable_force"
-    quality = map_quality(learned, calibrated_radius_mm(force))
+    quality = map_quality(learned, calibration_radius_mm(force))
     try:
         forces = detectable_forces(learned, run.record.indenter, np.vstack([[0.0, 0.0], quality.places_mm]))
     except CbsrError as error:
-        yield from (_without(name, qualifier, error.reason) for qualifier in (CENTRE, WORST))
+        yield from (_missing_measurement(name, qualifier, error.reason) for qualifier in (CENTRE, WORST))
         return
     for qualifier, least in ((CENTRE, forces[0]), (WORST, max(forces, key=lambda limit: limit.force_N))):
         x_mm, y_mm = least.place_mm
@@ -168,7 +165,7 @@ def _gauge(run: RunObservation, force: RunForce) -> Measurement:
     try:
         value, share = gauge_factor(run, force)
     except CbsrError as error:
-        return _without("gauge_factor", SHEET, error.reason)
+        return _missing_measurement("gauge_factor", SHEET, error.reason)
     how = (
         "mean over the sheet of contrast under the head against nominal strain; steady state"
         f" {share.value:.3f} of the end of the hold, by the relaxation all loads share"
@@ -176,22 +173,22 @@ def _gauge(run: RunObservation, force: RunForce) -> Measurement:
     return Measurement("gauge_factor", value.value, "1", value.stderr, qualifier=SHEET, how=how)
 
 
-def _of(
+def _measure_estimate(
     name: str, qualifier: str, estimate: Callable[[], Estimate], how: str, factor: float = 1.0, *, none: bool
 ) -> Measurement:
     """Make a measurement of an estimate, or give the reason for its absence."""
     if none:
-        return _without(name, qualifier, how)
+        return _missing_measurement(name, qualifier, how)
     try:
         value = estimate()
     except CbsrError as error:
-        return _without(name, qualifier, error.reason)
+        return _missing_measurement(name, qualifier, error.reason)
     stderr = None if value.stderr is None else factor * value.stderr
     unit = ForceError.measures[name]
     return Measurement(name, factor * value.value, unit, stderr, qualifier=qualifier, how=how)
 
 
-def _without(name: str, qualifier: str, why: str) -> Measurement:
+def _missing_measurement(name: str, qualifier: str, why: str) -> Measurement:
     return Measurement(name, None, ForceError.measures[name], qualifier=qualifier, how=why)
 
 
@@ -214,7 +211,7 @@ class CalibrationCheck(WithOptions):
             """Five minutes at the station are not spent on a file that is not there."""
             if self.calibration is not None and not Path(self.calibration).is_file():
                 what = "it must be the path of a calibration file, from the folder the run is started in"
-                yield Problem(("calibration",), f"is {shown(self.calibration)}, where no file is", what)
+                yield Problem(("calibration",), f"is {quote_value(self.calibration)}, where no file is", what)
 
     measures: ClassVar[dict[str, str]] = {
         "sensitivity_change": "%",
@@ -256,7 +253,7 @@ def _serial(file: Path) -> str:
 
 def _measurements(verified: Verification, how: str) -> tuple[Measurement, ...]:
     of_loads = tuple(
-        at_load(
+        measurement_of_load(
             each.load,
             "calibrated_force_error",
             each.estimated_N - each.measured_N,

@@ -8,12 +8,12 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import SizeResponse, size_response_of
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Bound, Dimensions, Image, LoadObservation, Measurement, RunObservation
-from cbsr_qa.eit.imaging import GreitFigures, Registration, greit_figures, register, two_touch_resolution
-from cbsr_qa_plugins.metrics._shared import at_load, masks_of
+from cbsr_qa.analysis.run.sizes import SizeResponse, size_response_of
+from cbsr_qa.eit.imaging.multi_load import two_touch_resolution
+from cbsr_qa.eit.imaging.registration import Registration, register
+from cbsr_qa.eit.imaging.shape import GreitFigures, greit_figures
+from cbsr_qa.plugin import Bound, Dimensions, Image, LoadObservation, Measurement, NumericsError, Role, RunObservation
+from cbsr_qa_plugins.metrics._shared import masks_of, measurement_of_load
 
 _NAMES: Final = ("amplitude_response", "position_error", "resolution", "shape_deformation", "ringing")
 
@@ -29,17 +29,17 @@ class GreitFiguresOfMerit:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; an image without a positive element has no figures."""
-        expected = _expected(load, run)
+        expected = _predict_change(load, run)
         image = Image(load.image.mesh, load.response.sign * load.image.values)
         figures = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
         values = (None,) * len(_NAMES) if figures is None else astuple(figures)
         return tuple(
-            at_load(load, name, value, unit, how=_how(name, figures, expected))
+            measurement_of_load(load, name, value, unit, how=_how(name, figures, expected))
             for (name, unit), value in zip(self.measures.items(), values, strict=True)
         )
 
 
-def _expected(load: LoadObservation, run: RunObservation) -> float:
+def _predict_change(load: LoadObservation, run: RunObservation) -> float:
     """Relative change that the material file predicts under the head."""
     known = run.record.material.against_strain
     return abs(known.slope.value * load.record.load.strain + known.intercept.value)
@@ -67,7 +67,7 @@ class LoadAssignment:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         return tuple(
-            at_load(
+            measurement_of_load(
                 load,
                 "false_regions",
                 float(max(view.regions - load.together, 0)),
@@ -109,7 +109,7 @@ class TwoTouchResolution:
         measured = []
         for qualifier, mask in (("", min(run.main_mask, _HIGHEST)), (_WATERSHED, None)):
             touch = two_touch_resolution(run.reconstruction, run.record.indenter, mask=mask)
-            how = f"{told_apart_by(qualifier, run)}; steps of {touch.step_mm:g} mm up to {touch.tried_mm:g} mm"
+            how = f"{describe_separation(qualifier, run)}; steps of {touch.step_mm:g} mm up to {touch.tried_mm:g} mm"
             value_mm, bound = touch.separation_mm, Bound.EXACT
             if value_mm is None:
                 value_mm, bound, how = touch.tried_mm, Bound.LOWER, f"{how}: never two"
@@ -119,7 +119,7 @@ class TwoTouchResolution:
         return tuple(measured)
 
 
-def told_apart_by(qualifier: str, run: RunObservation) -> str:
+def describe_separation(qualifier: str, run: RunObservation) -> str:
     """Describe how a ``two_touch_resolution`` with this qualifier distinguishes two loads."""
     if qualifier == _WATERSHED:
         return "valleys 5 % deep under the 25 % mask"
@@ -144,7 +144,7 @@ class RegistrationOfPlaces:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         grids = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
         loads = [load for load in run.loads if load.phase in grids]
-        seen = [(load, place) for load in loads if (place := _seen(load, run))]
+        seen = [(load, place) for load in loads if (place := _find_centre(load, run))]
         nominal = np.array([load.place_mm for load, _ in seen]).reshape(-1, 2)
         try:
             registration = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
@@ -152,13 +152,16 @@ class RegistrationOfPlaces:
             why = f"not registered: {error.reason}"
             names = _WHOLE if loads else self.measures  # what nothing is left of is still a number that is lacking
             none = tuple(Measurement(name, None, unit, how=why) for name, unit in names.items())
-            return (*none, *(_left(load, None, why) for load in loads))
+            return (*none, *(_registration_error(load, None, why) for load in loads))
         errors = {id(load): float(error) for (load, _), error in zip(seen, registration.errors_mm, strict=True)}
-        each = (_left(load, errors.get(id(load)), _HOW if id(load) in errors else "not detected") for load in loads)
+        each = (
+            _registration_error(load, errors.get(id(load)), _HOW if id(load) in errors else "not detected")
+            for load in loads
+        )
         return (*_whole(registration, len(seen)), *each)
 
 
-def _seen(load: LoadObservation, run: RunObservation) -> tuple[float, float] | None:
+def _find_centre(load: LoadObservation, run: RunObservation) -> tuple[float, float] | None:
     view = load.mask(run.main_mask)
     if view is None or view.region is None:
         return None
@@ -180,8 +183,8 @@ def _whole(registration: Registration, count: int) -> tuple[Measurement, ...]:
     )
 
 
-def _left(load: LoadObservation, error_mm: float | None, how: str) -> Measurement:
-    return at_load(load, "registered_centre_of_mass_error", error_mm, "mm", how=how)
+def _registration_error(load: LoadObservation, error_mm: float | None, how: str) -> Measurement:
+    return measurement_of_load(load, "registered_centre_of_mass_error", error_mm, "mm", how=how)
 
 
 class SizeResponseMetric:

@@ -7,9 +7,15 @@ overlap of both (Eq 5) and SD the mean squared distance of the region's outline 
 from math import dist
 from typing import ClassVar
 
-from cbsr_qa.analysis.run import estimated_loads
-from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.results import (
+from cbsr_qa.analysis.run.estimates import estimate_loads
+from cbsr_qa.eit.imaging.shape import (
+    area_overlap_percent,
+    centre_of_mass_error_mm,
+    overlap_grade,
+    shape_deviation_mm2,
+)
+from cbsr_qa.plugin import (
+    AnalysisSettings,
     Blob,
     Estimated,
     LoadEstimate,
@@ -18,8 +24,7 @@ from cbsr_qa.domain.results import (
     Region,
     RunObservation,
 )
-from cbsr_qa.eit.imaging import area_overlap_percent, centre_of_mass_error_mm, overlap_grade, shape_deviation_mm2
-from cbsr_qa_plugins.metrics._shared import at_load, masks_of, why_not
+from cbsr_qa_plugins.metrics._shared import masks_of, measurement_of_load, why_not
 
 
 class CentreOfMassError:
@@ -38,7 +43,9 @@ class CentreOfMassError:
             if view.region is not None:
                 value = centre_of_mass_error_mm(view.region, load.pressed)
                 how = "area- and value-weighted centre of mass"
-            measured.append(at_load(load, "centre_of_mass_error", value, "mm", qualifier=qualifier, how=how))
+            measured.append(
+                measurement_of_load(load, "centre_of_mass_error", value, "mm", qualifier=qualifier, how=how)
+            )
         return tuple(measured)
 
 
@@ -59,13 +66,13 @@ class AreaOverlap:
             if view.region is not None:
                 overlap = area_overlap_percent(view.region, load.pressed, run.settings.clipping)
                 ratio = view.region.area_mm2 / load.indenter.area_mm2
-                how = _graded(overlap, ratio, run.settings, view.region)
-            measured.append(at_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
-            measured.append(at_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
+                how = _describe_overlap(overlap, ratio, run.settings, view.region)
+            measured.append(measurement_of_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
+            measured.append(measurement_of_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)
 
 
-def _graded(overlap: float, ratio: float, settings: AnalysisSettings, region: Region) -> str:
+def _describe_overlap(overlap: float, ratio: float, settings: AnalysisSettings, region: Region) -> str:
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
     clipped = "elements" if isinstance(region, Blob) else "a contour"
     return f"{grade}; A_b/A_FA {ratio:.2f}; {settings.clipping} clipping of {clipped}"
@@ -90,7 +97,7 @@ class ShapeDeviation:
             if view.region is not None:
                 value = shape_deviation_mm2(view.region, load.pressed, mode)
                 how = f"mean over the outline's {mode}"
-            measured.append(at_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
+            measured.append(measurement_of_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
         return tuple(measured)
 
 
@@ -116,38 +123,40 @@ class LoadEstimates:
         chosen = run.settings.reference
         own = any(load is mine for mine in run.loads)  # else it is a load's alternate, against the other reference
         other = "load" if chosen == "run" else "run"
-        estimate = estimated_loads(run, chosen if own else other)[(load.phase, load.record.index)]
+        estimate = estimate_loads(run, chosen if own else other)[(load.phase, load.record.index)]
         placed = estimate.indenter or estimate.size
         if placed is None:
-            return tuple(at_load(load, name, None, unit, how=estimate.why) for name, unit in self.measures.items())
+            return tuple(
+                measurement_of_load(load, name, None, unit, how=estimate.why) for name, unit in self.measures.items()
+            )
         size = estimate.size or placed
         no_contrast = placed.why or "the head is not round: only area × contrast is estimated"
         unknown = "radius unknown; contrast against the mean of both conductances"
         return (
             _place_error(load, placed),
-            _estimated(load, "estimated_contrast", placed.contrast, "indenter's radius given", no_contrast),
-            _estimated(load, "estimated_radius", size.radius_mm, "radius unknown", size.no_radius or size.why),
-            _estimated(load, "estimated_area_contrast", size.area_contrast_mm2, unknown, size.why),
-            at_load(load, "detectability", placed.detectability, "1", uncertainty=1.0, how=_fit(placed)),
+            _report_estimate(load, "estimated_contrast", placed.contrast, "indenter's radius given", no_contrast),
+            _report_estimate(load, "estimated_radius", size.radius_mm, "radius unknown", size.no_radius or size.why),
+            _report_estimate(load, "estimated_area_contrast", size.area_contrast_mm2, unknown, size.why),
+            measurement_of_load(load, "detectability", placed.detectability, "1", uncertainty=1.0, how=_fit(placed)),
         )
 
 
 def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
     name, unit = "estimated_place_error", "mm"
     if placed.place_mm is None:
-        return at_load(load, name, None, unit, how=placed.why)
+        return measurement_of_load(load, name, None, unit, how=placed.why)
     x_mm, y_mm = placed.place_mm
     where = f"{x_mm:.2f}, {y_mm:.2f}".replace("-", "−")
     how = f"seen at ({where}) mm; {_fit(placed)}"
     error_mm, stderr_mm = dist(placed.place_mm, load.place_mm), placed.place_stderr_mm
-    return at_load(load, name, error_mm, unit, uncertainty=stderr_mm, how=how)
+    return measurement_of_load(load, name, error_mm, unit, uncertainty=stderr_mm, how=how)
 
 
-def _estimated(load: LoadObservation, name: str, estimate: Estimated | None, how: str, why: str) -> Measurement:
+def _report_estimate(load: LoadObservation, name: str, estimate: Estimated | None, how: str, why: str) -> Measurement:
     unit = LoadEstimates.measures[name]
     if estimate is None:
-        return at_load(load, name, None, unit, how=why)
-    return at_load(load, name, estimate.value, unit, uncertainty=estimate.stderr, how=how)
+        return measurement_of_load(load, name, None, unit, how=why)
+    return measurement_of_load(load, name, estimate.value, unit, uncertainty=estimate.stderr, how=how)
 
 
 def _fit(placed: LoadEstimate) -> str:

@@ -5,18 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from cbsr_qa.calibration.sheet import (
-    Estimate,
-    data_sheet_loads,
-    place_responses,
-    relative_spread,
-    scatter_of_presses,
-    slope,
-    why_no_force,
-)
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
-from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refused
+from cbsr_qa.calibration.fits.estimates import Estimate, relative_spread, slope
+from cbsr_qa.calibration.sheet.characteristic import data_sheet_loads, why_no_force
+from cbsr_qa.calibration.sheet.data_sheet import place_responses, scatter_of_presses
+from cbsr_qa.plugin import LoadObservation, Measurement, NumericsError, RunObservation
+from cbsr_qa_plugins.metrics._shared import format_count, measurement_of_load, percent, refuse_measurement
 
 #: With this qualifier the spread is that of ρ̄₀ as it is, imaging included.
 AS_IMAGED = "baseline conductance"
@@ -38,9 +31,9 @@ class Uniformity:
             own = relative_spread([place.response for place in places])
             imaged = relative_spread([place.baseline for place in places])
         except NumericsError as error:
-            return (refused("uniformity", "%", error),)
+            return (refuse_measurement("uniformity", "%", error),)
         presses = sum(len(place.responses) for place in places)
-        how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
+        how = f"{len(places)} locations at {100 * strain:g} % strain, {format_count(presses, 'press', 'presses')}"
         scatter = scatter_of_presses(places)
         alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
         return (
@@ -70,18 +63,18 @@ class ApparentModulus:
                 points.setdefault(load.record.load.label, []).append((load.record.load.strain, load.stress_kPa))
         if not points:
             why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(loads)}")
-            return (refused(_NAME, _UNIT, why_not),)
+            return (refuse_measurement(_NAME, _UNIT, why_not),)
         ratios = {place: _mean([stress / strain for strain, stress in pairs]) for place, pairs in points.items()}
         slopes = {place: fitted for place, pairs in points.items() if (fitted := _slope(pairs)) is not None}
         each = [
-            _one(modulus, counted(len(points[place]), "press", "presses"), qualifier, place)
+            _one(modulus, format_count(len(points[place]), "press", "presses"), qualifier, place)
             for qualifier, moduli in (("", ratios), (_SLOPE, slopes))
             for place, modulus in moduli.items()
         ]
         if slopes:
-            return (_of_run(ratios, ""), _of_run(slopes, _SLOPE), *each)
+            return (_summarise_modulus(ratios, ""), _summarise_modulus(slopes, _SLOPE), *each)
         why = NumericsError("no location was pressed at two strains", remedy="give the recipe two strains or more")
-        return (_of_run(ratios, ""), refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
+        return (_summarise_modulus(ratios, ""), refuse_measurement(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
 
 
 def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
@@ -98,7 +91,7 @@ def _mean(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.mean(values)), stderr, count - 1)
 
 
-def _of_run(moduli: dict[str, Estimate], qualifier: str) -> Measurement:
+def _summarise_modulus(moduli: dict[str, Estimate], qualifier: str) -> Measurement:
     values = [modulus.value for modulus in moduli.values()]
     spread = "one location"
     if len(values) > 1:
@@ -120,4 +113,4 @@ class AppliedForce:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         how = "no force was recorded" if load.force_N is None else f"mean over {load.steady_frames} steady frames"
-        return (at_load(load, "force", load.force_N, "N", uncertainty=load.force_stderr_N, how=how),)
+        return (measurement_of_load(load, "force", load.force_N, "N", uncertainty=load.force_stderr_N, how=how),)

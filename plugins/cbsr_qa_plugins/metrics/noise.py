@@ -4,12 +4,10 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Dimensions, LoadObservation, Measurement, RunObservation
-from cbsr_qa.eit.inverse import changes
-from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa.analysis.defects.quality import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.inverse.scaling import changes
+from cbsr_qa.plugin import Dimensions, LoadObservation, Measurement, PluginOptions, Role, RunObservation, WithOptions
 
 #: Frames that leave a scatter worth the name.
 _FEWEST_FRAMES: Final = 4
@@ -28,13 +26,13 @@ class NoiseFigure:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         scatter = _noise(run)
         if scatter is None:
-            return (_refused(f"fewer than {_FEWEST_FRAMES} unloaded frames to take the noise from"),)
+            return (_refuse_noise_figure(f"fewer than {_FEWEST_FRAMES} unloaded frames to take the noise from"),)
         if not scatter.any():
-            return (_refused("the unloaded frames do not differ: there is no noise to propagate"),)
+            return (_refuse_noise_figure("the unloaded frames do not differ: there is no noise to propagate"),)
         signals, phase, source = _signals(run)
         gains = np.array([_gain(run, signal) for signal in signals])
         # Mean square of each noise frame, of its readings and of its area-weighted image.
-        readings, images = (scatter**2).mean(axis=1), (_weighted_images(run, scatter) ** 2).mean(axis=1)
+        readings, images = (scatter**2).mean(axis=1), (_weigh_by_area(run, scatter) ** 2).mean(axis=1)
         figures = gains * np.sqrt(images.mean() / readings.mean())
         without = gains[0] * np.sqrt((images.sum() - images) / (readings.sum() - readings))  # one frame left out
         between = float(figures.std(ddof=1)) if len(figures) > 1 else 0.0
@@ -44,7 +42,7 @@ class NoiseFigure:
         return (Measurement("noise_figure", float(figures.mean()), "1", uncertainty, phase=phase, how=how),)
 
 
-def _refused(why: str) -> Measurement:
+def _refuse_noise_figure(why: str) -> Measurement:
     return Measurement("noise_figure", None, "1", how=why)
 
 
@@ -67,7 +65,7 @@ def _signals(run: RunObservation) -> tuple[list[Array], str, str]:
     centre = [load for load in run.loads if np.hypot(*load.place_mm) < 0.5]
     noise_phases = {phase.name for phase in run.record.phases if phase.role is Role.NOISE}
     chosen = [load for load in centre if load.phase in noise_phases] or centre
-    measured = [signal for load in chosen if (signal := _measured_change(load, run)) is not None]
+    measured = [signal for load in chosen if (signal := _measure_change(load, run)) is not None]
     if measured:
         where = {load.phase for load in chosen}
         phase = where.pop() if len(where) == 1 else ""
@@ -78,11 +76,11 @@ def _signals(run: RunObservation) -> tuple[list[Array], str, str]:
     return [problem.jacobian @ target.astype(np.float64)], "", "the model's response to a central target"
 
 
-def _measured_change(load: LoadObservation, run: RunObservation) -> Array | None:
+def _measure_change(load: LoadObservation, run: RunObservation) -> Array | None:
     frames = run.record.phase(load.phase).frames
     if frames is None or load.steady_frames < 1:
         return None
-    held = frames.between(load.record.hold_start_s, load.record.release_start_s)
+    held = frames.select_interval(load.record.hold_start_s, load.record.release_start_s)
     if not len(held):
         return None
     steady = held.select(slice(-load.steady_frames, None)).voltages
@@ -91,7 +89,7 @@ def _measured_change(load: LoadObservation, run: RunObservation) -> Array | None
     return change if change.any() else None
 
 
-def _weighted_images(run: RunObservation, readings: Array) -> Array:
+def _weigh_by_area(run: RunObservation, readings: Array) -> Array:
     """Images times the area of their elements, (k, elements)."""
     images: Array = run.reconstruction.images(readings) * run.reconstruction.problem.mesh.areas_mm2
     return images
@@ -99,7 +97,7 @@ def _weighted_images(run: RunObservation, readings: Array) -> Array:
 
 def _gain(run: RunObservation, signal: Array) -> float:
     """mean|y| over mean|A x|."""
-    return float(np.abs(signal).mean() / np.abs(_weighted_images(run, signal[None])).mean())
+    return float(np.abs(signal).mean() / np.abs(_weigh_by_area(run, signal[None])).mean())
 
 
 class ImageNoise:
@@ -161,7 +159,7 @@ class ChannelNoise(WithOptions):
         ratio_dB = signal_to_noise_dB(run.unloaded)
         if ratio_dB is None:
             why = f"{len(run.unloaded)} unloaded frames are too few; {FEWEST_FRAMES} are needed"
-            return (*_no_ratio(why), Measurement("drift", None, "%/min", how=why))
+            return (*_refuse_snr(why), Measurement("drift", None, "%/min", how=why))
         every = _each(ratio_dB, run) if self.options.every else ()
         return (*_together(ratio_dB, run), *every, _drift(run))
 
@@ -169,7 +167,7 @@ class ChannelNoise(WithOptions):
 def _together(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
     heard = np.isfinite(ratio_dB) & run.usable
     if not heard.any():
-        return _no_ratio("the unloaded frames do not differ: there is no noise to compare with")
+        return _refuse_snr("the unloaded frames do not differ: there is no noise to compare with")
     drive, measure = np.argwhere(heard)[int(ratio_dB[heard].argmin())]
     silent = int(run.usable.sum() - heard.sum())
     how = f"{int(heard.sum())} imaged readings, {len(run.unloaded)} frames"
@@ -192,7 +190,7 @@ def _each(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
     return tuple(measured)
 
 
-def _no_ratio(why: str) -> tuple[Measurement, ...]:
+def _refuse_snr(why: str) -> tuple[Measurement, ...]:
     return tuple(Measurement("channel_snr", None, "dB", qualifier=q, how=why) for q in ("median", "worst"))
 
 

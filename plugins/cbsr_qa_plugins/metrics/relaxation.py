@@ -3,20 +3,12 @@
 from collections.abc import Iterator
 from typing import ClassVar, Final
 
-from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration.fits import (
-    SHAPE_MARGIN,
-    TIME_MARGIN,
-    Agreement,
-    TimedValues,
-    common_settling_time,
-    estimate_restricted_mean,
-    event_rate_per_min,
-    fit_common_relaxation,
-    relaxation_start,
-    window_s,
-)
-from cbsr_qa.domain.results import (
+from cbsr_qa.analysis.run.agreement import DirectedAgreement, image_against_blobs, sheet_against_strip
+from cbsr_qa.calibration.fits.agreement import SHAPE_MARGIN, TIME_MARGIN, Agreement
+from cbsr_qa.calibration.fits.common_relaxation import TimedValues, common_settling_time, fit_common_relaxation
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, relaxation_start, window_s
+from cbsr_qa.calibration.fits.steady_state import event_rate_per_min
+from cbsr_qa.plugin import (
     Bound,
     Dimensions,
     LoadObservation,
@@ -25,8 +17,8 @@ from cbsr_qa.domain.results import (
     RelaxationObservation,
     RunObservation,
 )
-from cbsr_qa.report import plural, with_uncertainty
-from cbsr_qa_plugins.metrics._shared import at_load
+from cbsr_qa.report.tables import plural, with_uncertainty
+from cbsr_qa_plugins.metrics._shared import measurement_of_load
 
 #: Fewest points of a trace that are fitted.
 _FEWEST = 5
@@ -54,7 +46,7 @@ class SettlingTimes:
     }
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
-        return tuple(_of_load(load, seen) for seen in load.relaxations)
+        return tuple(_measure_settling(load, seen) for seen in load.relaxations)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the loads together, by signal and direction."""
@@ -70,10 +62,12 @@ def _qualifier(seen: RelaxationObservation) -> str:
     return Dimensions(seen.signal, "loading" if seen.loading else "unloading").text
 
 
-def _of_load(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
+def _measure_settling(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
     time, how = seen.settling, seen.settling.why or f"{seen.fit.status}, R² {seen.fit.r_squared:.3f}"
-    bound = _bound(time.censored)
-    return at_load(load, "settling_time", time.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
+    bound = _choose_bound(time.censored)
+    return measurement_of_load(
+        load, "settling_time", time.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound
+    )
 
 
 def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
@@ -89,7 +83,7 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     how += "; a lower bound (Kaplan–Meier)" if late else ""
     how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""
     stderr_s = deviation_s / len(timed) ** 0.5 if len(timed) > 1 else None
-    return Measurement(name, mean_s, "s", stderr_s, qualifier=qualifier, how=how, bound=_bound(late > 0))
+    return Measurement(name, mean_s, "s", stderr_s, qualifier=qualifier, how=how, bound=_choose_bound(late > 0))
 
 
 def _counts(settled: int, late: int, rejected: int) -> str:
@@ -114,12 +108,12 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
         window_s=max((window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
-        loaded_change=_loaded_change(traced),
+        loaded_change=_hold_end_change(traced),
         start_s=_earliest_s(traces, starts),
     )
-    how = f"{_in_words(common.fit)}; {common.traces} traces fitted together"
+    how = f"{_describe_fit(common.fit)}; {common.traces} traces fitted together"
     how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
-    name, bound = "common_settling_time", _bound(settling.censored)
+    name, bound = "common_settling_time", _choose_bound(settling.censored)
     return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
 
 
@@ -128,7 +122,7 @@ def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
     return min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
 
 
-def _loaded_change(members: list[_Member]) -> float | None:
+def _hold_end_change(members: list[_Member]) -> float | None:
     """Mean change at the end of the holds of unloadings; None for loadings."""
     if not members or members[0][1].loading:
         return None
@@ -137,13 +131,13 @@ def _loaded_change(members: list[_Member]) -> float | None:
     return sum(ends) / len(ends) if ends else 0.0
 
 
-def _in_words(fit: RelaxationFit) -> str:
+def _describe_fit(fit: RelaxationFit) -> str:
     pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=True)
     constants = " and ".join(f"{with_uncertainty(tau, stderr)} s" for tau, stderr in pairs)
     return f"{fit.status}, {constants}" if constants else fit.why
 
 
-def _bound(late: bool) -> Bound:
+def _choose_bound(late: bool) -> Bound:
     return Bound.LOWER if late else Bound.EXACT
 
 
@@ -201,26 +195,26 @@ _WORDS = {
 }
 
 
-def said_of_shape(pair: DirectedAgreement) -> str:
+def describe_shape(pair: DirectedAgreement) -> str:
     """Whether the curves are equivalent, and where they differ most; or why they were not compared."""
     agreement = pair.found
     if agreement.why:
-        return _not_compared(pair)
+        return _describe_refusal(pair)
     words = f"{_WORDS[agreement.shape]} {SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
     return f"{words}, most at {agreement.at_s:.3g} s; {plural(pair.loads, 'load')}"
 
 
-def said_of_time(pair: DirectedAgreement) -> str:
+def describe_time(pair: DirectedAgreement) -> str:
     """Whether the settling times are equivalent; or why they were not compared."""
     agreement = pair.found
     if agreement.why:
-        return _not_compared(pair)
+        return _describe_refusal(pair)
     if agreement.time_ratio is None:
         return "one of them has no settling time within its window"
     return f"{_WORDS[agreement.time]} {TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
 
 
-def _not_compared(pair: DirectedAgreement) -> str:
+def _describe_refusal(pair: DirectedAgreement) -> str:
     why = pair.found.why
     about = f" (the first is of the {pair.first})" if "the first" in why or "the second" in why else ""
     return f"not compared: {why}{about}"
@@ -243,7 +237,9 @@ class BlobAndImageRelaxation:
         return tuple(
             measured
             for pair in image_against_blobs(run)
-            for measured in _compared(pair, Dimensions("image against conductance", pair.direction).text, names)
+            for measured in _measure_agreement(
+                pair, Dimensions("image against conductance", pair.direction).text, names
+            )
         )
 
 
@@ -274,18 +270,18 @@ class SheetAndStripRelaxation:
         return tuple(
             measured
             for pair in sheet_against_strip(run)
-            for measured in _compared(pair, pair.direction, names, bounds)
+            for measured in _measure_agreement(pair, pair.direction, names, bounds)
         )
 
 
-def _compared(
+def _measure_agreement(
     pair: DirectedAgreement, qualifier: str, names: tuple[str, str], bounds: tuple[str, str] = ("", "")
 ) -> Iterator[Measurement]:
     """Yield difference of the curves and ratio of the times, each followed by its bound if that is measured."""
     found = pair.found
     values = (
-        (found.shape_difference, found.shape_stderr, found.shape_reach, said_of_shape(pair)),
-        (found.time_ratio, found.time_ratio_stderr, found.time_reach, said_of_time(pair)),
+        (found.shape_difference, found.shape_stderr, found.shape_reach, describe_shape(pair)),
+        (found.time_ratio, found.time_ratio_stderr, found.time_reach, describe_time(pair)),
     )
     for name, bound, (value, stderr, reach, how) in zip(names, bounds, values, strict=True):
         yield Measurement(name, value, "1", stderr, qualifier=qualifier, how=how)

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from cbsr_qa.eit.inverse import Criterion, Regularisation
+from cbsr_qa.eit.inverse.regularisation import Criterion, Regularisation
 from cbsr_qa.plugin import PluginOptions, Problem
 
 Positive = Annotated[float, Field(gt=0)]
@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0)]
 Hyperparameter = Annotated[float, Field(ge=0, le=1e50)]
 
 
-def contradicted(options: PluginOptions, given: str, others: tuple[str, ...]) -> Iterator[Problem]:
+def find_contradictions(options: PluginOptions, given: str, others: tuple[str, ...]) -> Iterator[Problem]:
     """Yield options that are stated beside one that leaves them no meaning."""
     for name in others if getattr(options, given) is not None else ():
         if getattr(options, name) is not None:
@@ -28,9 +28,9 @@ class ParameterOptions(PluginOptions):
     noise_figure: Positive | None = None
 
     def problems(self) -> Iterator[Problem]:
-        yield from contradicted(self, self.given_as, ("choose", "noise_figure"))
+        yield from find_contradictions(self, self.given_as, ("choose", "noise_figure"))
         if self.choose not in (None, "noise-figure"):
-            yield from contradicted(self, "choose", ("noise_figure",))
+            yield from find_contradictions(self, "choose", ("noise_figure",))
 
     def regularisation(self) -> Regularisation:
         given = getattr(self, self.given_as)

@@ -6,18 +6,24 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import (
+from cbsr_qa.eit.inverse.greit.matrix import greit_matrix, hyperparameter_for
+from cbsr_qa.eit.inverse.greit.targets import TargetDesign
+from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
+from cbsr_qa.eit.inverse.regularisation import Criterion, Regularisation
+from cbsr_qa.eit.inverse.truncation import Truncation
+from cbsr_qa.plugin import (
+    Array,
     ImagingProblem,
     LinearReconstruction,
+    NumericsError,
     ParameterAnswer,
     ParameterChoice,
     ParameterCurve,
+    PluginOptions,
+    Problem,
+    WithOptions,
 )
-from cbsr_qa.eit.inverse import Criterion, Regularisation, Truncation, central_signal, noise_figure
-from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
-from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
-from cbsr_qa_plugins.reconstruction._shared import Hyperparameter, ParameterOptions, Positive, contradicted
+from cbsr_qa_plugins.reconstruction._shared import Hyperparameter, ParameterOptions, Positive, find_contradictions
 
 _NAME = "linear-back-projection"
 _LEAST_READING = 1e-6  # of the largest: a reading that the model says is zero has no relative change
@@ -82,7 +88,7 @@ class TruncatedSvd(WithOptions):
         regularisation = self.options.regularisation()
         value, how, curve = regularisation.choose(problem, Truncation)
         truncation, kept = Truncation(problem), int(value)
-        bound = _bound_elsewhere(regularisation, problem, value, curve)
+        bound = _noise_figure_bound(regularisation, problem, value, curve)
         if bound is not None:
             kept = truncation.within(bound)
         matrix = truncation.matrix(kept)
@@ -97,7 +103,7 @@ class TruncatedSvd(WithOptions):
         return LinearReconstruction(_NAME_TRUNCATED_SVD, problem, matrix, choice)
 
 
-def _bound_elsewhere(
+def _noise_figure_bound(
     regularisation: Regularisation, problem: ImagingProblem, value: float, curve: ParameterCurve | None
 ) -> float | None:
     """Noise figure to keep within where k was chosen on other readings than the problem's; None where not."""
@@ -144,7 +150,7 @@ class Greit(WithOptions):
         target_diameters_mm: Annotated[tuple[Positive, ...], Array, Field(min_length=1)] | None = None
 
         def problems(self) -> Iterator[Problem]:
-            yield from contradicted(self, "hyperparameter", ("noise_figure",))
+            yield from find_contradictions(self, "hyperparameter", ("noise_figure",))
 
     options: Options
 
@@ -155,13 +161,13 @@ class Greit(WithOptions):
         value: float | None
         value, how, curve = self.options.hyperparameter, "hyperparameter given", None
         if value is None:
-            value, how, curve = self._chosen(problem, design)
+            value, how, curve = self._choose_parameter(problem, design)
         made = greit_matrix(problem, design, value)
         criterion = "noise-figure" if curve is not None else "given"
         choice = ParameterChoice(value, how, made.noise_figure, curve=curve, criterion=criterion)
         return LinearReconstruction(_NAME_GREIT, problem, made.values, choice)
 
-    def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str, ParameterCurve]:
+    def _choose_parameter(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str, ParameterCurve]:
         """Choose λ for the noise figure; returns it with how it was chosen, and the few λ that were tried."""
         weighted, target = problem.noise_variance is not None, self.options.noise_figure or _NOISE_FIGURE
         base = problem if weighted else problem.nominal or problem

@@ -5,17 +5,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse.iterative import (
-    MOST_STEPS,
-    TOLERANCE,
-    AbsoluteImages,
-    Expected,
-    TotalVariationImages,
-    choose_alpha,
-)
-from cbsr_qa.plugin import PluginOptions, Problem, WithOptions
-from cbsr_qa_plugins.reconstruction._shared import Positive, contradicted
+from cbsr_qa.eit.inverse.iterative.absolute_images import AbsoluteImages, Expected
+from cbsr_qa.eit.inverse.iterative.total_variation import MOST_STEPS, TOLERANCE
+from cbsr_qa.eit.inverse.iterative.total_variation_images import TotalVariationImages, choose_alpha
+from cbsr_qa.plugin import ImagingProblem, PluginOptions, Problem, WithOptions
+from cbsr_qa_plugins.reconstruction._shared import Positive, find_contradictions
 
 _NAME = "total-variation"
 _EXACTEST = 1e-7  # duality gap that rounding leaves room for
@@ -98,7 +92,7 @@ class AbsoluteGaussNewton(WithOptions):
         iterations: Steps = 20
 
         def problems(self) -> Iterator[Problem]:
-            yield from contradicted(self, "load_spread", ("noise_figure",))
+            yield from find_contradictions(self, "load_spread", ("noise_figure",))
 
     absolute = True
     options: Options

@@ -9,20 +9,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
-from cbsr_qa.eit.inverse import (
-    Correlation,
-    Prior,
-    TemporalImages,
-    high_pass,
-    indenter_smoothness,
-    laplace,
-    lasting_noise_figure,
-    noser,
-    ridge_reconstruction,
-    target_radius_mm,
-)
-from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
+from cbsr_qa.eit.inverse.one_step import ridge_reconstruction
+from cbsr_qa.eit.inverse.priors import Prior, high_pass, indenter_smoothness, laplace, noser
+from cbsr_qa.eit.inverse.temporal import Correlation, TemporalImages, lasting_noise_figure
+from cbsr_qa.plugin import ImagingProblem, LinearReconstruction, PluginOptions, WithOptions
 from cbsr_qa_plugins.reconstruction._shared import Positive, RidgeOptions
 
 

@@ -17,11 +17,19 @@ import numpy as np
 from pydantic import Field
 from scipy import sparse
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse import noise_figure, overlap_fractions, target_signal
-from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.inverse.noise_figures import noise_figure
+from cbsr_qa.eit.inverse.overlap import overlap_fractions
+from cbsr_qa.eit.inverse.problem import target_signal
+from cbsr_qa.plugin import (
+    ImagingProblem,
+    LinearReconstruction,
+    Mesh,
+    NumericsError,
+    ParameterChoice,
+    PluginOptions,
+    WithOptions,
+)
 
 _REMEDY = "pip install 'cbsr-qa[pyeit]'"
 _MOST_CONDITION = 1e12  # its inverse has four digits then
@@ -123,7 +131,7 @@ def invertible() -> Iterator[None]:
         raise NumericsError("pyEIT's matrix is singular", remedy="give a larger lamb") from error
 
 
-def finished(method: str, problem: ImagingProblem, matrix: Array, regularisation: float) -> LinearReconstruction:
+def wrap_matrix(method: str, problem: ImagingProblem, matrix: Array, regularisation: float) -> LinearReconstruction:
     """Wrap an imaging matrix on our mesh, with its noise figure."""
     if not np.isfinite(matrix).all():
         raise NumericsError("pyEIT's matrix is not finite", remedy="give a larger lamb")
@@ -190,7 +198,7 @@ class PyeitJac(_PyeitMethod):
             jac.setup(p=self.options.p, lamb=self.options.lamb, method="kotre", perm=1, jac_normalized=False)
         check_determined(np.einsum("me,me->e", jac.J, jac.J), self.options.p, self.options.lamb)
         share = overlap_fractions(problem.mesh, given.elements)
-        return finished("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self.options.lamb)
+        return wrap_matrix("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self.options.lamb)
 
 
 _NAME = "pyeit-greit"
@@ -223,11 +231,11 @@ class PyeitGreit(_PyeitMethod):
             greit.setup(method="dist", perm=1, jac_normalized=False, **self.options.model_dump(exclude={"mesh_size"}))
         check_determined(np.einsum("me,me->m", greit.J, greit.J), self.options.p, self.options.lamb)
         x, y = np.asarray(greit.xg)[0], np.asarray(greit.yg)[:, 0]
-        between = _between(x, y, problem.mesh.centroids_mm / problem.sensor_type.radius_mm)
-        return finished(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self.options.lamb)
+        between = _interpolate_raster(x, y, problem.mesh.centroids_mm / problem.sensor_type.radius_mm)
+        return wrap_matrix(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self.options.lamb)
 
 
-def _between(x: Array, y: Array, points: Array) -> sparse.csr_matrix:
+def _interpolate_raster(x: Array, y: Array, points: Array) -> sparse.csr_matrix:
     """Bilinear interpolation from a raster (rows y, columns x) to points (k, 2): (k, pixels) sparse.
 
     Points beyond the raster take its edge; pyEIT's ends one step before the disc does.

@@ -6,12 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis import FORMAT, SIGNATURE, read_recording, write_recording
-from cbsr_qa.calibration.file import BLOCK_BEGINS
-from cbsr_qa.domain import RecordingError, RefusedError
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import Recording
-from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.analysis.recording_files import FORMAT, SIGNATURE, read_recording, write_recording
+from cbsr_qa.calibration.file.hdf5 import BLOCK_BEGINS
+from cbsr_qa.plugin import LoadRecord, Recording, RecordingError, RefusedError, Transcript
 from cbsr_qa_plugins.recordings.lab_files import OneDataSet, refuse_existing
 
 
@@ -61,12 +58,12 @@ def _from_first_frame(recording: Recording) -> Recording:
         recording,
         frames=replace(frames, time_s=frames.time_s - zero_s, reading_time_s=own),
         samples=tuple(replace(block, time_s=block.time_s - zero_s) for block in recording.samples),
-        loads=tuple(_moved(load, zero_s) for load in recording.loads),
+        loads=tuple(_shift_times(load, zero_s) for load in recording.loads),
         clock="none" if recording.clock == "none" else "station",
         notes=(*recording.notes, f"times count from the first frame, which the run's clock puts at {zero_s:.2f} s"),
     )
 
 
-def _moved(load: LoadRecord, zero_s: float) -> LoadRecord:
+def _shift_times(load: LoadRecord, zero_s: float) -> LoadRecord:
     names = ("press_start_s", "hold_start_s", "release_start_s", "release_end_s", "rest_end_s")
     return replace(load, **{name: getattr(load, name) - zero_s for name in names})

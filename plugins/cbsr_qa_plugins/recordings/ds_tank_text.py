@@ -6,9 +6,19 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RecordingError, RowProblem
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
+    ElectrodeKind,
+    ElectrodeLayout,
+    FrameBlock,
+    ReadingFlag,
+    Recording,
+    RecordingError,
+    RowProblem,
+    ScanKind,
+    VoltageUnit,
+    adjacent_pattern,
+)
 from cbsr_qa_plugins.recordings.lab_files import OneDataSet, number, text_lines
 
 _ELECTRODES: Final = 16

@@ -17,10 +17,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, RecordingError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ReadOptions, Recording, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
-from cbsr_qa.system import largest_content, read_foreign
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
+    ElectrodeKind,
+    ElectrodeLayout,
+    FrameBlock,
+    ReadingFlag,
+    ReadOptions,
+    Recording,
+    RecordingError,
+    ScanKind,
+    VoltageUnit,
+    adjacent_pattern,
+)
+from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.untrusted import largest_content
 
 HEADER_BYTES: Final = 128
 _MATRIX: Final = 14
@@ -66,7 +77,7 @@ def real_matrices(data: bytes, rows: int) -> tuple[dict[str, Array], tuple[str, 
     complex_ones: list[str] = []
     left = largest_content(len(data))
     for element, packed, order in _elements(data):
-        variable = _header(_unpacked(element, _BEGINNING) if packed else element[:_BEGINNING], order)
+        variable = _header(_unpack(element, _BEGINNING) if packed else element[:_BEGINNING], order)
         if variable is None or len(variable.shape) != 2 or variable.shape[0] != rows or not variable.shape[1]:
             continue
         if variable.is_complex:
@@ -78,7 +89,7 @@ def real_matrices(data: bytes, rows: int) -> tuple[dict[str, Array], tuple[str, 
         if variable.size_bytes != rows * variable.shape[1] * np.dtype(variable.dtype).itemsize:
             raise ValueError(f"{variable.name} of {variable.shape} holds {variable.size_bytes} bytes")
         end = variable.start + variable.size_bytes
-        values = (_unpacked(element, end) if packed else element)[variable.start : end]
+        values = (_unpack(element, end) if packed else element)[variable.start : end]
         if len(values) != variable.size_bytes:
             raise ValueError(f"{variable.name} is cut")
         flat = np.frombuffer(values, dtype=variable.dtype)
@@ -104,7 +115,7 @@ def _elements(data: bytes) -> Iterator[tuple[memoryview, bool, str]]:
         at += 8 + length
 
 
-def _unpacked(element: memoryview, most: int) -> memoryview:
+def _unpack(element: memoryview, most: int) -> memoryview:
     """First bytes of a packed variable, after its tag."""
     try:
         return memoryview(zlib.decompressobj().decompress(element, most + 8))[8:]
@@ -182,7 +193,7 @@ class EidorsMat:
             If the file is damaged, lacks such a matrix or the requested one, or holds several and none was chosen.
         """
         matrices = _matrices(path, options.dataset)
-        name = _chosen(path, matrices, options.dataset)
+        name = _choose_dataset(path, matrices, options.dataset)
         matrix = matrices[name]
         reference, reference_note = _reference(matrices, name) if options.reference is None else (None, "")
         still = matrix.shape[1] == 1
@@ -246,7 +257,7 @@ def _refuse_unfit(path: Path, names: list[str], alternating: tuple[str, ...]) ->
         )
 
 
-def _chosen(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:
+def _choose_dataset(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:
     if asked is None and len(matrices) == 1:
         return next(iter(matrices))
     listed = ", ".join(f"{name} ({_frames_said(matrix)})" for name, matrix in matrices.items())

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RowProblem
-from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import RowProblem, SampleBlock
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, BoardLine, LineKind, Rows
 
 #: Standard gravity [m/s²] turns the load cell's grams into newtons; compression is negative grams on this rig.
@@ -39,7 +39,7 @@ class RowClock:
     problems: list[RowProblem] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def at(self, rows: Rows) -> float:
+    def frame_middle_s(self, rows: Rows) -> float:
         """Middle of a frame on this clock [s]."""
         return (self.row_s[rows[0].number] + self.row_s[rows[-1].number]) / 2
 
@@ -76,7 +76,7 @@ def board_clock(lines: list[BoardLine], width: int) -> RowClock:
 
 def frame_times(assembly: Assembly, clock: RowClock) -> Array:
     """Middles of the frames [s] from the first one's, (frames,) float64."""
-    middles = np.array([clock.at(rows) for rows in assembly.frames], dtype=np.float64)
+    middles = np.array([clock.frame_middle_s(rows) for rows in assembly.frames], dtype=np.float64)
     times: Array = middles - middles[0]
     return times
 

@@ -10,9 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import RecordingError, RowProblem
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.plugin import FrameBlock, Recording, RecordingError, RowProblem, ScanKind, Transcript, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_rows import (
     PAIRS,
@@ -26,7 +24,13 @@ from cbsr_qa_plugins.recordings.ert_board_rows import (
     parse_line,
 )
 from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
-from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW, OneDataSet, marked, number, text_lines
+from cbsr_qa_plugins.recordings.lab_files import (
+    MOST_BAD_IN_A_ROW,
+    OneDataSet,
+    find_simulation_marks,
+    number,
+    text_lines,
+)
 
 _TITLE = re.compile(rb"(?im)^\s*time(_pc)? \[s\],.*data")
 _WITH_MASS = re.compile(r"(?i)mass")
@@ -57,13 +61,13 @@ class ErtBoardCsv(OneDataSet):
         width = _row_width(lines)
         rows = [line.numbers for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
         scale = count_scale([numbers[-PAIRS:] for numbers in rows])
-        lines, problems = _judged(lines, width, scale)
+        lines, problems = _replace_bad_rows(lines, width, scale)
         problems += given_up
         scan = _scan_kind(lines)
         assembly = assemble(lines, scan)
         if not assembly.frames:
             raise RecordingError(
-                f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_needed(scan)}",
+                f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_describe_frame(scan)}",
                 remedy="record for longer, or analyse another file",
                 problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
@@ -78,7 +82,7 @@ def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
     """Take the lines apart; give up, and say so, where thousands in a row hold no reading."""
     kept: list[BoardLine] = []
     bad = 0
-    for line in _parsed(path):
+    for line in _parse_file(path):
         kept.append(line)
         good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in (PAIRS, PAIRS + 1))
         bad = 0 if good else bad + 1
@@ -88,7 +92,7 @@ def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
     return kept, []
 
 
-def _parsed(path: Path) -> Iterator[BoardLine]:
+def _parse_file(path: Path) -> Iterator[BoardLine]:
     raw = text_lines(path)
     top = list(islice(raw, _TOP))
     title = next((line.text for line in top if line.text.lower().lstrip().startswith("time")), "")
@@ -123,13 +127,15 @@ def _row_width(lines: list[BoardLine]) -> int:
     return PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
 
 
-def _judged(lines: list[BoardLine], width: int, scale: CountScale) -> tuple[list[BoardLine], list[RowProblem]]:
+def _replace_bad_rows(
+    lines: list[BoardLine], width: int, scale: CountScale
+) -> tuple[list[BoardLine], list[RowProblem]]:
     """Replace bad rows by garbled ones that describe the fault."""
     judged: list[BoardLine] = []
     # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
     closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
     commas = sum(closed) > len(closed) / 2
-    for line in (_scaled(line, width, scale) for line in lines):
+    for line in (_scale_row(line, width, scale) for line in lines):
         what = complaint(line.numbers, width, scale) if line.kind is LineKind.ROW else ""
         if line.kind is LineKind.ROW and commas and not line.closed:
             what = what or "cut row: no comma behind the last number, which may be cut too"
@@ -140,7 +146,7 @@ def _judged(lines: list[BoardLine], width: int, scale: CountScale) -> tuple[list
     return judged, [RowProblem(line.number, line.said, line.kind is LineKind.GARBLED) for line in faulty]
 
 
-def _scaled(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
+def _scale_row(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
     if scale.factor == 1 or line.kind is not LineKind.ROW or len(line.numbers) != width:
         return line
     clock, readings = line.numbers[:-PAIRS], line.numbers[-PAIRS:]
@@ -182,7 +188,7 @@ def _inventory(lines: list[BoardLine], problems: list[RowProblem]) -> str:
     return f"{said} ({worst})" if worst else said
 
 
-def _needed(scan: ScanKind) -> str:
+def _describe_frame(scan: ScanKind) -> str:
     return f"a frame is a mark and {PAIRS} rows" if scan is ScanKind.FULL else "a frame is one row"
 
 
@@ -190,11 +196,11 @@ def _recording(
     path: Path, lines: list[BoardLine], width: int, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
 ) -> Recording:
     clock = board_clock(lines, width)
-    counts, unwrapped = _unsigned(assembly.counts(), scan)
+    counts, unwrapped = _unwrap_counts(assembly.counts(), scan)
     current_A, current_note = _current(lines)
     flags = np.zeros(counts.shape, dtype=np.uint8)
     block = FrameBlock(frame_times(assembly, clock), counts, flags, VoltageUnit.COUNT, current_A)
-    samples, force_notes = force_samples(lines, clock, clock.at(assembly.frames[0]))
+    samples, force_notes = force_samples(lines, clock, clock.frame_middle_s(assembly.frames[0]))
     notes = [*clock.notes, *force_notes, *current_note]
     if unwrapped:
         notes.append("counts are unsigned but were printed as signed 16-bit numbers; they are read as unsigned")
@@ -209,7 +215,7 @@ def _recording(
         problems=tuple(sorted((*_with_frames(problems, assembly), *clock.problems), key=lambda p: p.line)),
         notes=tuple(notes),
         frames_dropped=len(assembly.dropped),
-        simulated=marked(line.said for line in lines if line.kind is LineKind.HEADER),
+        simulated=find_simulation_marks(line.said for line in lines if line.kind is LineKind.HEADER),
     )
 
 
@@ -223,7 +229,7 @@ def _with_frames(problems: list[RowProblem], assembly: Assembly) -> list[RowProb
     return said + list(assembly.dumps)
 
 
-def _unsigned(counts: np.ndarray, scan: ScanKind) -> tuple[np.ndarray, bool]:
+def _unwrap_counts(counts: np.ndarray, scan: ScanKind) -> tuple[np.ndarray, bool]:
     """A driven pair's own voltage cannot be negative: a one-row scan of negative counts is wrapped at 2¹⁵."""
     if scan is ScanKind.DRIVEN_PAIRS and np.mean(counts < 0) > 0.5:
         return np.where(counts < 0, counts + 2**16, counts), True

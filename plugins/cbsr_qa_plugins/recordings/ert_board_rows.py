@@ -21,8 +21,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RowProblem
-from cbsr_qa.domain.readings import ScanKind
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import RowProblem, ScanKind
 from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
 PAIRS: Final = 16
@@ -92,18 +92,18 @@ def split_fields(text: str) -> tuple[list[str], bool, bool]:
     """
     fields = next(csv.reader([text]), []) if '"' in text else text.split(",")
     fields = [field.strip() for field in fields]
-    closed = _without_empty_end(fields)
+    closed = _drop_empty_end(fields)
     whole_line = len(fields) == 2 and bool(_BYTES_LITERAL.match(fields[1]))
     opened: list[str] = []
     for entry in fields:
         literal = _BYTES_LITERAL.match(entry)
         opened += literal.group(2).replace("\\r", "").replace("\\n", "").split(",") if literal else [entry]
     if fields and _BYTES_LITERAL.match(fields[-1]):
-        closed = _without_empty_end(opened)
+        closed = _drop_empty_end(opened)
     return opened, whole_line, closed
 
 
-def _without_empty_end(fields: list[str]) -> bool:
+def _drop_empty_end(fields: list[str]) -> bool:
     """Drop the empty fields at the end; return whether there were any."""
     count = len(fields)
     while fields and not fields[-1]:

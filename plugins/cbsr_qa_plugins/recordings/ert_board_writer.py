@@ -12,9 +12,8 @@ from typing import Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.plan import Dump, Transcript
-from cbsr_qa.domain.readings import ReadingFlag, Recording, SampleBlock
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import Dump, ReadingFlag, Recording, RefusedError, SampleBlock, Transcript
 from cbsr_qa_plugins.recordings import lab_files
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_rows import LAST_BOARD_MS
@@ -69,11 +68,14 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     with lab_files.new_text_file(path) as file:
         file.write(lab_files.utc_line(recording) + TITLES + "\n")
         port = _Port(file, lab_files.channel(recording, "force", "N"), float(row_s[0, 0]))
-        dumps = _by_place(transcript.dumps)
+        dumps = _group_dumps(transcript.dumps)
         for frame, volts in enumerate(recording.frames.voltages):
             counts = np.rint(np.clip(volts * gain, -END_COUNTS, END_COUNTS)).astype(np.int64).tolist()
             _write_frame(port, row_s[frame].tolist(), counts, transcript.lost[frame], dumps[frame])
-    return (*_converted(recording, gain), *lab_files.left_out(recording, transcript, ("force",), ~ReadingFlag.NONE))
+    return (
+        *_describe_conversion(recording, gain),
+        *lab_files.list_omissions(recording, transcript, ("force",), ~ReadingFlag.NONE),
+    )
 
 
 def scale_of(voltages_V: Array) -> float:
@@ -146,14 +148,14 @@ def _write_dump(port: _Port, start_s: float, end_s: float) -> float:
     return end_s
 
 
-def _by_place(dumps: Sequence[Dump]) -> dict[int, Dumps]:
+def _group_dumps(dumps: Sequence[Dump]) -> dict[int, Dumps]:
     found: dict[int, Dumps] = defaultdict(dict)
     for dump in dumps:
         found[dump.frame].setdefault(dump.row, []).append(dump)
     return found
 
 
-def _converted(recording: Recording, gain: float) -> list[str]:
+def _describe_conversion(recording: Recording, gain: float) -> list[str]:
     """Describe the conversion of volts, amperes and times."""
     said = [
         f"{gain:g} counts per volt: readings are rounded to {1e6 / gain:g} µV; the file does not state the scale",

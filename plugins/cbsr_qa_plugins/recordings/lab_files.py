@@ -14,12 +14,21 @@ from typing import Final, TextIO
 
 import numpy as np
 
-from cbsr_qa.analysis import recording_file
-from cbsr_qa.domain import Array, RecordingError, RefusedError
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import adjacent_pattern
-from cbsr_qa.system import open_foreign
+from cbsr_qa.analysis.recording_files import recording_file
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
+    ReadingFlag,
+    ReadOptions,
+    Recording,
+    RecordingError,
+    RefusedError,
+    SampleBlock,
+    ScanKind,
+    Transcript,
+    VoltageUnit,
+    adjacent_pattern,
+)
+from cbsr_qa.system.foreign import open_foreign
 
 #: Characters of a line that are looked at. Rows of readings have a few hundred; a binary file may have no line end.
 LONGEST_LINE: Final = 1 << 14
@@ -103,7 +112,7 @@ def mark(simulated: Iterable[str]) -> str:
     return fields if len(fields) <= _MOST else fields[:_MOST] + " …"
 
 
-def marked(lines: Iterable[str]) -> tuple[str, ...]:
+def find_simulation_marks(lines: Iterable[str]) -> tuple[str, ...]:
     """What ``UTC:`` lines say was simulated, each thing once; empty for a real rig's."""
     fields = (field.strip() for line in lines for field in line.split(","))
     return tuple(dict.fromkeys(field.removeprefix(_MARK) for field in fields if field.startswith(_MARK)))
@@ -207,12 +216,12 @@ def reading_times(name: str, recording: Recording, transcript: Transcript, order
         frame = int(np.argmax(~(step_s >= 0))) // ELECTRODES**2
         raise RefusedError(
             f"{name} is of a rig whose {order} pair steps faster; the times of frame {frame} fall in that order",
-            remedy=f"{_in_order(transcript, order)}, or {_OWN_FORMAT}",
+            remedy=f"{_order_remedy(transcript, order)}, or {_OWN_FORMAT}",
         )
     return times_s
 
 
-def _in_order(transcript: Transcript, order: str) -> str:
+def _order_remedy(transcript: Transcript, order: str) -> str:
     """Say what makes readings come in an order; dumps are those of a board that reads row by row."""
     skew = f'give time-skew inner = "{order}"'
     return f"{skew} and take watchdog-dump out" if order == "drive" and transcript.dumps else skew
@@ -223,7 +232,9 @@ def channel(recording: Recording, name: str, unit: str) -> SampleBlock | None:
     return next((s for s in recording.samples if (s.channel, s.unit) == (name, unit) and len(s)), None)
 
 
-def left_out(recording: Recording, transcript: Transcript, carried: Collection[str], flags: ReadingFlag) -> list[str]:
+def list_omissions(
+    recording: Recording, transcript: Transcript, carried: Collection[str], flags: ReadingFlag
+) -> list[str]:
     """Say what neither of the lab's formats holds.
 
     Parameters

@@ -8,14 +8,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, RecordingError, RowProblem
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import (
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
     FrameBlock,
     ReadingFlag,
     Recording,
+    RecordingError,
+    RowProblem,
     SampleBlock,
     ScanKind,
+    Transcript,
     VoltageUnit,
 )
 from cbsr_qa_plugins.recordings.lab_files import ELECTRODES, OneDataSet
@@ -70,7 +72,7 @@ def frames_of(stretches: list[Stretch]) -> Scans:
                 broken = []
             broken += piece
             why = "lines are missing or too many in it" if stretch.counted_at is not None else "headers stand in it"
-            scans.dropped.append(_dropped(broken, broken[-1].line, why))
+            scans.dropped.append(_frame_problem(broken, broken[-1].line, why))
         inside = number and 0 < at + len(head) < FRAME and len(head) == len(stretch.readings)
         reached = at + len(head) if inside else FRAME
         left = _cut(stretch.readings[len(head) :], scans)
@@ -91,16 +93,16 @@ def _cut(readings: list[Reading], scans: Scans) -> list[Reading]:
         frame = readings[start : start + FRAME]
         bad = [reading.line for reading in frame if reading.bad]
         if bad:
-            scans.dropped.append(_dropped(frame, bad[0], f"{len(bad)} readings in it are bad"))
+            scans.dropped.append(_frame_problem(frame, bad[0], f"{len(bad)} readings in it are bad"))
         elif backwards := [later for before, later in pairwise(frame) if later.time_s < before.time_s]:
             why = f"time steps back in it {len(backwards)}×, first in line {backwards[0].line}"
-            scans.dropped.append(_dropped(frame, backwards[0].line, why))
+            scans.dropped.append(_frame_problem(frame, backwards[0].line, why))
         else:
             scans.frames.append(frame)
     return readings[count * FRAME :]
 
 
-def _dropped(frame: list[Reading], line: int, why: str) -> RowProblem:
+def _frame_problem(frame: list[Reading], line: int, why: str) -> RowProblem:
     return RowProblem(line, f"frame of lines {frame[0].line} to {frame[-1].line} dropped: {why}", False)
 
 

@@ -11,9 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, RecordingError, RefusedError, RowProblem
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import ReadingFlag, Recording
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import ReadingFlag, Recording, RecordingError, RefusedError, RowProblem, Transcript
 from cbsr_qa_plugins.recordings import lab_files
 
 TITLES: Final = ("time_pc [s]", "voltage [V]", "i_src [A]", "f [N]", "x [mm]", "y [mm]", "z [mm]")
@@ -107,7 +106,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
             f"{path.name} holds only headers, not one reading" if number else f"{path.name} is empty",
             remedy="record again, or analyse another file",
         )
-    return stretches, problems, lab_files.marked(headers)
+    return stretches, problems, lab_files.find_simulation_marks(headers)
 
 
 def _check_titles(path: Path, fields: list[str]) -> None:
@@ -148,7 +147,7 @@ def _bad(number: int, why: str) -> Reading:
 
 def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stretch]:
     """Cut a session where two current readings are not a multiple of 16 lines apart; copies of lines go first."""
-    session = _without_copies(session, problems)
+    session = _drop_copies(session, problems)
     at = [k for k, reading in enumerate(session) if reading.current_A is not None]
     gaps = [(before, after) for before, after in pairwise(at) if (after - before) % CURRENT_EVERY]
     if len(gaps) > len(at) / 2:  # the current is not read in this rhythm here
@@ -166,7 +165,7 @@ def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stret
     return [*out, Stretch(session[start:], counted_at)]
 
 
-def _without_copies(session: list[Reading], problems: list[RowProblem]) -> list[Reading]:
+def _drop_copies(session: list[Reading], problems: list[RowProblem]) -> list[Reading]:
     at = [k for k, reading in enumerate(session) if reading.current_A is not None]
     dropped: set[int] = set()
     for before, after in pairwise(at):
@@ -203,7 +202,7 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
         for frame, lost in enumerate(transcript.lost):
             if not lost.all():
                 file.writelines(_frame_lines(recording, frame, times_s[frame], zero_s, lost, current))
-    return tuple(_not_said(recording, transcript))
+    return tuple(_list_omissions(recording, transcript))
 
 
 def _frame_lines(
@@ -250,9 +249,9 @@ def _refuse_numbers(recording: Recording, transcript: Transcript) -> None:
         )
 
 
-def _not_said(recording: Recording, transcript: Transcript) -> list[str]:
+def _list_omissions(recording: Recording, transcript: Transcript) -> list[str]:
     carried = [name for name, unit in CHANNELS if lab_files.channel(recording, name, unit) is not None]
-    said = lab_files.left_out(recording, transcript, carried, ReadingFlag.SATURATED)
+    said = lab_files.list_omissions(recording, transcript, carried, ReadingFlag.SATURATED)
     if transcript.dumps:
         said.append(
             f"{len(transcript.dumps)} watchdog dumps are not written: this rig's multiplexer sends none;"

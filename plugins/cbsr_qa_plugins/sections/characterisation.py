@@ -5,25 +5,28 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.results import (
+from cbsr_qa.plugin import (
     Block,
     Characterisation,
     Figure,
     FittedLine,
+    FrameBlock,
     Paragraph,
+    PhaseRecord,
+    Relaxation,
+    Role,
+    RunRecord,
     RunResult,
     StrainLevel,
     StrainSettling,
     Table,
     Trace,
 )
-from cbsr_qa.domain.run import PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.report import (
-    RunSection,
-    dashed,
+from cbsr_qa.report.draw.characterisation import lines_figure, relaxations_figure, settling_by_strain_figure
+from cbsr_qa.report.draw.time import timeline_figure
+from cbsr_qa.report.section import RunSection
+from cbsr_qa.report.tables import (
+    format_or_dash,
     number,
     parameter_text,
     plural,
@@ -31,7 +34,6 @@ from cbsr_qa.report import (
     text_table,
     with_uncertainty,
 )
-from cbsr_qa.report.draw import lines_figure, relaxations_figure, settling_by_strain_figure, timeline_figure
 
 _SHOWN_STRAIN: Final = 0.25  # whose cycles the paper's Fig 6 shows
 _BEFORE_S: Final = 5.0  # shown before their first press
@@ -47,7 +49,7 @@ class MaterialCharacterisation(RunSection):
         material = result.characterisation
         if material is None:
             return
-        words = _in_words(material)
+        words = _describe_material(material)
         yield Paragraph(words)
         yield from (Paragraph(f"No material file may be issued: {why}.", "warning") for why in material.refused)
         yield Figure(
@@ -68,13 +70,13 @@ class MaterialCharacterisation(RunSection):
         yield Figure(
             "Settling time by strain with its standard error: after the press (filled) and after the release (open)."
             " Line and band: one fit to all strains. Triangle: a lower bound.",
-            _settled_in_words(material.settlings),
+            _describe_settling(material.settlings),
             settling_by_strain_figure(material),
         )
-        yield from (_settlings(material), _kernels(material), Paragraph(_assumed(material), "note"))
+        yield from (_settlings(material), _kernels(material), Paragraph(_describe_assumptions(material), "note"))
 
 
-def _in_words(material: Characterisation) -> str:
+def _describe_material(material: Characterisation) -> str:
     apparent, local = material.against_strain.line, material.local_against_strain.line
     used = [level.cycles for level in material.levels if not level.why]
     words = f"{plural(sum(used), 'cycle')} at {plural(len(used), 'strain')} were used."
@@ -95,16 +97,18 @@ def _parameters(material: Characterisation) -> Table:
         ("α against stress [1/kPa]", stress, "slope"),
         ("β against stress", stress, "intercept"),
     )
-    rows = [[name, *(_of(line, which) for line in pair)] for name, pair, which in lines]
-    before, rested = (_of(line, "slope") for line in material.end_of_hold)
+    rows = [[name, *(_format_parameter(line, which) for line in pair)] for name, pair, which in lines]
+    before, rested = (_format_parameter(line, "slope") for line in material.end_of_hold)
     rows.append(["gauge factor as read at the end of holds, from before the press", before, "–"])
     rows.append(["the same, from the rested strip", rested, "–"])
     caption = "Δρ/ρ₀ = α x + β (paper Eqs 1 and 2), one standard error."
     return text_table(caption, ("Parameter", "Between the pins", "Under the head"), rows, (1, 2))
 
 
-def _of(fitted: FittedLine, which: str) -> str:
-    return dashed(fitted.line, lambda line: parameter_text(line.slope if which == "slope" else line.intercept))
+def _format_parameter(fitted: FittedLine, which: str) -> str:
+    return format_or_dash(
+        fitted.line, lambda line: parameter_text(line.slope if which == "slope" else line.intercept)
+    )
 
 
 def _strains(levels: Sequence[StrainLevel]) -> Table:
@@ -112,7 +116,7 @@ def _strains(levels: Sequence[StrainLevel]) -> Table:
         [
             f"{100 * level.strain:g}",
             str(level.cycles),
-            dashed(level.stress_kPa, lambda stress: number(stress, 4)),
+            format_or_dash(level.stress_kPa, lambda stress: number(stress, 4)),
             with_uncertainty(100 * level.mean, 100 * level.deviation),
             with_uncertainty(100 * level.local_mean, 100 * level.local_deviation),
             level.why or "used",
@@ -140,12 +144,12 @@ def _cycles(record: RunRecord) -> list[Figure]:
 
 def _traces(phase: PhaseRecord, frames: FrameBlock, area_mm2: float, start_s: float, end_s: float) -> list[Trace]:
     """Resistance, and stress if the force was recorded, against the time since the first press."""
-    read, zero_s = frames.between(start_s, end_s), start_s + _BEFORE_S
+    read, zero_s = frames.select_interval(start_s, end_s), start_s + _BEFORE_S
     ohm = read.voltages[:, 0, 0] / (read.current_A or 1.0)
     traces = [Trace("resistance", "kΩ", np.array(read.time_s) - zero_s, 1e-3 * ohm)]
     force = phase.channel("force")
     if force is not None:
-        taken = force.between(start_s, end_s)
+        taken = force.select_interval(start_s, end_s)
         traces.append(Trace("stress", "kPa", taken.time_s - zero_s, 1e3 * taken.values / area_mm2))
     return traces
 
@@ -176,7 +180,7 @@ def _time(material: Characterisation, signal: str, loading: bool, strain: float 
     return f"{'≥ ' if found.settling.censored else ''}{with_uncertainty(found.settling.value_s, found.stderr_s)}"
 
 
-def _settled_in_words(settlings: Sequence[StrainSettling]) -> str:
+def _describe_settling(settlings: Sequence[StrainSettling]) -> str:
     settled = [
         f"{each.words} {'at least ' if each.settling.censored else ''}{each.settling.value_s:.3g} s"
         for each in settlings
@@ -203,7 +207,7 @@ def _kernel(kernel: Relaxation | None) -> list[str]:
     return [text for weight, tau in pairs for text in (number(weight), number(tau))]
 
 
-def _assumed(material: Characterisation) -> str:
+def _describe_assumptions(material: Characterisation) -> str:
     strip, settings = material.strip, material.settings
     parts = dict(material.local_against_strain.parts)
     contacts = parts.get("contacts of the pins")

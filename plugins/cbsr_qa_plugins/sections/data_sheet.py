@@ -3,50 +3,34 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.calibration.fits import LoopCurve, loop_curve
-from cbsr_qa.calibration.sheet import (
-    FEWEST_POINTS,
+from cbsr_qa.calibration.fits.estimates import FEWEST_POINTS, best_straight_line
+from cbsr_qa.calibration.fits.hysteresis_fit import LoopCurve, loop_curve
+from cbsr_qa.calibration.sheet.characteristic import (
     Characteristic,
-    best_straight_line,
     characteristics,
     data_sheet_loads,
     mean_characteristic,
-    place_responses,
     repeatability,
 )
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import (
+from cbsr_qa.calibration.sheet.data_sheet import place_responses
+from cbsr_qa.plugin import (
     BaselineConductance,
     Block,
     Calibration,
     Cell,
     Figure,
     Measurement,
+    NumericsError,
     Paragraph,
     RunObservation,
     RunResult,
     Table,
 )
-from cbsr_qa.report import (
-    ObservedSection,
-    RunSection,
-    mean_deviation,
-    number,
-    parameter_text,
-    place_text,
-    plural,
-    text_table,
-    value_cell,
-    with_uncertainty,
-)
-from cbsr_qa.report.draw import (
-    PlaceMap,
-    PlaceValue,
-    baseline_figure,
-    characteristic_figure,
-    loop_figure,
-    place_maps_figure,
-)
+from cbsr_qa.report.draw.data_sheet import PlaceMap, PlaceValue, characteristic_figure, loop_figure, place_maps_figure
+from cbsr_qa.report.draw.maps import baseline_figure
+from cbsr_qa.report.section import ObservedSection, RunSection
+from cbsr_qa.report.select import mean_deviation
+from cbsr_qa.report.tables import number, parameter_text, place_text, plural, text_table, value_cell, with_uncertainty
 
 
 class BaselineConductanceMap(RunSection):
@@ -59,7 +43,7 @@ class BaselineConductanceMap(RunSection):
         calibration = result.calibration
         if calibration is None or not calibration.baseline:
             return
-        words = _in_words(calibration.baseline)
+        words = _describe_baseline(calibration.baseline)
         yield Paragraph(words)
         if any(place.value is not None for place in calibration.baseline):
             yield Figure(
@@ -76,7 +60,7 @@ class BaselineConductanceMap(RunSection):
             yield Paragraph(f"Reduced validity: {why}.", "warning")
 
 
-def _in_words(places: tuple[BaselineConductance, ...]) -> str:
+def _describe_baseline(places: tuple[BaselineConductance, ...]) -> str:
     values = [place.value for place in places if place.value is not None]
     summary = mean_deviation(values)
     if summary is None:
@@ -139,11 +123,11 @@ class DataSheet(ObservedSection):
 
     title = "Data sheet of this sensor"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the table, then figures of characteristic, loops and maps as far as they were measured."""
         whole = {(m.name, m.qualifier): m for m in result.measurements if not m.location and m.load is None}
         if any((name, qualifier) in whole for name, qualifier, _ in _ROWS):
-            yield from (_table(whole), *_by_strain(result.measurements))
+            yield from (_table(whole), *_strain_table(result.measurements))
             yield from (*_characteristic(run), *_loops(run, whole), *_maps(run, result.measurements))
 
 
@@ -167,7 +151,7 @@ def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
     return text_table(caption, ("Quantity", "Value", "How"), rows, (1,))
 
 
-def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
+def _strain_table(measurements: Sequence[Measurement]) -> list[Block]:
     strains = [(m.dimensions.strain, m) for m in measurements if m.name == "repeatability"]
     by_strain = {f"{100 * strain:g} %": value_cell(m) for strain, m in strains if strain is not None}
     if not by_strain:

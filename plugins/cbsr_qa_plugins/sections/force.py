@@ -5,37 +5,27 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import (
-    HELD_OUT,
-    TRIAL_LEFT_OUT,
+from cbsr_qa.analysis.run.force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
+from cbsr_qa.analysis.run.force_quality import (
     ForceErrors,
-    ForceTest,
-    RunForce,
-    calibrated_radius_mm,
+    calibration_radius_mm,
     errors_of,
     global_errors,
     map_quality,
     places_mm,
-    run_force,
-    run_place,
     tests_of,
 )
-from cbsr_qa.calibration.force import LearnedForce, prediction_words
-from cbsr_qa.calibration.runtime import interpolate
-from cbsr_qa.calibration.sheet import SheetPose
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult
-from cbsr_qa.report import (
-    ObservedSection,
-    number,
-    parameter_text,
-    place_text,
-    plural,
-    text_table,
-    value_cell,
-    with_uncertainty,
-)
-from cbsr_qa.report.draw import ForcePanel, RatioPoints, SheetField, force_figure, force_map_figure, ratio_figure
+from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.calibration.force.sheet_pose import SheetPose
+from cbsr_qa.calibration.force.validity import prediction_words
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import Block, Cell, Figure, Paragraph, RunObservation, RunResult
+from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, force_figure, ratio_figure
+from cbsr_qa.report.draw.maps import SheetField, force_map_figure
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.tables import number, parameter_text, place_text, plural, text_table, value_cell, with_uncertainty
 
 #: Cells of the maps across the sheet.
 _ACROSS: Final = 61
@@ -53,7 +43,7 @@ class Force(ObservedSection):
 
     title = "Force"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the force model, its held-out errors, and their limits."""
         if not any(m.name == "force_error_sd" for m in result.measurements):
             return
@@ -63,32 +53,32 @@ class Force(ObservedSection):
             yield Paragraph(f"This sensor has no force model: {force.why}.", "warning")
             return
         tests = tests_of(run, force, HELD_OUT)
-        yield Paragraph(_learned_words(run, force, learned))
+        yield Paragraph(_describe_model(run, force, learned))
         if force.sheet_pose.moved:
             yield Paragraph(_sheet_pose_words(force.sheet_pose), "note")
         if run.settings.learn_place:
             yield Paragraph(f"{run_place(run).words}.", "note")
-        yield from _predicted(run, learned)
-        yield from (Paragraph(words) for words in _tested_words(tests))
+        yield from _prediction_blocks(run, learned)
+        yield from (Paragraph(words) for words in _describe_tests(tests))
         yield from (_map(run, force, learned), Paragraph(_map_words(run, force, learned)))
         yield from (*_scatter(force, tests), *_results(result))
-        yield from (_ratios(run, force, learned), Paragraph(_assumed_words(learned), "note"))
-        yield from (Paragraph(words, "warning") for words in _reduced(run, force, learned, tests))
-        yield from _refused(force, learned)
+        yield from (_ratios(run, force, learned), Paragraph(_describe_assumptions(learned), "note"))
+        yield from (Paragraph(words, "warning") for words in _list_caveats(run, force, learned, tests))
+        yield from _refusal_blocks(force, learned)
 
 
-def _learned_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
+def _describe_model(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
     used = [load for load, why in zip(force.used, learned.refused, strict=True) if not why]
     phases = " and ".join(dict.fromkeys(load.phase for load in used))
     low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
     return (
         "The force of a head follows from the readings, a map of the response by place, and a line of change against"
         f" stress. Map and line were learned from {len(used)} of {plural(len(force.used), 'load')}"
-        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(force):.0f} mm from the centre."
+        f" ({phases}), {_format_range(low, high)}, up to {calibration_radius_mm(force):.0f} mm from the centre."
     )
 
 
-def _predicted(run: RunObservation, learned: LearnedForce) -> list[Block]:
+def _prediction_blocks(run: RunObservation, learned: LearnedForce) -> list[Block]:
     """How loads of short holds were used; nothing where all count as they were seen."""
     words = prediction_words(learned)
     if words:
@@ -107,12 +97,12 @@ def _sheet_pose_words(pose: SheetPose) -> str:
     ).replace("-", "−")
 
 
-def _between(low_N: float, high_N: float) -> str:
+def _format_range(low_N: float, high_N: float) -> str:
     low, high = number(low_N, 2), number(high_N, 2)
     return f"about {high} N" if low == high else f"{low} to {high} N"
 
 
-def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
+def _describe_tests(tests: Sequence[ForceTest]) -> list[str]:
     """What loads that were not used say; how few they are is part of it."""
     if not tests:
         return ["No load was held out, so the error of the force is unknown."]
@@ -128,14 +118,14 @@ def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
         words += f", {_error(estimated)} with the place estimated from the same readings"
     words += f", and {_error(flat)} with one response for the whole sheet."
     words += f" {plural(estimated.missed, 'load was', 'loads were')} not detected." if estimated.missed else ""
-    return [words, _covered(known)]
+    return [words, _describe_coverage(known)]
 
 
 def _error(errors: ForceErrors) -> str:
     return f"{parameter_text(errors.deviation())} N"
 
 
-def _covered(errors: ForceErrors) -> str:
+def _describe_coverage(errors: ForceErrors) -> str:
     count = len(errors.error_N)
     words = (
         f"{errors.inside(1.0)} of {count} errors are within one stated standard error and {errors.inside(1.96)}"
@@ -168,13 +158,13 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
             run.record.sensor_type,
             used_mm=places[used],
             refused_mm=places[~used],
-            radius_mm=calibrated_radius_mm(force),
+            radius_mm=calibration_radius_mm(force),
         ),
     )
 
 
 def _map_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
-    quality = map_quality(learned, calibrated_radius_mm(force))
+    quality = map_quality(learned, calibration_radius_mm(force))
     low, high = float(quality.response.min()), float(quality.response.max())
     x_mm, y_mm = quality.least_sure_mm
     where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
@@ -203,7 +193,7 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
             " Open: repeated presses of one place, which the values in the text leave out."
             " Below: errors, with bands of one and two stated standard errors; diamonds: with one response for the"
             " whole sheet, place known (triangles: beyond the edge). Red cross: not detected.",
-            " ".join(_tested_words(tests)),
+            " ".join(_describe_tests(tests)),
             force_figure(panels, faint),
         )
     ]
@@ -211,18 +201,18 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
 
 def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], errors: ForceErrors) -> ForcePanel:
     estimated = {id(test) for test in errors.tests}
-    measured = _measured(errors.tests)
+    measured = _collect_forces(errors.tests)
     return ForcePanel(
         title,
         measured,
         measured + errors.error_N,
         errors.stderr_N,
         np.array([id(test) in sampled for test in errors.tests], dtype=bool),
-        _measured([test for test in tests if id(test) not in estimated]),
+        _collect_forces([test for test in tests if id(test) not in estimated]),
     )
 
 
-def _measured(tests: Sequence[ForceTest]) -> Array:
+def _collect_forces(tests: Sequence[ForceTest]) -> Array:
     return np.array([test.measured_N for test in tests], dtype=np.float64)
 
 
@@ -279,7 +269,7 @@ def _line_words(learned: LearnedForce) -> str:
     return f"The intercept β_σ of the line is ({parameter_text(beta, 1e3)}) × 10⁻³, {beta.source}."
 
 
-def _assumed_words(learned: LearnedForce) -> str:
+def _describe_assumptions(learned: LearnedForce) -> str:
     alpha = learned.line.slope
     share, stderr = learned.model.residue_share, learned.model.residue_stderr
     return (
@@ -290,10 +280,12 @@ def _assumed_words(learned: LearnedForce) -> str:
     )
 
 
-def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]) -> list[str]:
+def _list_caveats(
+    run: RunObservation, force: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]
+) -> list[str]:
     """Caveats about the numbers."""
     words = []
-    radius_mm = calibrated_radius_mm(force)
+    radius_mm = calibration_radius_mm(force)
     outside = sum(float(np.hypot(t.load.record.load.x_mm, t.load.record.load.y_mm)) > radius_mm for t in tests)
     if outside:
         words.append(
@@ -304,8 +296,8 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
     beside = sum(not low <= test.measured_N <= high for test in tests)
     if not learned.fitted_intercept:
         words.append(
-            f"All loads of the calibration have the same force ({_between(low, high)}), so the line's intercept is"
-            f" the material's, not this sensor's; {beside} of {plural(len(tests), 'held-out load')} have other"
+            f"All loads of the calibration have the same force ({_format_range(low, high)}), so the line's intercept"
+            f" is the material's, not this sensor's; {beside} of {plural(len(tests), 'held-out load')} have other"
             " forces. A calibrating phase with several strains would determine the intercept."
         )
     predicted = learned.predicted or (False,) * len(force.used)
@@ -320,7 +312,7 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
     return words
 
 
-def _refused(force: RunForce, learned: LearnedForce) -> list[Block]:
+def _refusal_blocks(force: RunForce, learned: LearnedForce) -> list[Block]:
     rows = []
     for load, why in zip(force.used, learned.refused, strict=True):
         if why:

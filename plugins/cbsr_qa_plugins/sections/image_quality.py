@@ -6,9 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import FLAT, SizeResponse
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
+from cbsr_qa.analysis.run.sizes import FLAT, SizeResponse
+from cbsr_qa.plugin import (
     Block,
     Figure,
     LinearReconstruction,
@@ -17,25 +16,17 @@ from cbsr_qa.domain.results import (
     Paragraph,
     ParameterChoice,
     ParameterCurve,
+    Role,
     RunObservation,
     RunResult,
     Table,
 )
-from cbsr_qa.report import (
-    Measured,
-    ObservedSection,
-    bound_sign,
-    by_label,
-    capital,
-    dashed,
-    loads_of,
-    number,
-    plural,
-    spread_text,
-    text_table,
-)
-from cbsr_qa.report.draw import ParameterMark, SizeSeries, parameter_figure, size_figure, value_text
-from cbsr_qa_plugins.metrics.images import told_apart_by
+from cbsr_qa.report.draw.metrics import SizeSeries, size_figure
+from cbsr_qa.report.draw.parameter import ParameterMark, parameter_figure, value_text
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.select import Measured, group_by_label, loads_of, spread_text
+from cbsr_qa.report.tables import capital, format_or_dash, number, plural, sign_of_bound, text_table
+from cbsr_qa_plugins.metrics.images import describe_separation
 
 #: Measurement, column.
 _COLUMNS: Final = (
@@ -53,18 +44,20 @@ class ImageQuality(ObservedSection):
 
     title = "Image quality"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return what is seen apart and what was missed in words, then the figures of merit by location."""
-        yield from (Paragraph(words) for words in _in_words(result.measurements, run) if words)
+        yield from (Paragraph(words) for words in _describe_resolution(result.measurements, run) if words)
         loads = loads_of(run, Role.GRID) or run.loads
         measured = Measured(result.measurements)
         if any(measured.values(name, loads) for name, _ in _COLUMNS):
             yield _table(loads, measured)
 
 
-def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple[str, str]:
+def _describe_resolution(measurements: Sequence[Measurement], run: RunObservation) -> tuple[str, str]:
     apart = [m for m in measurements if m.name == "two_touch_resolution" and m.value is not None]
-    ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm ({told_apart_by(m.qualifier, run)})" for m in apart]
+    ways = [
+        f"{sign_of_bound([m])}{number(m.value or 0.0, 3)} mm ({describe_separation(m.qualifier, run)})" for m in apart
+    ]
     two = f"Two equal loads show as two regions from a distance of {' or '.join(ways)};"
     two += " linearised model, without noise."
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
@@ -75,7 +68,7 @@ def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple
 def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
     rows = [
         [label, *(spread_text(measured.values(name, members)) for name, _ in _COLUMNS)]
-        for label, members in by_label(loads).items()
+        for label, members in group_by_label(loads).items()
     ]
     caption = (
         "Figures of merit of Adler et al. 2009. AR: integral of the image over head area × change expected by the"
@@ -93,12 +86,12 @@ class SizeResponses(ObservedSection):
 
     title = "Size response"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the answer in words, a figure where any size was seen, and the table."""
-        responses = _measured(result.measurements)
+        responses = _collect_responses(result.measurements)
         if not responses:
             return
-        words = in_words(responses)
+        words = describe_sizes(responses)
         yield Paragraph(words, "note" if any(response.flat for response in responses) else "plain")
         seen = [_series(response) for response in responses if response.slope is not None]
         if seen:
@@ -115,8 +108,8 @@ def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
     rows = [
         [
             response.place,
-            *(dashed(area, number) for area in response.areas_mm2),
-            dashed(response.slope, lambda slope: number(slope, 2)),
+            *(format_or_dash(area, number) for area in response.areas_mm2),
+            format_or_dash(response.slope, lambda slope: number(slope, 2)),
         ]
         for response in responses
     ]
@@ -127,7 +120,7 @@ def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
 
-def in_words(responses: Sequence[SizeResponse]) -> str:
+def describe_sizes(responses: Sequence[SizeResponse]) -> str:
     """Describe the quality of an overlap."""
     seen = [response for response in responses if response.slope is not None]
     if not seen:
@@ -148,7 +141,7 @@ def in_words(responses: Sequence[SizeResponse]) -> str:
     return f"{words} Regions follow the size of the loads."
 
 
-def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
+def _collect_responses(measurements: Sequence[Measurement]) -> list[SizeResponse]:
     """Collect the measurements place by place."""
     areas: dict[str, list[tuple[float, float | None]]] = {}
     for m in measurements:
@@ -181,16 +174,16 @@ class RegularisationParameter(ObservedSection):
 
     title = "Regularisation"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the choice in words; figure and table if there is a curve."""
         choice = run.reconstruction.choice
-        yield Paragraph(_in_words_regularisation(run.reconstruction))
+        yield Paragraph(_describe_choice(run.reconstruction))
         if choice.curve is not None:
             marks = _marks(choice, choice.curve)
             yield from (_figure(choice, choice.curve, marks), _table_regularisation(choice, choice.curve, marks))
 
 
-def _in_words_regularisation(made: LinearReconstruction) -> str:
+def _describe_choice(made: LinearReconstruction) -> str:
     choice, curve = made.choice, made.choice.curve
     figure = f"Its matrix has noise figure {number(choice.noise_figure)}."
     if choice.criterion == "none":
@@ -246,8 +239,8 @@ def _table_regularisation(choice: ParameterChoice, curve: ParameterCurve, marks:
     rows = [
         [
             f"{mark.title} (chosen)" if mark.chosen else mark.title,
-            dashed(mark.value, partial(value_text, discrete=curve.discrete)),
-            dashed(mark.noise_figure, number),
+            format_or_dash(mark.value, partial(value_text, discrete=curve.discrete)),
+            format_or_dash(mark.noise_figure, number),
             answer.words,
         ]
         for mark, answer in zip(marks, curve.answers, strict=True)

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-from cbsr_qa.domain.results import (
+from cbsr_qa.plugin import (
     SEVERITY,
     Block,
     Cell,
@@ -18,23 +18,11 @@ from cbsr_qa.domain.results import (
     metric_words,
     relative_margin,
 )
-from cbsr_qa.report import (
-    SIGNS,
-    RunSection,
-    alike,
-    bound_sign,
-    limit_text,
-    location_verdicts,
-    margin_text,
-    outcome_counts,
-    plural,
-    spread_text,
-    text_table,
-    unit_column,
-    value_cell,
-    verdicts_in_words,
-)
-from cbsr_qa.report.draw import verdict_figure
+from cbsr_qa.report.draw.images import verdict_figure
+from cbsr_qa.report.location_verdicts import SIGNS, location_verdicts, outcome_counts, verdicts_in_words
+from cbsr_qa.report.section import RunSection
+from cbsr_qa.report.select import alike, spread_text
+from cbsr_qa.report.tables import limit_text, margin_text, plural, sign_of_bound, text_table, unit_column, value_cell
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MOST_QUALIFIERS: Final = 8
@@ -56,28 +44,28 @@ class Limits(RunSection):
             return
         judged = [m for m in result.measurements if m.limit is not None]
         others = [m for m in result.measurements if m.limit is None]
-        yield Paragraph(_in_words(judged))
+        yield Paragraph(_describe_outcomes(judged))
         if result.limits_version is not None:
             yield Paragraph(_version_words(result.limits_version, judged))
         if judged:
-            yield from (*_by_location(result, judged), *_judged(judged))
+            yield from (*_location_blocks(result, judged), *_limit_tables(judged))
         determined = [m for m in others if m.value is not None]
         # Apart: as columns beside each other they do not fit a page.
         for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
             yield from _others(part)
         refused = [m for m in others if m.value is None]
         if refused:
-            yield _refused(refused)
+            yield _refusal_table(refused)
 
 
-def _in_words(judged: Sequence[Measurement]) -> str:
+def _describe_outcomes(judged: Sequence[Measurement]) -> str:
     if not judged:
         return "The recipe sets no limit on anything that was measured."
     words = outcome_counts([m.outcome for m in judged])
     return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
 
 
-def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block]:
+def _location_blocks(result: RunResult, judged: Sequence[Measurement]) -> list[Block]:
     """Which places met their limits; nothing where no single load was judged."""
     run = result.observation
     verdicts = () if run is None else location_verdicts(run, judged)
@@ -104,11 +92,11 @@ def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str
     return words if version.sealed else f"{words} They may have been changed since."
 
 
-def _judged(judged: Sequence[Measurement]) -> list[Table]:
+def _limit_tables(judged: Sequence[Measurement]) -> list[Table]:
     order = sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
     versioned = any(m.limit and m.limit.version for m in judged)
     strains = _with_strains(judged)
-    rows = [_judged_row(m, m.phase in strains, versioned) for m in order]
+    rows = [_limit_row(m, m.phase in strains, versioned) for m in order]
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
     caption = "Limits. Margin: distance from the nearer bound, negative outside."
     if len(rows) <= _MOST_LIMITS:
@@ -127,7 +115,7 @@ def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:
     return frozenset(phase for (phase, _), strains in strains_of.items() if len(strains) > 1)
 
 
-def _judged_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:
+def _limit_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:
     assert m.limit is not None
     sign = f"{SIGNS[m.outcome]} " if m.outcome in SIGNS else ""
     outcome = Cell(f"{sign}{m.outcome.value}", m.outcome)
@@ -149,7 +137,7 @@ def _others(measurements: Sequence[Measurement]) -> list[Table]:
 def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Table:
     rows = [
         [name, *(_summary([m for m in members if m.phase == phase]) for phase in phases)]
-        for name, members in _grouped(measurements).items()
+        for name, members in _group_measurements(measurements).items()
     ]
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
     where = "of each phase" if any(phases) else "of the whole run"
@@ -160,7 +148,7 @@ def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Ta
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
 
-def _grouped(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
+def _group_measurements(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
     """Group what belongs in one row; a measurement with many qualifiers (one per electrode pair) is one row."""
     qualifiers: dict[str, set[str]] = {}
     for m in measurements:
@@ -180,21 +168,21 @@ def _summary(members: Sequence[Measurement]) -> str:
         return ""
     if len(values) == 1:
         return value_cell(members[0]).text
-    return f"{bound_sign(members)}{spread_text(values, members[0].unit)} ({len(values)})"
+    return f"{sign_of_bound(members)}{spread_text(values, members[0].unit)} ({len(values)})"
 
 
-def _refused(measurements: Sequence[Measurement]) -> Table:
+def _refusal_table(measurements: Sequence[Measurement]) -> Table:
     groups: dict[tuple[str, str, str], list[Measurement]] = {}
     for m in measurements:
         groups.setdefault((m.name, m.phase, alike(m.how)), []).append(m)
     rows = []
     for (name, phase, _), members in groups.items():
         why = members[0].how if len({m.how for m in members}) == 1 else f"for example: {members[0].how}"
-        rows.append([metric_words(name), phase or "whole run", _where(members), why])
+        rows.append([metric_words(name), phase or "whole run", _describe_places(members), why])
     return text_table("What could not be measured, and why.", ("Measurement", "Phase", "Where", "Why"), rows)
 
 
-def _where(members: Sequence[Measurement]) -> str:
+def _describe_places(members: Sequence[Measurement]) -> str:
     """Name locations and qualifiers, each once: ``R0, R2 (image, loading; image, unloading)``."""
     places = ", ".join(dict.fromkeys(m.location for m in members if m.location))
     kinds = "; ".join(dict.fromkeys(m.qualifier for m in members if m.qualifier))

@@ -8,10 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
+from cbsr_qa.analysis.run.estimates import EstimatedLoad, estimate_loads
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import (
     Block,
     Cell,
     Figure,
@@ -19,25 +18,24 @@ from cbsr_qa.domain.results import (
     LoadFinding,
     LoadObservation,
     Paragraph,
+    Role,
     RunObservation,
     RunResult,
     Table,
 )
-from cbsr_qa.report import (
-    Measured,
-    ObservedSection,
-    dashed,
-    loads_of,
+from cbsr_qa.report.draw.estimates import PlacedLoad, error_scale, estimates_figure
+from cbsr_qa.report.draw.loads import load_images_figure, random_loads_figure
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.select import Measured, join_loads, loads_of, spread_text
+from cbsr_qa.report.tables import (
+    format_or_dash,
     number,
     parameter_text,
     plural,
-    seen_loads,
-    spread_text,
     text_table,
     value_cell,
     with_uncertainty,
 )
-from cbsr_qa.report.draw import PlacedLoad, error_scale, estimates_figure, load_images_figure, random_loads_figure
 
 #: A longer table is folded.
 _MOST_ROWS: Final = 60
@@ -51,17 +49,17 @@ class LoadEstimates(ObservedSection):
 
     title = "Load estimates"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the answer in words, a figure and a table; nothing where no load was estimated."""
         measured = Measured(result.measurements)
         loads = (*loads_of(run, Role.GRID), *loads_of(run, Role.RANDOM))
-        loads = tuple(load for load in loads if measured.of_load("detectability", load) is not None)
+        loads = tuple(load for load in loads if measured.find("detectability", load) is not None)
         if not loads:
             return
-        estimates = estimated_loads(run, run.settings.reference)
+        estimates = estimate_loads(run, run.settings.reference)
         pairs = [(load, estimates[(load.phase, load.record.index)]) for load in loads]
-        placed = [_placed(load, estimate, run) for load, estimate in pairs]
-        words, scale = _in_words(pairs, placed), error_scale(placed)
+        placed = [_place_load(load, estimate, run) for load, estimate in pairs]
+        words, scale = _describe_accuracy(pairs, placed), error_scale(placed)
         longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
         yield Paragraph(words)
         yield Figure(
@@ -74,27 +72,27 @@ class LoadEstimates(ObservedSection):
         yield _table(pairs, measured)
 
 
-def _chosen(estimate: EstimatedLoad) -> LoadEstimate | None:
+def _choose_estimate(estimate: EstimatedLoad) -> LoadEstimate | None:
     return estimate.indenter or estimate.size
 
 
-def _placed(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation) -> PlacedLoad:
-    view, chosen = load.mask(run.main_mask), _chosen(estimate)
+def _place_load(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation) -> PlacedLoad:
+    view, chosen = load.mask(run.main_mask), _choose_estimate(estimate)
     region = None if view is None else view.region
     wanted = load.record.load
     place = None if chosen is None or chosen.place_mm is None else np.array(chosen.place_mm)
     return PlacedLoad(
         wanted.label,
-        load.indenter.at(wanted.x_mm, wanted.y_mm),
+        load.indenter.footprint_at(wanted.x_mm, wanted.y_mm),
         None if region is None else np.asarray(region.centre_mm()),
         place,
         None if chosen is None else chosen.place_covariance_mm2,
     )
 
 
-def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
+def _describe_accuracy(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
     """Say how well the loads were located, and what was refused or contradicts the model."""
-    chosen = [estimate for _, pair in pairs if (estimate := _chosen(pair)) is not None]
+    chosen = [estimate for _, pair in pairs if (estimate := _choose_estimate(pair)) is not None]
     words = _errors_in_words(pairs, placed)
     if any(p.estimated_error is not None for p in placed):
         refused = Counter(estimate.finding for estimate in chosen)
@@ -116,7 +114,7 @@ def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Se
 def _errors_in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
     errors = [p.estimated_error for p in placed if p.estimated_error is not None]
     if not errors:
-        why = next((e.why or (c.why if (c := _chosen(e)) else "") for _, e in pairs), "")
+        why = next((e.why or (c.why if (c := _choose_estimate(e)) else "") for _, e in pairs), "")
         return f"None of {plural(len(pairs), 'load')} could be located from its readings: {why}."
     imaged = [p.imaged_error for p in placed if p.imaged_error is not None]
     words = f"{plural(len(errors), 'load')} located to {_rms_text(errors)} mm (root mean square)"
@@ -131,20 +129,20 @@ def _rms_text(errors_mm: Sequence[Array]) -> str:
 def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Measured) -> Table:
     rows: list[list[str | Cell]] = []
     for load, estimate in pairs:
-        chosen, size = _chosen(estimate), estimate.size
-        error = value_cell(measured.of_load("estimated_place_error", load))
+        chosen, size = _choose_estimate(estimate), estimate.size
+        error = value_cell(measured.find("estimated_place_error", load))
         if chosen is None or chosen.finding is not LoadFinding.LOCATED:
             error = Cell(str(chosen.finding) if chosen else "not estimated")
         rows.append(
             [
                 load.record.load.label,
                 f"{100 * load.record.load.strain:.3g}",
-                value_cell(measured.of_load("centre_of_mass_error", load)),
+                value_cell(measured.find("centre_of_mass_error", load)),
                 error,
                 parameter_text(None if chosen is None else chosen.contrast, 100),
                 parameter_text(None if size is None else size.radius_mm),
                 parameter_text(None if size is None else size.area_contrast_mm2),
-                dashed(chosen, lambda estimate: f"{estimate.detectability:.0f}"),
+                format_or_dash(chosen, lambda estimate: f"{estimate.detectability:.0f}"),
             ]
         )
     caption = (
@@ -165,14 +163,14 @@ class LoadImages(ObservedSection):
 
     title = "Images"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the images, and the number of presses without one."""
         if not run.loads:
             return
         # First trials come first if there are too many: they cover every place and strain.
         chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
         printed = [load for load in run.loads if any(load is kept for kept in chosen)]
-        seen = seen_loads(printed, run, Measured(result.measurements))
+        seen = join_loads(printed, run, Measured(result.measurements))
         lost = sum(load.error_mm is None for load in seen)
         conducts = "more" if run.response.value == "increase" else "less"
         words = f"Pressed places conduct {conducts} ({run.response_how})."
@@ -193,12 +191,12 @@ class RandomLoads(ObservedSection):
 
     title = "Random loads"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         loads = loads_of(run, Role.RANDOM)
         if not loads:
             return
         measured = Measured(result.measurements)
-        seen = seen_loads(loads, run, measured)
+        seen = join_loads(loads, run, measured)
         mean = spread_text([load.error_mm for load in seen if load.error_mm is not None], "mm")
         yield Figure(
             "Random loads where they were pressed; discs grow with strain. Crosses: where the centre of mass was"
@@ -211,8 +209,8 @@ class RandomLoads(ObservedSection):
             wanted = load.record.load
             polar = f"{hypot(wanted.x_mm, wanted.y_mm):.1f}, {degrees(atan2(wanted.y_mm, wanted.x_mm)) % 360:.0f}°"
             force = "–" if load.force_N is None else with_uncertainty(load.force_N, load.force_stderr_N)
-            error = value_cell(measured.of_load("centre_of_mass_error", load))
-            overlap = value_cell(measured.of_load("area_overlap", load))
+            error = value_cell(measured.find("centre_of_mass_error", load))
+            overlap = value_cell(measured.find("area_overlap", load))
             rows.append([wanted.label, polar, f"{100 * wanted.strain:.1f}", force, error, overlap])
         columns = ("Load", "r [mm], θ", "Strain [%]", "Force [N]", "E_CoM [mm]", "A_OL [%]")
         yield text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))

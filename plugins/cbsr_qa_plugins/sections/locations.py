@@ -3,39 +3,34 @@
 from collections.abc import Iterator, Sequence
 from statistics import fmean
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
+from cbsr_qa.eit.imaging.shape import overlap_grade
+from cbsr_qa.plugin import (
     Block,
     Cell,
     Figure,
     LoadObservation,
     MetricTimeline,
     Paragraph,
+    Role,
     RunObservation,
     RunResult,
     Table,
     worst,
 )
-from cbsr_qa.eit.imaging import overlap_grade
-from cbsr_qa.report import (
+from cbsr_qa.report.draw.loads import arrow_scale, location_map_figure
+from cbsr_qa.report.draw.metrics import mask_timeline_figure
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.select import (
     SPATIAL,
     Measured,
-    ObservedSection,
-    by_label,
-    held_loads,
+    group_by_label,
+    join_loads,
+    list_holds,
     loads_of,
-    number,
-    place_text,
-    plural,
-    seen_loads,
     spatial_spreads,
     spread_text,
-    text_table,
-    unit_column,
-    value_cell,
-    with_uncertainty,
 )
-from cbsr_qa.report.draw import arrow_scale, location_map_figure, mask_timeline_figure
+from cbsr_qa.report.tables import number, place_text, plural, text_table, unit_column, value_cell, with_uncertainty
 
 #: Standard errors above which a shift, a rotation or a scale of all locations is more than scatter. Without any, one
 #: of the three exceeds this in 5 % of runs of nine presses.
@@ -47,37 +42,39 @@ class NineLocations(ObservedSection):
 
     title = "Locations"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return what all locations share, then a map and tables for each phase."""
         loads = loads_of(run, Role.GRID)
         if not loads:
             return
         measured = Measured(result.measurements)
         presses = plural(len(loads), "press", "presses")
-        yield Paragraph(f"{presses} at {plural(len(by_label(loads)), 'location')}; {_in_words(loads, measured)}")
+        yield Paragraph(
+            f"{presses} at {plural(len(group_by_label(loads)), 'location')}; {_describe_errors(loads, measured)}"
+        )
         yield from _registration(result, measured.values("registered_centre_of_mass_error", loads))
         phases = list(dict.fromkeys(load.phase for load in loads))
         for phase in phases:
             members = [load for load in loads if load.phase == phase]
             yield _figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else "")
-            yield from (*_by_strain(members, measured), _table(members, run, result, measured))
+            yield from (*_strain_table(members, measured), _table(members, run, result, measured))
 
 
 def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
-    seen = seen_loads(loads, run, measured)
+    seen = join_loads(loads, run, measured)
     scale = arrow_scale(seen)
-    cross = "was not detected" if _placed(loads, measured) else "was not measured"
+    cross = "was not detected" if _has_places(loads, measured) else "was not measured"
     longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
     return Figure(
         f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
         " indenter. Blue: outline of the sensed blob. Arrows: from the indenter's centre to the blob's centre of"
         f" mass, {longer}. Right: every press; a diamond is outside its limit, a cross {cross}.",
-        _in_words(loads, measured),
+        _describe_errors(loads, measured),
         location_map_figure(seen, run.record.sensor_type),
     )
 
 
-def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Block]:
+def _strain_table(loads: Sequence[LoadObservation], measured: Measured) -> list[Block]:
     """One row per strain over all locations; nothing with one strain."""
     strains = sorted({round(load.record.load.strain, 9) for load in loads})
     if len(strains) < 2:
@@ -92,14 +89,14 @@ def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Blo
     return [text_table(caption, columns, rows, tuple(range(len(columns))))]
 
 
-def _placed(loads: Sequence[LoadObservation], measured: Measured) -> bool:
+def _has_places(loads: Sequence[LoadObservation], measured: Measured) -> bool:
     """Whether the recipe locates presses; one that was not seen then has a reason."""
-    return any(measured.of_load("centre_of_mass_error", load) is not None for load in loads)
+    return any(measured.find("centre_of_mass_error", load) is not None for load in loads)
 
 
-def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
+def _describe_errors(loads: Sequence[LoadObservation], measured: Measured) -> str:
     errors = measured.values("centre_of_mass_error", loads)
-    if not _placed(loads, measured):
+    if not _has_places(loads, measured):
         return "the recipe does not measure how far from the presses they are seen."
     if not errors:
         return "none of the presses was seen in the image."
@@ -131,7 +128,7 @@ def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragrap
 
 def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunResult, measured: Measured) -> Table:
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
-    places = by_label(loads)
+    places = group_by_label(loads)
     several = any(len(members) > 1 for members in places.values())
     columns = ["Location", "x, y [mm]", *(["Presses"] if several else []), "E_CoM [mm]", "A_OL [%]", "Band"]
     columns += ["Shape deviation [mm²]", "Force [N]", *(["ρ̄₀"] if baseline else [])]
@@ -154,8 +151,8 @@ def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunRes
 
 def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:
     if len(members) == 1:
-        return value_cell(measured.of_load(name, members[0]))
-    measurements = [measured.of_load(name, load) for load in members]
+        return value_cell(measured.find(name, members[0]))
+    measurements = [measured.find(name, load) for load in members]
     outcomes = [m.outcome for m in measurements if m is not None and m.limit is not None]
     return Cell(spread_text(measured.values(name, members)), worst(outcomes) if outcomes else None)
 
@@ -165,7 +162,7 @@ def _bands(members: Sequence[LoadObservation], run: RunObservation, measured: Me
     bands, sizes = run.settings.overlap_bands, run.settings.size_ratio
     names = []
     for load in members:
-        overlap, view = measured.of_load("area_overlap", load), load.mask(run.main_mask)
+        overlap, view = measured.find("area_overlap", load), load.mask(run.main_mask)
         if overlap is not None and overlap.value is not None and view is not None and view.region is not None:
             ratio = view.region.area_mm2 / load.indenter.area_mm2
             names.append(overlap_grade(overlap.value, ratio, bands=bands, size_ratio=sizes))
@@ -187,7 +184,7 @@ class MaskComparison(ObservedSection):
 
     title = "Masks compared"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return the table and a figure for each grid; nothing where no grid was pressed or one mask was used."""
         if len(run.settings.masks) > 1 and loads_of(run, Role.GRID):
             yield _table_mask_comparison(result, run)
@@ -214,5 +211,5 @@ def _figure_mask_comparison(timeline: MetricTimeline, run: RunObservation) -> Fi
         f"Phase {timeline.phase}: spatial metrics of every frame taken while a load was held, for each mask.{behind}"
         " A line that is missing for a hold means that no blob was seen.",
         f"Three panels against time, one line for each of {len(timeline.masks)} masks.",
-        mask_timeline_figure(timeline, held_loads(run, timeline.phase)),
+        mask_timeline_figure(timeline, list_holds(run, timeline.phase)),
     )

@@ -6,20 +6,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import largest_by_reading, reciprocity_errors, signal_to_noise_dB
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import (
-    Block,
-    Cell,
-    Figure,
-    Measurement,
-    Outcome,
-    RunObservation,
-    RunResult,
-    Table,
-)
-from cbsr_qa.report import ObservedSection, limit_text, number, quantity, scaled_unit, text_table, value_cell
-from cbsr_qa.report.draw import channel_map_figure, pair_bar_figure
+from cbsr_qa.analysis.defects.quality import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.plugin import Block, Cell, Figure, Measurement, Outcome, RunObservation, RunResult, Table
+from cbsr_qa.report.draw.channels import channel_map_figure, pair_bar_figure
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.tables import limit_text, number, quantity, scale_unit, text_table, value_cell
 
 #: Measurements that belong here, by the beginning of their name.
 _WORDS: Final = ("noise", "conductance_noise", "channel", "reciprocity", "drift", "contact", "interelectrode")
@@ -34,7 +26,7 @@ class NoiseAndContacts(ObservedSection):
 
     title = "Noise and contacts"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return a table, then a figure for each quantity that was measured."""
         yield _table(result, run)
         ratio_dB = signal_to_noise_dB(run.unloaded)
@@ -95,7 +87,7 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
     lost = [_pair(m) for m in pairs if m.value is None]
     values = np.array([m.value for m in known], dtype=np.float64)
     median, measured_in = float(np.median(values)), pairs[0].unit
-    scale, unit = scaled_unit(median, measured_in)
+    scale, unit = scale_unit(median, measured_in)
     limit = next((m.limit for m in pairs if m.limit is not None), None)
     low, high = (None, None) if limit is None else (limit.lower, limit.upper)
     worst = int(np.abs(np.log(np.maximum(values, 1e-12) / max(median, 1e-12))).argmax())

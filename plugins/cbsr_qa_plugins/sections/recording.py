@@ -4,22 +4,25 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cbsr_qa.analysis.recording import nominal_disc
-from cbsr_qa.domain import Goodness
-from cbsr_qa.domain.geometry import Disc
-from cbsr_qa.domain.readings import ImagedPlace, LoadEvent, RecordingResult, ScanKind
-from cbsr_qa.domain.results import Block, Figure, Paragraph, Table, Trace
-from cbsr_qa.report import RecordingSection, capital, dashed, fixed, number, plural, text_table
-from cbsr_qa.report.draw import (
-    ChannelMark,
-    ImagePanel,
-    Marker,
-    Span,
-    channel_map_figure,
-    image_figure,
-    sheet_radius,
-    timeline_figure,
+from cbsr_qa.analysis.recording.imaging import nominal_disc
+from cbsr_qa.plugin import (
+    Block,
+    Disc,
+    Figure,
+    Goodness,
+    ImagedPlace,
+    LoadEvent,
+    Paragraph,
+    RecordingResult,
+    ScanKind,
+    Table,
+    Trace,
 )
+from cbsr_qa.report.draw.channels import ChannelMark, channel_map_figure
+from cbsr_qa.report.draw.images import ImagePanel, Marker, image_figure, sheet_radius
+from cbsr_qa.report.draw.time import Span, timeline_figure
+from cbsr_qa.report.section import RecordingSection
+from cbsr_qa.report.tables import capital, format_fixed, format_or_dash, number, plural, text_table
 
 
 class RecordingChannels(RecordingSection):
@@ -44,24 +47,24 @@ def _facts(result: RecordingResult) -> Table:
         ("Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"),
         ("Stuck", plural(len(channels.stuck), "channel") if channels.stuck else "none"),
         ("Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))),
-        ("Level over noise, median", _written(channels.snr_db, 1, " dB")),
-        ("Reciprocity error, as recorded", _written(channels.reciprocity_error, 3)),
-        ("Share of the previous reading in each", _written(channels.reading_memory, 1, f" %, {done}", 100)),
-        ("Reciprocity error without that share", _written(channels.reciprocity_error_corrected, 3)),
+        ("Level over noise, median", _format_value(channels.snr_db, 1, " dB")),
+        ("Reciprocity error, as recorded", _format_value(channels.reciprocity_error, 3)),
+        ("Share of the previous reading in each", _format_value(channels.reading_memory, 1, f" %, {done}", 100)),
+        ("Reciprocity error without that share", _format_value(channels.reciprocity_error_corrected, 3)),
         (
-            f"Noise of one reading ({fixed(quiet_s[0], 1)} to {fixed(quiet_s[1], 1)} s)",
+            f"Noise of one reading ({format_fixed(quiet_s[0], 1)} to {format_fixed(quiet_s[1], 1)} s)",
             "" if noise.rms is None or noise.quiet_s is None else f"{number(noise.rms)} {unit} rms",
         ),
         ("Drift", "" if noise.drift_per_min is None else f"{number(noise.drift_per_min)} {unit}/min"),
-        ("Readings beyond six times the noise", _written(noise.outliers or None, 2, " %", 100)),
+        ("Readings beyond six times the noise", _format_value(noise.outliers or None, 2, " %", 100)),
     )
     rows = [fact for fact in facts if fact[1]]
     return text_table("Channels and noise.", ("Quantity", "Value"), rows, (1,))
 
 
-def _written(value: float | None, decimals: int, unit: str = "", scale: float = 1) -> str:
+def _format_value(value: float | None, decimals: int, unit: str = "", scale: float = 1) -> str:
     """Write a value that was found; nothing otherwise."""
-    return "" if value is None else f"{fixed(scale * value, decimals)}{unit}"
+    return "" if value is None else f"{format_fixed(scale * value, decimals)}{unit}"
 
 
 def _map(result: RecordingResult) -> Figure:
@@ -69,7 +72,7 @@ def _map(result: RecordingResult) -> Figure:
     level = np.median(recording.frames.voltages, axis=0)
     one_row = recording.scan is ScanKind.DRIVEN_PAIRS
 
-    def at(pairs: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+    def place_pairs(pairs: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
         return tuple((0, measure) for _, measure in pairs) if one_row else pairs
 
     saturated, stuck = len(channels.saturated), len(channels.stuck)
@@ -81,8 +84,8 @@ def _map(result: RecordingResult) -> Figure:
             label="median level",
             unit=recording.frames.unit.value,
             marks=(
-                ChannelMark(at(channels.saturated), "x", "saturated"),
-                ChannelMark(at(channels.stuck), "o", "stuck"),
+                ChannelMark(place_pairs(channels.saturated), "x", "saturated"),
+                ChannelMark(place_pairs(channels.stuck), "o", "stuck"),
             ),
         ),
     )
@@ -90,7 +93,12 @@ def _map(result: RecordingResult) -> Figure:
 
 def _steps(result: RecordingResult) -> Table:
     rows = [
-        [fixed(step.time_s, 3), "level" if step.what == "level" else "noise", number(step.before), number(step.after)]
+        [
+            format_fixed(step.time_s, 3),
+            "level" if step.what == "level" else "noise",
+            number(step.before),
+            number(step.after),
+        ]
         for step in result.noise.steps
     ]
     caption = "Steps of level or noise that most channels share; the noise above is that of the longest stretch."
@@ -109,7 +117,7 @@ class RecordingEvents(RecordingSection):
         """Return the events as a table and as images, or the reason for none, and their traces."""
         if result.events:
             yield from (_table(result.events, still=result.frame_rate_hz is None), *_moving(result.events))
-            yield from (_images(result), _imaging(result), _imaged(result.events))
+            yield from (_images(result), _imaging(result), _image_table(result.events))
         else:
             yield Paragraph(f"No event: {result.events_why}.", "note")
         if timeline := _timeline(result):
@@ -121,24 +129,24 @@ def _name(rank: int) -> str:
 
 
 def _direction(at: LoadEvent | ImagedPlace) -> str:
-    return "centre" if at.central else fixed(at.electrode, 2)
+    return "centre" if at.central else format_fixed(at.electrode, 2)
 
 
 def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     beside = any(event.fate for event in events)
     columns = {
         "Event": [_name(rank) for rank in range(len(events))],
-        "Start [s]": ["–" if still else fixed(event.start_s, 1) for event in events],
-        "Peak [s]": ["–" if still else fixed(event.peak_s, 1) for event in events],
-        "End [s]": ["–" if still else fixed(event.end_s, 1) for event in events],
+        "Start [s]": ["–" if still else format_fixed(event.start_s, 1) for event in events],
+        "Peak [s]": ["–" if still else format_fixed(event.peak_s, 1) for event in events],
+        "End [s]": ["–" if still else format_fixed(event.end_s, 1) for event in events],
         "Electrode": [_direction(event) for event in events],
-        "r/R": [fixed(event.r_over_R, 2) for event in events],
+        "r/R": [format_fixed(event.r_over_R, 2) for event in events],
         "Conductance": ["rises" if event.sign > 0 else "falls" for event in events],
-        "SNR": [fixed(event.snr, 1) for event in events],
-        "Explained [%]": [dashed(event.goodness, _explained) for event in events],
-        "x [mm]": [_written(event.x_mm, 1) for event in events],
-        "y [mm]": [_written(event.y_mm, 1) for event in events],
-        "Force [N]": [_written(event.force_N, 2) for event in events],
+        "SNR": [format_fixed(event.snr, 1) for event in events],
+        "Explained [%]": [format_or_dash(event.goodness, _format_explained) for event in events],
+        "x [mm]": [_format_value(event.x_mm, 1) for event in events],
+        "y [mm]": [_format_value(event.y_mm, 1) for event in events],
+        "Force [N]": [_format_value(event.force_N, 2) for event in events],
         "Overlapping": [event.fate for event in events],
     }
     shown = {title: [cell or "–" for cell in cells] for title, cells in columns.items() if any(cells)}
@@ -152,7 +160,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     return text_table(caption, tuple(shown), list(zip(*shown.values(), strict=True)), numeric)
 
 
-def _explained(fit: Goodness) -> str:
+def _format_explained(fit: Goodness) -> str:
     return f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"
 
 
@@ -174,13 +182,13 @@ def _imaging(result: RecordingResult) -> Table:
     return text_table("How the images were made.", ("Choice", "Value"), rows)
 
 
-def _imaged(events: Sequence[LoadEvent]) -> Table:
+def _image_table(events: Sequence[LoadEvent]) -> Table:
     rows = []
     for rank, event in enumerate(events):
         shown = ["–"] * 4
         if (seen := event.imaged) is not None:
-            area, largest = fixed(100 * seen.area_share, 1), fixed(100 * seen.largest, 2)
-            shown = [_direction(seen), fixed(seen.r_over_R, 2), largest, area]
+            area, largest = format_fixed(100 * seen.area_share, 1), format_fixed(100 * seen.largest, 2)
+            shown = [_direction(seen), format_fixed(seen.r_over_R, 2), largest, area]
         rows.append([_name(rank), *shown])
     columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
     caption = (

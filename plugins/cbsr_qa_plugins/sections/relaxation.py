@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibration.fits import SHAPE_MARGIN, estimate_restricted_mean
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import (
+from cbsr_qa.analysis.run.agreement import DirectedAgreement, image_against_blobs, sheet_against_strip
+from cbsr_qa.calibration.fits.agreement import SHAPE_MARGIN
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean
+from cbsr_qa.plugin import (
     Block,
     Cell,
     Figure,
@@ -14,24 +14,15 @@ from cbsr_qa.domain.results import (
     Paragraph,
     RelaxationFit,
     RelaxationObservation,
+    Role,
     RunObservation,
     RunResult,
     Table,
 )
-from cbsr_qa.report import (
-    ObservedSection,
-    alike,
-    dashed,
-    loads_of,
-    number,
-    plain,
-    plural,
-    settled_loads,
-    text_table,
-    value_cell,
-    with_uncertainty,
-)
-from cbsr_qa.report.draw import SettledLoad, agreement_figure, relaxation_figure, settling_figure
+from cbsr_qa.report.draw.relaxation import SettledLoad, agreement_figure, relaxation_figure, settling_figure
+from cbsr_qa.report.section import ObservedSection
+from cbsr_qa.report.select import alike, loads_of, select_relaxed
+from cbsr_qa.report.tables import format_or_dash, number, plain, plural, text_table, value_cell, with_uncertainty
 
 
 class RelaxationFits(ObservedSection):
@@ -39,23 +30,23 @@ class RelaxationFits(ObservedSection):
 
     title = "Relaxation and settling"
 
-    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return traces, fits, settling times and rejected fits; nothing where no relaxation was fitted."""
-        loads = settled_loads(run.loads)
+        loads = select_relaxed(run.loads)
         if not loads:
             return
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
-        shown = _shown(loads, settled_loads(loads_of(run, Role.RELAXATION)))
+        shown = _choose_load(loads, select_relaxed(loads_of(run, Role.RELAXATION)))
         yield from (_traces(loads, shown, signals), _fits(shown))
         yield from _together(result.measurements)
-        yield from (_times(loads, signals), _by_strain(loads, signals))
+        yield from (_times(loads, signals), _strain_table(loads, signals))
         yield from _agreements(run, result.measurements)
         rejected = [r.fit for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
             yield Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note")
 
 
-def _shown(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
+def _choose_load(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
     """Return the load to highlight: one held for this purpose, else the one with the best fits."""
     wanted = apart[0] if apart else None
     near = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
@@ -149,15 +140,22 @@ def _fit_row(relaxation: RelaxationObservation) -> list[str]:
         pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False)
         taus = [with_uncertainty(tau, stderr) for tau, stderr in pairs]
         values = [with_uncertainty(fit.offset, fit.offset_stderr), *taus, "–", "–"][:3]
-    settled = dashed(settling.value_s, lambda value_s: f"{'≥ ' if settling.censored else ''}{value_s:.1f}")
-    return [relaxation.signal, _after(relaxation.loading), fit.status.value, *values, f"{fit.r_squared:.3f}", settled]
+    settled = format_or_dash(settling.value_s, lambda value_s: f"{'≥ ' if settling.censored else ''}{value_s:.1f}")
+    return [
+        relaxation.signal,
+        _motion_name(relaxation.loading),
+        fit.status.value,
+        *values,
+        f"{fit.r_squared:.3f}",
+        settled,
+    ]
 
 
-def _after(loading: bool) -> str:
+def _motion_name(loading: bool) -> str:
     return "press" if loading else "release"
 
 
-def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
+def _strain_table(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
     classes = _strain_classes(loads)
     rows = []
     for signal in signals:
@@ -194,7 +192,7 @@ def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[R
     if timed and 2 * len(timed) >= len(relaxations):
         mean = _mean_text([time for time, _ in timed], [late for _, late in timed])
     counts = (len(timed) - censored, censored, len(relaxations) - len(timed))
-    return [signal, _after(loading), strain, mean, *map(str, counts)]
+    return [signal, _motion_name(loading), strain, mean, *map(str, counts)]
 
 
 def _mean_text(times_s: list[float], censored: list[bool]) -> str:

@@ -2,21 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 
-from cbsr_qa.analysis.run import MapCost, map_costs, run_force
-from cbsr_qa.domain.results import Block, Figure, Paragraph, RunObservation, RunResult, Table
-from cbsr_qa.domain.run import PhaseRecord
-from cbsr_qa.report import (
-    Measured,
-    RunSection,
-    dashed,
-    duration,
-    held_loads,
-    number,
-    plural,
-    spatial_spreads,
-    text_table,
-)
-from cbsr_qa.report.draw import Budget, budget_figure, waiting_figure
+from cbsr_qa.analysis.run.fewer_places import MapCost, map_costs
+from cbsr_qa.analysis.run.force import run_force
+from cbsr_qa.plugin import Block, Figure, Paragraph, PhaseRecord, RunObservation, RunResult, Table
+from cbsr_qa.report.draw.metrics import waiting_figure
+from cbsr_qa.report.draw.time import Budget, budget_figure
+from cbsr_qa.report.section import RunSection
+from cbsr_qa.report.select import Measured, list_holds, spatial_spreads
+from cbsr_qa.report.tables import duration, format_or_dash, number, plural, text_table
 
 
 class TimeAndAccuracy(RunSection):
@@ -27,7 +20,9 @@ class TimeAndAccuracy(RunSection):
     def blocks(self, result: RunResult) -> Iterator[Block]:
         """Return where the time went and, of an observed run, what each phase bought."""
         spent = (("Station", result.record.spent), ("Computing", result.compute_s))
-        budgets = [Budget(title, _named(parts)) for title, parts in spent if sum(seconds for _, seconds in parts) > 0]
+        budgets = [
+            Budget(title, _name_parts(parts)) for title, parts in spent if sum(seconds for _, seconds in parts) > 0
+        ]
         if not budgets:
             return
         words = (
@@ -42,7 +37,7 @@ class TimeAndAccuracy(RunSection):
             yield from (_bought(result, run), *_map_bought(result, run), *_waiting(run))
 
 
-def _named(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
+def _name_parts(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
     return tuple((name.replace("_", " "), seconds) for name, seconds in parts if seconds > 0)
 
 
@@ -76,7 +71,7 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
     rows = []
     for cost in costs:
         spent = (str(cost.places), str(cost.loads), duration(cost.station_s))
-        rows.append([*spent, _percent(cost.stated), _seen(cost), _percent(cost.expected)])
+        rows.append([*spent, _percent(cost.stated), _format_seen(cost), _percent(cost.expected)])
     columns = ("Places", "Loads", "Station time", "Stated error [%]", "At places left out: error [%]", "stated [%]")
     caption = (
         "The map learned from fewer loads: standard error in the calibrated area; at the places left out, its"
@@ -96,13 +91,13 @@ def _map_words(costs: Sequence[MapCost]) -> str:
     return f"{words} The table shows the same for fewer places, as far apart as possible."
 
 
-def _seen(cost: MapCost) -> str:
+def _format_seen(cost: MapCost) -> str:
     """Error at the places left out, unless the noise of their loads explains all of it."""
     return "below noise" if cost.seen == 0 else _percent(cost.seen)
 
 
 def _percent(value: float | None) -> str:
-    return dashed(value, lambda share: number(100 * share, 2))
+    return format_or_dash(value, lambda share: number(100 * share, 2))
 
 
 def _waiting(run: RunObservation) -> Iterator[Figure]:
@@ -112,5 +107,5 @@ def _waiting(run: RunObservation) -> Iterator[Figure]:
             f"Effect of the hold time ({timeline.phase}): error and overlap of single frames against the time held,"
             " mean over the presses, middle half shaded. Where the line is flat, a shorter hold costs no accuracy.",
             "Error and overlap against the time a load was held.",
-            waiting_figure(timeline, mask, held_loads(run, timeline.phase)),
+            waiting_figure(timeline, mask, list_holds(run, timeline.phase)),
         )

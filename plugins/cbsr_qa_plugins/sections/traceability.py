@@ -4,19 +4,26 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import Final
 
-from cbsr_qa.domain.results import Block, EndReason, Paragraph, RunObservation, RunResult, Table
-from cbsr_qa.domain.run import ChangeHistory, RunRecord, RunSession, VerdictOverride
-from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes, PlacedElectrodes, SensorType
-from cbsr_qa.report import (
-    RunSection,
-    chart_blocks,
-    duration,
-    gate_blocks,
-    number,
-    quantity,
-    station_blocks,
-    text_table,
+from cbsr_qa.plugin import (
+    Block,
+    ChangeHistory,
+    ElectrodeKind,
+    Electrodes,
+    EndReason,
+    Paragraph,
+    PlacedElectrodes,
+    RunObservation,
+    RunRecord,
+    RunResult,
+    RunSession,
+    SensorType,
+    Table,
+    VerdictOverride,
 )
+from cbsr_qa.report.gate import gate_blocks
+from cbsr_qa.report.section import RunSection
+from cbsr_qa.report.station import chart_blocks, station_blocks
+from cbsr_qa.report.tables import duration, number, quantity, text_table
 
 _OUTLINES: Final = {
     "contour": "bounded by a contour inside the elements",
@@ -40,7 +47,7 @@ class Traceability(RunSection):
         yield from (_changes(result.history), _phases(record))
         if len(record.sessions) > 1:
             yield _sessions(record)
-        yield from (Paragraph(words) for words in _attended(record))
+        yield from (Paragraph(words) for words in _attendance_lines(record))
         yield _software(record)
 
 
@@ -156,11 +163,11 @@ def _phases(record: RunRecord) -> Table:
 def _sessions(record: RunRecord) -> Table:
     """The run was interrupted: when, how, who went on, and what of it does not count."""
     first, *later = record.sessions
-    ends = [_ended(session, following) for session, following in zip(record.sessions, later, strict=False)]
-    rows = [["begun", _begun(first), duration(0.0), "", _versions(first)]]
+    ends = [_describe_end(session, following) for session, following in zip(record.sessions, later, strict=False)]
+    rows = [["begun", _format_start(first), duration(0.0), "", _versions(first)]]
     for session, end in zip(later, ends, strict=True):
         by = f"resumed by {session.operator or 'somebody'}"
-        rows.append([by, _begun(session), duration(session.started_s), end, _versions(session)])
+        rows.append([by, _format_start(session), duration(session.started_s), end, _versions(session)])
     aside = f"{record.set_aside} frames" if record.set_aside else "no frame"
     times = "once" if len(later) == 1 else f"{len(later)} times"
     caption = (
@@ -170,7 +177,7 @@ def _sessions(record: RunRecord) -> Table:
     return text_table(caption, ("Session", "When", "At run time", "Because the one before", "Software"), rows, (2,))
 
 
-def _attended(record: RunRecord) -> Iterator[str]:
+def _attendance_lines(record: RunRecord) -> Iterator[str]:
     """Describe each pause and each answered prompt in one line."""
     names = {phase.index: phase.name for phase in record.phases}
     for pause in record.pauses:
@@ -187,13 +194,13 @@ def _attended(record: RunRecord) -> Iterator[str]:
         yield f"Asked at {duration(prompt.shown_s)} of run time, {prompt.text!r}: {answer}."
 
 
-def _ended(session: RunSession, following: RunSession) -> str:
+def _describe_end(session: RunSession, following: RunSession) -> str:
     if session.end is EndReason.RUNNING:
         return f"was cut off at {duration(following.started_s)}"
     return f"was {session.end}: {session.detail}" if session.detail else f"was {session.end}"
 
 
-def _begun(session: RunSession) -> str:
+def _format_start(session: RunSession) -> str:
     return "not noted" if session.noted_at is None else _minute(session.noted_at)
 
 

@@ -12,9 +12,20 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain.plan import Hold, Press, Release, Role, Step, StrainStep
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.plugin import Array, PluginOptions, SequenceContext, WithOptions
+from cbsr_qa.plugin import (
+    NINE_LOCATIONS_MM,
+    Array,
+    Hold,
+    Load,
+    PluginOptions,
+    Press,
+    Release,
+    Role,
+    SequenceContext,
+    Step,
+    StrainStep,
+    WithOptions,
+)
 from cbsr_qa_plugins.sequences import parts
 
 
@@ -49,7 +60,7 @@ class NoiseFigureSequence(WithOptions):
         options, (x_mm, y_mm) = self.options, NINE_LOCATIONS_MM[0]
         if options.find_surface:
             yield from parts.find_surfaces([(x_mm, y_mm)])
-        yield from parts.unloaded(options.rest_s, options.frames)
+        yield from parts.take_unloaded_frames(options.rest_s, options.frames)
         for trial in range(options.trials):
             load = Load("L0", x_mm, y_mm, options.strain_percent / 100, trial)
             yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.recovery_s)
@@ -180,7 +191,7 @@ class HysteresisLoopSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
-        yield from parts.rested(options, options.locations_mm)
+        yield from parts.prepare_sheet(options, options.locations_mm)
         strains = [percent / 100 for percent in options.strains_percent]
         for number, (x_mm, y_mm) in enumerate(options.locations_mm):
             for cycle in range(options.cycles):

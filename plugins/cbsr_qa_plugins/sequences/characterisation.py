@@ -6,9 +6,7 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from cbsr_qa.domain.plan import Role, Step
-from cbsr_qa.domain.run import Load
-from cbsr_qa.plugin import SequenceContext, WithOptions
+from cbsr_qa.plugin import Load, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
 
 _NAME: Final = "characterisation"

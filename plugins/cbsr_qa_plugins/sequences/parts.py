@@ -5,9 +5,18 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Step
-from cbsr_qa.domain.run import Load
-from cbsr_qa.plugin import Array, PluginOptions
+from cbsr_qa.plugin import (
+    AcquireFrames,
+    Array,
+    FindSurface,
+    Hold,
+    Load,
+    MarkUnloaded,
+    PluginOptions,
+    Press,
+    Release,
+    Step,
+)
 
 #: Lowest strain any sequence may request [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
 #: head feels for the surface. A lower value is a fraction written instead of per cent.
@@ -20,7 +29,7 @@ LONGEST_S: Final = 86400.0
 UNLOADED_FRAMES: Final = 16
 
 
-def _in_percent(value: Any) -> Any:
+def _check_percent(value: Any) -> Any:
     if isinstance(value, float) and 0 < value < STRAIN_FLOOR_PERCENT:
         allowed = f"a number from {STRAIN_FLOOR_PERCENT:g} to {STRAIN_CEILING_PERCENT:g}, in per cent"
         raise ValueError(f"it must be {allowed}: write {100 * value:g} for the fraction {value:g}")
@@ -42,12 +51,12 @@ def _name(text: str) -> str:
 def once(repeated_by: str) -> AfterValidator:
     """Refuse a list that says the same thing twice: repeats are what another option is for."""
 
-    def checked(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    def check_distinct(values: tuple[Any, ...]) -> tuple[Any, ...]:
         if len(set(values)) != len(values):
             raise ValueError(f"it must hold each entry once ({repeated_by} repeats them)")
         return values
 
-    return AfterValidator(checked)
+    return AfterValidator(check_distinct)
 
 
 Rest = Annotated[float, Field(ge=0, le=LONGEST_S)]
@@ -56,7 +65,7 @@ Held = Annotated[float, Field(ge=1, le=LONGEST_S)]
 Times = Annotated[int, Field(ge=1, le=1000)]
 Frames = Annotated[int, Field(ge=UNLOADED_FRAMES, le=100_000)]
 Coordinate = Annotated[float, Field(ge=-1e3, le=1e3)]
-Strain = Annotated[float, Field(ge=STRAIN_FLOOR_PERCENT, le=STRAIN_CEILING_PERCENT), BeforeValidator(_in_percent)]
+Strain = Annotated[float, Field(ge=STRAIN_FLOOR_PERCENT, le=STRAIN_CEILING_PERCENT), BeforeValidator(_check_percent)]
 Strains = Annotated[tuple[Strain, ...], Array, Field(min_length=1)]
 Places = Annotated[tuple[Annotated[tuple[Coordinate, Coordinate], Array], ...], Array, Field(min_length=1)]
 Name = Annotated[str, AfterValidator(_name)]
@@ -71,11 +80,11 @@ class RestedOptions(PluginOptions):
     unloaded_frames: Frames = UNLOADED_FRAMES
 
 
-def rested(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
+def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
     """Find the surfaces if requested, let the sheet rest, and take the unloaded frames."""
     if options.find_surface:
         yield from find_surfaces(places_mm)
-    yield from unloaded(options.initial_rest_s, options.unloaded_frames)
+    yield from take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
 
 
 def find_surfaces(places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
@@ -84,7 +93,7 @@ def find_surfaces(places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
         yield FindSurface(x_mm, y_mm)
 
 
-def unloaded(rest_s: float, frames: int) -> Iterator[Step]:
+def take_unloaded_frames(rest_s: float, frames: int) -> Iterator[Step]:
     """Let the sheet rest, then take the frames that noise floor and reference come from.
 
     The rest itself takes no frames: nothing is drawn from them, and they would only fill the store.
@@ -97,7 +106,7 @@ def unloaded(rest_s: float, frames: int) -> Iterator[Step]:
 
 def presses(options: RestedOptions, loads: Sequence[Load], *, hold_s: float, rest_s: float) -> Iterator[Step]:
     """Prepare the sheet, then press all loads, one cycle each."""
-    yield from rested(options, ((load.x_mm, load.y_mm) for load in loads))
+    yield from prepare_sheet(options, ((load.x_mm, load.y_mm) for load in loads))
     for load in loads:
         yield from press_cycle(load, hold_s=hold_s, rest_s=rest_s)
 

@@ -13,9 +13,17 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain.plan import Role, Step
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.plugin import Array, PluginOptions, Problem, SequenceContext, WithOptions
+from cbsr_qa.plugin import (
+    NINE_LOCATIONS_MM,
+    Array,
+    Load,
+    PluginOptions,
+    Problem,
+    Role,
+    SequenceContext,
+    Step,
+    WithOptions,
+)
 from cbsr_qa_plugins.sequences import parts
 
 
@@ -173,15 +181,15 @@ class RandomLoadsSequence(WithOptions):
         return tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
 
     def _load(self, number: int, first: float, second: float, third: float) -> Load:
-        radius_mm = _between(self.options.radius_mm, first)
+        radius_mm = _interpolate(self.options.radius_mm, first)
         angle = 2 * np.pi * second
         place_mm = np.trunc(100 * radius_mm * np.array([np.cos(angle), np.sin(angle)])) / 100 + 0.0  # no −0
         lowest, highest = self.options.strain_percent
-        percent = min(max(round(_between((lowest, highest), third), 2), lowest), highest)
+        percent = min(max(round(_interpolate((lowest, highest), third), 2), lowest), highest)
         return Load(f"R{number}", float(place_mm[0]), float(place_mm[1]), percent / 100, 0)
 
 
-def _between(bounds: tuple[float, float], share: float) -> float:
+def _interpolate(bounds: tuple[float, float], share: float) -> float:
     return bounds[0] + (bounds[1] - bounds[0]) * share
 
 

@@ -5,8 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cbsr_qa.domain.plan import Prompt, Step
-from cbsr_qa.plugin import PluginOptions, SequenceContext, WithOptions
+from cbsr_qa.plugin import PluginOptions, Prompt, SequenceContext, Step, WithOptions
 
 
 class OperatorPromptSequence(WithOptions):

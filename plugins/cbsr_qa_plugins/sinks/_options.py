@@ -9,8 +9,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.system import check_regular
+from cbsr_qa.plugin import ConfigError
+from cbsr_qa.system.foreign import check_regular
 
 #: Fields of every template.
 _FIELDS: Final = ("station", "serial", "run")
@@ -30,20 +30,20 @@ def check_template(text: str, *more: str) -> str:
     try:
         parts = list(Formatter().parse(text))
     except ValueError as error:
-        raise ValueError(f"{error}; {_allowed(allowed)}") from None
+        raise ValueError(f"{error}; {_describe_fields(allowed)}") from None
     for _, name, rule, conversion in parts:
         if name is not None and (name not in allowed or rule or conversion):
-            raise ValueError(_allowed(allowed))
+            raise ValueError(_describe_fields(allowed))
     if not text.isprintable() or not text:
         raise ValueError("it must have at least one character, and no control characters")
     return text
 
 
-def _allowed(fields: tuple[str, ...]) -> str:
+def _describe_fields(fields: tuple[str, ...]) -> str:
     return f"it may have the fields {', '.join(f'{{{name}}}' for name in fields)}; a brace is written twice"
 
 
-def filled_template(template: str, message: Mapping[str, Any]) -> str:
+def fill_template(template: str, message: Mapping[str, Any]) -> str:
     """Return a template with the fields of a message; a name cannot add a level to a path or a topic."""
     kind = message.get("event", message)["type"]
     values = {name: message.get(name, "") or "_" for name in _FIELDS} | {"type": kind}

@@ -11,10 +11,9 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.config import var_folder
-from cbsr_qa.domain import DeliveryError
-from cbsr_qa.plugin import PluginOptions, WithOptions
-from cbsr_qa_plugins.sinks._options import check_template, filled_template
+from cbsr_qa.config.paths import var_folder
+from cbsr_qa.plugin import DeliveryError, PluginOptions, WithOptions
+from cbsr_qa_plugins.sinks._options import check_template, fill_template
 
 #: Without O_NONBLOCK a named pipe that nobody reads would hang.
 _APPEND: Final = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
@@ -41,11 +40,11 @@ class JsonLines(WithOptions):
     largest_batch: ClassVar[int] = 1000
 
     def deliver(self, messages: Sequence[Mapping[str, Any]]) -> None:
-        path = var_folder() / filled_template(self.options.path, messages[0])
+        path = var_folder() / fill_template(self.options.path, messages[0])
         lines = "".join(f"{json.dumps(message, separators=(',', ':'))}\n" for message in messages).encode()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = self._opened(path, len(lines))
+            file = self._open_file(path, len(lines))
             try:
                 _append(file, lines)
             finally:
@@ -58,7 +57,7 @@ class JsonLines(WithOptions):
     def close(self) -> None:
         """Nothing stays open between deliveries."""
 
-    def _opened(self, path: Path, size: int) -> int:
+    def _open_file(self, path: Path, size: int) -> int:
         """Open and lock the file, after renaming one that has no room for so many bytes."""
         while True:
             file = os.open(path, _APPEND, 0o644)

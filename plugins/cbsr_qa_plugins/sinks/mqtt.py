@@ -12,14 +12,13 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import ConfigError, DeliveryError
-from cbsr_qa.plugin import Array, PluginOptions, Problem, WholeNumber, WithOptions
+from cbsr_qa.plugin import Array, ConfigError, DeliveryError, PluginOptions, Problem, WholeNumber, WithOptions
 from cbsr_qa_plugins.sinks._options import (
     EnvironmentVariable,
     Timeout,
     check_ca_file,
     check_template,
-    filled_template,
+    fill_template,
     secret,
 )
 
@@ -123,7 +122,7 @@ class Mqtt(WithOptions):
         deadline = time.monotonic() + self.options.timeout_s
         sent = [
             client.publish(
-                filled_template(self.options.topic, message),
+                fill_template(self.options.topic, message),
                 json.dumps(message, separators=(",", ":")),
                 self.options.qos,
                 retain=message.get("event", message)["type"] in self.options.retain,

@@ -20,8 +20,7 @@ from urllib.request import HTTPHandler, HTTPRedirectHandler, HTTPSHandler, Reque
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain import DeliveryError
-from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa.plugin import DeliveryError, PluginOptions, WithOptions
 from cbsr_qa_plugins.sinks._options import EnvironmentVariable, Timeout, check_ca_file, secret
 
 #: Refusals that may end: of a token, an address or a rate. Other answers 400 to 499 would be the same again.

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.defects import largest_by_reading, reciprocity_errors, signal_to_noise_dB
-from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
+from cbsr_qa.analysis.defects.quality import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
 
 PATTERN = adjacent_pattern(16)
 USABLE = PATTERN.usable()

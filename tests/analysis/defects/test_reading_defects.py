@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.defects import channel_noise, find_faults, find_steps, noise_report
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
+from cbsr_qa.analysis.defects.channels import find_faults
+from cbsr_qa.analysis.defects.noise import channel_noise, find_steps, noise_report
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 
 
 def block(voltages, flags=None, unit=VoltageUnit.COUNT, rate=4.0):

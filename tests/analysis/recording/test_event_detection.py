@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.defects import channel_noise
+from cbsr_qa.analysis.defects.noise import channel_noise
 from cbsr_qa.analysis.recording.changes import find_changes, nearest_step, threshold_for
 from cbsr_qa.analysis.recording.events import find_presses
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for

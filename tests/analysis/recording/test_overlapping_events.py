@@ -8,9 +8,9 @@ import pytest
 
 from cbsr_qa.analysis.recording.imaged_events import with_fates
 from cbsr_qa.app.analyse import outcome
-from cbsr_qa.domain.readings import LoadEvent
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.results.findings import LoadEvent
+from cbsr_qa.domain.sensor.mesh import Mesh
 
 RADIUS_MM = 50.0
 _AXIS = np.linspace(-50.0, 50.0, 51)
@@ -69,4 +69,4 @@ def test_what_becomes_of_events_that_overlap_is_told(events, fates):
 
 @pytest.mark.parametrize(("fate", "said"), [("", None), ("merged", "merged")])
 def test_the_document_says_what_became_of_an_event(fate, said):
-    assert outcome.Event.of(replace(_event_at(0, 0, 0, 1), fate=fate)).fate == said
+    assert outcome.Event.from_load_event(replace(_event_at(0, 0, 0, 1), fate=fate)).fate == said

@@ -8,8 +8,8 @@ import pytest
 from pressed_files import exported, moving_frames, pressed_frames
 
 from cbsr_qa.analysis.recording.imaged_events import motion_of
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
 
 LAYOUT = ElectrodeLayout(16, ElectrodeKind.PIN, 1.0, 0.01, 0.0, counterclockwise=True)
 CLOCKWISE = ElectrodeLayout(16, ElectrodeKind.PIN, 1.0, 0.01, 0.0, counterclockwise=False)
@@ -78,7 +78,7 @@ def walked(tmp_path, monkeypatch, capsys):
     empty = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12, seed=3), name="empty.h5")
     said = []
     for more in ((), ("--json",)):
-        assert guarded(["analyse", str(held), "--reference", str(empty), *more]) == 0
+        assert run_guarded(["analyse", str(held), "--reference", str(empty), *more]) == 0
         said.append(capsys.readouterr().out)
     found = json.loads(said[1])
     return said[0], found, Path(found["report"]).read_text(encoding="utf-8")

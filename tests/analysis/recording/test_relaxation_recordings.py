@@ -5,10 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.calibration.fits import fit_common_relaxation, fit_relaxation, interval, learn_kernel, predict_steady
-from cbsr_qa.domain.readings import ReadOptions
-from cbsr_qa.domain.results import FitStatus
-from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.fits.relaxation import fit_relaxation
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.fits.steady_state import interval, predict_steady
+from cbsr_qa.domain.readings.frames import ReadOptions
+from cbsr_qa.domain.results.relaxation import FitStatus
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 
 pytestmark = pytest.mark.shared

@@ -7,8 +7,8 @@ import pytest
 from shared_documents import document
 
 from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
-from cbsr_qa.domain.readings import ReadOptions
-from cbsr_qa.plugin import discover
+from cbsr_qa.domain.readings.frames import ReadOptions
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.eidors_mat import EidorsMat
 

@@ -4,8 +4,8 @@ import scipy.io
 
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording.places import matcher
-from cbsr_qa.analysis.recording.tank import find_still, fitted_tank
-from cbsr_qa.eit.loads import DeepTank
+from cbsr_qa.analysis.recording.tank import find_still, fit_tank
+from cbsr_qa.eit.loads.bodies import DeepTank
 
 DISC = nominal_disc(None, 16)
 USED = DISC.pattern.usable()
@@ -18,19 +18,19 @@ def test_the_depth_is_told_from_the_reference(depth):
     reference = DeepTank(depth, ANGLES, DISC.pattern, electrode=0.08).readings()[USED]
     random = np.random.default_rng(2)
     noisy = -3.7 * reference * (1 + 0.02 * random.standard_normal(len(reference)))
-    tank = fitted_tank(np.abs(noisy), SHEET.problem)
+    tank = fit_tank(np.abs(noisy), SHEET.problem)
     assert tank.depth == pytest.approx(depth, rel=0.05)
 
 
 def test_sheets_and_channels_of_unequal_gain_are_no_tanks():
-    assert fitted_tank(SHEET.problem.reference, SHEET.problem) is None
+    assert fit_tank(SHEET.problem.reference, SHEET.problem) is None
     deep = DeepTank(1.5, ANGLES, DISC.pattern).readings()[USED]
     drive, measure = np.nonzero(USED)
     apart = np.minimum((measure - drive) % 16, (drive - measure) % 16)
-    assert fitted_tank(deep * np.where(apart % 2, 1.0, 3.0), SHEET.problem) is None
+    assert fit_tank(deep * np.where(apart % 2, 1.0, 3.0), SHEET.problem) is None
     drive, measure = np.indices(USED.shape)
     near = USED & (np.minimum((measure - drive) % 16, (drive - measure) % 16) <= 4)
-    assert fitted_tank(DeepTank(1.5, ANGLES, DISC.pattern).readings()[near], sheet_for(DISC, near).problem) is None
+    assert fit_tank(DeepTank(1.5, ANGLES, DISC.pattern).readings()[near], sheet_for(DISC, near).problem) is None
 
 
 @pytest.mark.parametrize("conducts", [False, True])
@@ -40,7 +40,7 @@ def test_a_ball_is_found_where_it_is_and_as_large(conducts):
     volume = 4 / 3 * np.pi * radius**3
     relative = volume * (true.changes(place[None], radius, conducts=conducts)[0] / true.readings())[USED]
     change = relative * SHEET.problem.reference
-    tank = fitted_tank(true.readings()[USED], SHEET.problem)
+    tank = fit_tank(true.readings()[USED], SHEET.problem)
     places = {}
     ball, seen = 0.1, conducts
     for name in ("sheet", "first", "second", "third"):
@@ -62,7 +62,7 @@ def test_depth_and_ball_of_a_real_tank_agree_on_its_radius(shared, dataset, ball
     """26 cm of water (the data's authors) over the depth in radii, and 2.13 cm (a golf ball, R&A) over its size."""
     frames = scipy.io.loadmat(shared / "data/tank/phantom_16elec_1planeB.mat")
     reference, change = (frames[name].reshape(16, 16)[USED] for name in ("vvRef", dataset))
-    tank = fitted_tank(reference, SHEET.problem)
+    tank = fit_tank(reference, SHEET.problem)
     ball = 0.1
     for _ in range(3):
         sheet = tank.sheet(SHEET, ball=ball, conducts=False)

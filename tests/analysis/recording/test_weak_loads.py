@@ -6,9 +6,9 @@ from pressed_files import DISC
 
 from cbsr_qa.analysis.recording.imaging import sheet_for, unit_model
 from cbsr_qa.analysis.recording.places import _surroundings, find_places, matcher
-from cbsr_qa.eit.forward import disc_coverage
-from cbsr_qa.eit.inverse import nominal_model
-from cbsr_qa.eit.loads import LocalUpdate
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.inverse.problem import nominal_model
+from cbsr_qa.eit.loads.local import LocalUpdate
 
 USED = DISC.pattern.usable()
 STRONG, SCENES = -0.3, 12

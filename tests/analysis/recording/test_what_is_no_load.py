@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.defects import channel_noise, find_faults
+from cbsr_qa.analysis.defects.channels import find_faults
+from cbsr_qa.analysis.defects.noise import channel_noise
 from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
-from cbsr_qa.analysis.recording.repeats import without_repeats
-from cbsr_qa.domain.readings import CarryOver, FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.eit.forward import disc_coverage
-from cbsr_qa.eit.inverse import nominal_model
-from cbsr_qa.eit.loads import LocalUpdate
+from cbsr_qa.analysis.recording.repeats import average_repeats
+from cbsr_qa.domain.readings.carry_over import CarryOver
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.inverse.problem import nominal_model
+from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 DISC = nominal_disc(None, 16)
@@ -371,7 +373,7 @@ def test_repeated_injections_are_averaged_without_what_is_flagged(times):
     if times > 1:
         flags[60:100, 0, 5], voltages[60:100, 0, 5] = ReadingFlag.MISSING, 0.0
     recording = made(replace(block(voltages), flags=flags))
-    frames = without_repeats(recording, sensor)[0].frames
+    frames = average_repeats(recording, sensor)[0].frames
     assert frames.voltages.shape == (FRAMES, 16, 16)
     assert not frames.flags.any()
     first, others = (

@@ -7,8 +7,8 @@ import pytest
 from force_samples import HEAD, learned, line, pressed, smooth_response, somewhere
 
 from cbsr_qa.analysis.run.fewer_places import _Loads, farthest_first, map_costs
-from cbsr_qa.calibration.sheet import AS_PLACED
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.calibration.force.sheet_pose import AS_PLACED
+from cbsr_qa.domain.errors import NumericsError
 
 _PLACES = np.array([(12.0 * i + 6.0 * (j % 2), 10.5 * j) for j in range(-3, 4) for i in range(-3, 4)])
 PLACES = _PLACES[np.hypot(*_PLACES.T) < 40]

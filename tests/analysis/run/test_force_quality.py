@@ -10,17 +10,19 @@ from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.run import force_quality
 from cbsr_qa.analysis.run.force import TRIAL_LEFT_OUT, run_force
-from cbsr_qa.analysis.run.force_quality import FEWEST_COVERED, ForceErrors, calibrated_radius_mm, map_quality
-from cbsr_qa.calibration.fits import fit_common_relaxation
-from cbsr_qa.calibration.sheet import average_response, learn_response, sheet_gauge_factor, steady_share
-from cbsr_qa.config import load_material
-from cbsr_qa.domain import CalibrationError, NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Figure, Paragraph, RunResult, Table, decide
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report import number
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.analysis.run.force_quality import FEWEST_COVERED, ForceErrors, calibration_radius_mm, map_quality
+from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.sheet.characteristic import sheet_gauge_factor, steady_share
+from cbsr_qa.calibration.sheet.response_map import average_response, learn_response
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.domain.results.measurement import decide
+from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult, Table
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
+from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.tables import number
 from cbsr_qa_plugins.metrics.force import ForceError
 from cbsr_qa_plugins.sections.force import Force
 from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
@@ -233,7 +235,7 @@ def test_the_section_shows_map_errors_and_line(observed, measured):
     figures = [block for block in section.blocks if isinstance(block, Figure)]
     assert len(figures) == 3
     for figure in figures:
-        checked_svg(figure.svg)
+        check_svg(figure.svg)
         assert "nan" not in figure.svg.lower()
     words = " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
     assert "13 of 13 loads" in words
@@ -253,7 +255,7 @@ def test_the_report_says_what_fewer_places_would_have_told(observed, measured):
     assert [row[4] for row in rows[-2:]] == ["–", "–"]
     words = " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
     assert "for 13 loads at 9 places" in words
-    quality = map_quality(run_force(observed).learned, calibrated_radius_mm(run_force(observed)))
+    quality = map_quality(run_force(observed).learned, calibration_radius_mm(run_force(observed)))
     assert rows[-1][3] == number(100 * quality.rms_error, 2)
     blind = replace(result, compute_s=(("imaging", 1.0),), measurements=())
     assert "Left out" not in str(TimeAndAccuracy().render(blind).blocks)

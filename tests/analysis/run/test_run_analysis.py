@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from simulated_runs import HEAD, observed_run, recipes_method, simulated_run
 
-from cbsr_qa.config import load_recipe, load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.domain.sensor import Response
-from cbsr_qa.eit.imaging import centre_of_mass_error_mm
+from cbsr_qa.config.loader import load_recipe, load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.domain.sensor.sensor_type import Response
+from cbsr_qa.eit.imaging.shape import centre_of_mass_error_mm
 
 _SETTINGS = load_recipe("nine-locations").value.analysis
 _PLACES = ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (0.0, -30.0), (15.0, 15.0))
@@ -23,7 +23,7 @@ def _with_phase(record, **changes):
 def _errors_mm(observation):
     """How far from its press each load is seen."""
     for load in observation.loads:
-        pressed = load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)
+        pressed = load.indenter.footprint_at(load.record.load.x_mm, load.record.load.y_mm)
         yield centre_of_mass_error_mm(load.mask(0.85).sensed, pressed)
 
 

@@ -7,13 +7,17 @@ import pytest
 from simulated_runs import HEAD, observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import measure_run
-from cbsr_qa.analysis.run.estimates import estimated_loads, model_scale, reading_variance
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Figure, LoadFinding, Outcome, Paragraph, RunResult, Table, Verdict
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.report.draw import PlacedLoad, checked_svg, error_scale
+from cbsr_qa.analysis.run.estimates import estimate_loads, model_scale, reading_variance
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.load_estimates import LoadFinding
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult, Table
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.report.draw.estimates import PlacedLoad, error_scale
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa_plugins.metrics.location import CentreOfMassError, LoadEstimates
 from cbsr_qa_plugins.sections.loads import LoadEstimates as Section
 
@@ -40,7 +44,7 @@ def result(observation):
 
 
 def test_every_load_is_found_where_it_was(observation):
-    for (_, index), found in estimated_loads(observation, "run").items():
+    for (_, index), found in estimate_loads(observation, "run").items():
         error = np.array(found.indenter.place_mm) - _PLACES[index]
         # The simulated sheet is a mesh of 2.5 mm, which moves loads by up to 0.1 mm of its own.
         assert np.hypot(*error) < 0.1 + 3 * found.indenter.place_stderr_mm
@@ -124,7 +128,7 @@ def test_the_section_shows_what_was_measured(result):
     assert isinstance(words, Paragraph)
     assert "4 loads located" in words.text
     assert isinstance(figure, Figure)
-    checked_svg(figure.svg)
+    check_svg(figure.svg)
     assert isinstance(table, Table)
     assert [row[0].text for row in table.rows] == ["L0", "L1", "L2", "L3"]
     measured = {m.location: m for m in result.measurements if m.name == "estimated_place_error" and not m.qualifier}
@@ -145,14 +149,14 @@ def test_refused_loads_are_counted_in_words(run):
     noisy = replace(weak, unloaded=loud)
     taken, _ = measure_run(noisy, {"load-estimate": LoadEstimates()})
     result = RunResult(noisy.record, noisy, taken, Verdict(Outcome.NOT_JUDGED, ""), None, "none")
-    findings = {found.indenter.finding for found in estimated_loads(noisy, "run").values()}
+    findings = {found.indenter.finding for found in estimate_loads(noisy, "run").values()}
     assert LoadFinding.LOCATED not in findings
     assert "None of 4 loads could be located" in Section().render(result).blocks[0].text
 
 
 def test_errors_are_lengthened_to_stay_near_the_head():
     def placed(error):
-        return PlacedLoad("L0", HEAD.at(0.0, 0.0), None, np.array([error, 0.0]), np.eye(2) * 0.01)
+        return PlacedLoad("L0", HEAD.footprint_at(0.0, 0.0), None, np.array([error, 0.0]), np.eye(2) * 0.01)
 
     assert error_scale([placed(0.0)]) == 1
     assert error_scale([placed(0.3)]) == 20

@@ -7,23 +7,26 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis import Conclusion, calibrated
-from cbsr_qa.analysis.run import run_place
+from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.force import force_loads
 from cbsr_qa.analysis.run.loads import window_of
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.file import read_calibration, write_calibration
-from cbsr_qa.config import DocumentKind, load_recipe
-from cbsr_qa.domain import CalibrationError, ConfigError
-from cbsr_qa.domain.results import Outcome, Verdict
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Indenter
-from cbsr_qa.station import PlannedPhase
-from cbsr_qa.studies import shipped
+from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import CalibrationError, ConfigError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Indenter
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.station.plan import PlannedPhase
+from cbsr_qa.studies.simulated import copy_shipped
 from cbsr_qa_plugins.sequences.places import LocationGridSequence, RandomLoadsSequence
 
 CALIBRATE = ("places",)
 #: The 39 of the recipe ``campaign``.
-PLACES_MM = [*NINE_LOCATIONS_MM, *shipped(DocumentKind.RECIPE, "campaign")["phases"][2]["locations_mm"]]
+PLACES_MM = [*NINE_LOCATIONS_MM, *copy_shipped(DocumentKind.RECIPE, "campaign")["phases"][2]["locations_mm"]]
 #: Readings that keep half of the one before: no model of a sheet has that.
 MEMORY = (("name", "reading-memory"), ("share", 0.5))
 _HELD = {"hold_s": 40.0, "rest_s": 30.0, "find_surface": False}
@@ -42,7 +45,7 @@ def observed(effects=(), places=39):
 
 @cache
 def recorded(effects):
-    scene = shipped(DocumentKind.SCENE, "base")
+    scene = copy_shipped(DocumentKind.SCENE, "base")
     scene["effects"] = [*scene["effects"], *(dict(effect) for effect in effects)]
     grid = LocationGridSequence(locations_mm=PLACES_MM, strains_percent=[25.0], **_HELD)
     phases = (
@@ -60,7 +63,7 @@ def issued(run):
     """The calibration of a run as if it had passed."""
     recipe = replace(load_recipe("campaign").value, calibrate_phases=CALIBRATE)
     conclusion = Conclusion(run, (), Verdict(Outcome.PASS, "all limits met"), ())
-    made, why = calibrated(conclusion, recipe, calibration="c-1", issued_at="2026-01-01T00:00:00+00:00")
+    made, why = calibrate_run(conclusion, recipe, calibration="c-1", issued_at="2026-01-01T00:00:00+00:00")
     assert not why
     return made
 
@@ -146,7 +149,7 @@ def test_a_learned_place_of_other_readings_is_refused(tmp_path):
 
 
 def test_learning_places_needs_phases_to_learn_from():
-    recipe = shipped(DocumentKind.RECIPE, "nine-locations")
+    recipe = copy_shipped(DocumentKind.RECIPE, "nine-locations")
     recipe["recipe"]["calibrate_phases"] = []
     recipe["analysis"]["learn_place"] = True
     with pytest.raises(ConfigError, match=r"learn_place.*calibrate_phases names no phase"):

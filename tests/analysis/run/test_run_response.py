@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.analysis.run.imaging import decide_response
-from cbsr_qa.domain.sensor import Response
+from cbsr_qa.domain.sensor.sensor_type import Response
 
 
 @pytest.mark.parametrize(

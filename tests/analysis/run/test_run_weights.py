@@ -8,12 +8,14 @@ from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import evaluate_run
 from cbsr_qa.analysis.run.reference import check_weighing
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.results import Outcome, RunResult, Table, Verdict
-from cbsr_qa.plugin import discover
-from cbsr_qa.system import Stages
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import RunResult, Table
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.system.clock import Stages
 from cbsr_qa_plugins.metrics.location import AreaOverlap
 from cbsr_qa_plugins.reconstruction.direct import LinearBackProjection
 from cbsr_qa_plugins.sections.traceability import Traceability

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from cbsr_qa.analysis.run.sizes import FLAT, size_response
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import LinearReconstruction, ParameterChoice
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa_plugins.sections.image_quality import in_words
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import LinearReconstruction, ParameterChoice
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa_plugins.sections.image_quality import describe_sizes
 
 _LOG = np.log(1 / 0.85)
 
@@ -47,8 +47,8 @@ def test_an_image_much_wider_than_the_targets_is_flat_by_just_what_blurring_says
     np.testing.assert_allclose(centre.areas_mm2, 2 * np.pi * _LOG * np.array(moments), rtol=0.02)
     assert centre.slope == pytest.approx(0.09, abs=0.02)
     assert all(one.flat for one in found)
-    assert "flat" in in_words(found)
-    assert "area of a load grows 6.2 times" in in_words(found)
+    assert "flat" in describe_sizes(found)
+    assert "area of a load grows 6.2 times" in describe_sizes(found)
 
 
 def test_an_image_much_finer_than_the_targets_follows_their_size(blurring):
@@ -57,7 +57,7 @@ def test_an_image_much_finer_than_the_targets_follows_their_size(blurring):
         assert one.slope > 0.8
         assert not one.flat
         assert np.all(np.array(one.areas_mm2) < np.pi / 4 * np.array(one.diameters_mm) ** 2)
-    assert "flat" not in in_words(found)
+    assert "flat" not in describe_sizes(found)
 
 
 @pytest.mark.rest

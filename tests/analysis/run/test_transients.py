@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from simulated_runs import simulated_run
 
-from cbsr_qa.analysis.run.force import force_tests, hold_traces, learned_from, run_force
+from cbsr_qa.analysis.run.force import force_tests, hold_traces, learn_without_tests, run_force
 from cbsr_qa.analysis.run.force_kernels import LARGEST_FACTOR, _within
 from cbsr_qa.analysis.run.observe import observe_run
-from cbsr_qa.calibration.force import force_reductions
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa_plugins.sections.force import _predicted, _reduced
+from cbsr_qa.calibration.force.validity import force_reductions
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa_plugins.sections.force import _list_caveats, _prediction_blocks
 
 LONG = 3
 SHORT_S = 15.0
@@ -44,7 +45,7 @@ def runs():
 
 
 def ratios(run):
-    return learned_from(run).learned.ratio[:-LONG]
+    return learn_without_tests(run).learned.ratio[:-LONG]
 
 
 @pytest.mark.rest
@@ -58,18 +59,20 @@ def test_predicted_holds_say_what_whole_ones_do(runs):
 
 def test_errors_of_predicted_loads_hold_what_they_are_off_by(runs):
     whole, _, predicted = runs
-    found = learned_from(predicted).learned
-    off = (found.ratio / learned_from(whole).learned.ratio - 1)[:-LONG]
+    found = learn_without_tests(predicted).learned
+    off = (found.ratio / learn_without_tests(whole).learned.ratio - 1)[:-LONG]
     stated = (found.ratio_stderr / found.ratio)[:-LONG]
     assert np.sqrt(np.mean((off / stated) ** 2)) < 1.6
-    assert (stated > (learned_from(whole).learned.ratio_stderr / learned_from(whole).learned.ratio)[:-LONG]).all()
+    assert (
+        stated > (learn_without_tests(whole).learned.ratio_stderr / learn_without_tests(whole).learned.ratio)[:-LONG]
+    ).all()
 
 
 def test_forces_of_another_hold_follow(runs):
     whole, averaged, predicted = runs
     rms = {
         name: np.sqrt(
-            np.mean([(t.known_N - t.measured_N) ** 2 for t in force_tests(whole, learned_from(run).learned)])
+            np.mean([(t.known_N - t.measured_N) ** 2 for t in force_tests(whole, learn_without_tests(run).learned)])
         )
         for name, run in (("whole", whole), ("averaged", averaged), ("predicted", predicted))
     }
@@ -80,13 +83,13 @@ def test_forces_of_another_hold_follow(runs):
 def test_the_model_says_of_what_time_its_forces_are(runs):
     whole, _, predicted = runs
     ends = [load.record.release_start_s - load.record.hold_start_s for load in whole.loads]
-    assert learned_from(predicted).learned.model.steady_s == pytest.approx(np.mean(ends) - 5.0, abs=2.0)
+    assert learn_without_tests(predicted).learned.model.steady_s == pytest.approx(np.mean(ends) - 5.0, abs=2.0)
 
 
 def test_a_run_whose_holds_are_alike_is_left_as_it_is(runs):
     whole = runs[0]
     same = replace(whole, settings=replace(whole.settings, transients="predicted"))
-    np.testing.assert_array_equal(learned_from(same).learned.ratio, learned_from(whole).learned.ratio)
+    np.testing.assert_array_equal(learn_without_tests(same).learned.ratio, learn_without_tests(whole).learned.ratio)
 
 
 def test_holds_too_short_to_show_how_they_relax_are_refused_by_name(runs):
@@ -98,7 +101,7 @@ def test_holds_too_short_to_show_how_they_relax_are_refused_by_name(runs):
     )
     bare = replace(few, loads=(replace(few.loads[0], record=_held_for(few.loads[0], 6.0)), *shorter))
     with pytest.raises(NumericsError, match="longest holds do not determine how the conductance relaxes"):
-        learned_from(bare)
+        learn_without_tests(bare)
     assert "longest holds" in run_force(bare).why
 
 
@@ -108,7 +111,7 @@ def _held_for(load, seconds):
 
 def test_loads_have_the_force_of_the_time_they_are_predicted_to(runs):
     whole, _, short = runs
-    found = learned_from(short)
+    found = learn_without_tests(short)
     forces = np.array([load.force_N for load in found.used])
     truth = np.array([load.force_N for load in whole.loads])
     early = np.array([load.force_N for load in short.loads])
@@ -117,7 +120,9 @@ def test_loads_have_the_force_of_the_time_they_are_predicted_to(runs):
     assert np.abs(forces / truth - 1).max() < 0.004
     line, area = short.record.material.against_stress, short.record.indenter.area_mm2
     contrast = found.learned.ratio * (line.slope.value * forces / area * 1e3 + line.intercept.value)
-    expected = learned_from(whole).learned.ratio * (line.slope.value * truth / area * 1e3 + line.intercept.value)
+    expected = learn_without_tests(whole).learned.ratio * (
+        line.slope.value * truth / area * 1e3 + line.intercept.value
+    )
     assert np.abs(np.mean(contrast / expected) - 1) < 0.02
 
 
@@ -128,25 +133,25 @@ def test_predicted_loads_are_counted_and_named(runs):
     (words,) = [one for one in force_reductions(found.learned, found.used) if "predicted" in one]
     assert words.startswith("6 of 9 loads were held for a shorter time than the run's longest")
     assert f"to {found.learned.model.steady_s:.0f} s after the press" in words
-    (shown,) = _predicted(short, found.learned)
+    (shown,) = _prediction_blocks(short, found.learned)
     assert words in shown.text
-    assert not any("predicted" in one for one in force_reductions(learned_from(whole).learned, whole.loads))
-    assert _predicted(whole, learned_from(whole).learned) == []
+    assert not any("predicted" in one for one in force_reductions(learn_without_tests(whole).learned, whole.loads))
+    assert _prediction_blocks(whole, learn_without_tests(whole).learned) == []
 
 
 def test_predicted_loads_are_not_said_to_be_unsettled(runs):
     _, _, short = runs
     unsettled = replace(short, loads=tuple(replace(load, settled=False) for load in short.loads))
     found = run_force(unsettled)
-    (words,) = [one for one in _reduced(unsettled, found, found.learned, ()) if "settling times" in one]
+    (words,) = [one for one in _list_caveats(unsettled, found, found.learned, ()) if "settling times" in one]
     assert words.startswith(f"{LONG} loads of the calibration")
 
 
 def test_traces_of_predicted_loads_are_found_whoever_asks(runs):
     whole, _, short = runs
-    learned = learned_from(short)
+    learned = learn_without_tests(short)
     force_tests(whole, learned.learned)
-    learned_from(whole)  # what is kept of the short run may be gone by now
+    learn_without_tests(whole)  # what is kept of the short run may be gone by now
     for loads in (short.loads, learned.used):
         times, strengths = hold_traces(short, loads)[0]
         assert len(times) == len(strengths) > 3

@@ -10,8 +10,8 @@ import scipy.io
 from board_files import BoardFile, counts
 from pressed_files import exported, pressed_frames
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.readings import ScanKind, VoltageUnit
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.readings.frames import ScanKind, VoltageUnit
 
 
 @pytest.fixture(autouse=True)
@@ -20,7 +20,7 @@ def own_var(tmp_path, monkeypatch):
 
 
 def run(capsys, *arguments):
-    code = guarded(["analyse", *map(str, arguments)])
+    code = run_guarded(["analyse", *map(str, arguments)])
     said = capsys.readouterr()
     return code, said.out, said.err
 

@@ -10,23 +10,19 @@ import scipy.io
 from board_files import BoardFile
 from pressed_files import exported, pressed_frames
 
-from cbsr_qa.analysis.recording import (
-    AnalysisChoices,
-    EventImages,
-    Place,
-    Sighting,
-    analyse_recording,
-    frames_around,
-    nearest_frames,
-)
+from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
+from cbsr_qa.analysis.recording.images import EventImages, Sighting, frames_around, nearest_frames
+from cbsr_qa.analysis.recording.places import Place
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import Goodness, NumericsError, PluginError
-from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
-from cbsr_qa.domain.results import LinearReconstruction, ParameterChoice
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.report import json_document
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import NumericsError, PluginError
+from cbsr_qa.domain.goodness import Goodness
+from cbsr_qa.domain.imaging import LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.plan.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.report.document import json_document
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 
@@ -58,7 +54,7 @@ def two_at_once(tmp_path_factory):
 
 
 def run(capsys, *arguments):
-    code = guarded(["analyse", *map(str, arguments)])
+    code = run_guarded(["analyse", *map(str, arguments)])
     said = capsys.readouterr()
     return code, said.out, said.err
 

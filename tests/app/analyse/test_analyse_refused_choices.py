@@ -5,8 +5,9 @@ import json
 import pytest
 from pressed_files import exported, pressed_frames
 
-from cbsr_qa.cli import guarded, plugin_options
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.cli.options import plugin_options
+from cbsr_qa.domain.errors import ConfigError
 
 
 @pytest.fixture(autouse=True)
@@ -20,7 +21,7 @@ def pressed(tmp_path_factory):
 
 
 def run(capsys, *arguments):
-    code = guarded(["analyse", *map(str, arguments)])
+    code = run_guarded(["analyse", *map(str, arguments)])
     said = capsys.readouterr()
     return code, said.out, said.err
 

@@ -3,7 +3,7 @@
 import pytest
 
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
-from cbsr_qa.report import json_document
+from cbsr_qa.report.document import json_document
 
 pytestmark = [pytest.mark.shared, pytest.mark.rest]
 

@@ -11,13 +11,14 @@ from made_once import made_once
 from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.app.stream import FramesFrom, StreamRequest, stream_messages
-from cbsr_qa.calibration.file import read_issued, stamp, write_calibration
-from cbsr_qa.cli import app
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.app.stream.source import FramesFrom
+from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
+from cbsr_qa.calibration.file.hdf5 import read_issued, stamp, write_calibration
+from cbsr_qa.cli.main import app
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.system.clock import VirtualClock
 
 
 def run(*arguments):

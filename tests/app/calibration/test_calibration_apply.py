@@ -12,14 +12,15 @@ from force_calibration import SCALE, force_calibration, frames
 from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
-from cbsr_qa.analysis import write_recording
-from cbsr_qa.app.calibration.apply import _in_order, flag_words
-from cbsr_qa.app.calibration.frame_scale import recorded_frames
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.file import write_calibration
-from cbsr_qa.cli import app
-from cbsr_qa.domain import RecordingError, RefusedError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.app.calibration.apply import _is_increasing, flag_words
+from cbsr_qa.app.calibration.frame_scale import scale_frames
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.cli.main import app
+from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 
 _PLACE = (5.0, 7.0)
 _FORCE = np.array([0.0, 0.0, 0.0, 0.0, 2.0, 3.0, 4.0])
@@ -51,12 +52,12 @@ def _recording(voltages=None, *, flags=None, unit=VoltageUnit.VOLT, current_A=4e
 
 
 def _force(calibration, recording, reference=None):
-    return calibration.force(recorded_frames(calibration, recording, reference)[0], place_mm=_PLACE)
+    return calibration.force(scale_frames(calibration, recording, reference)[0], place_mm=_PLACE)
 
 
 def test_frames_of_the_calibrations_own_scale_are_taken_as_they_are(calibration):
     recording = _recording()
-    voltages, remarks = recorded_frames(calibration, recording, None)
+    voltages, remarks = scale_frames(calibration, recording, None)
     np.testing.assert_array_equal(voltages, recording.frames.voltages)
     assert remarks == ()
     error = _force(calibration, recording).force_N[4:] - _FORCE[4:]
@@ -65,7 +66,7 @@ def test_frames_of_the_calibrations_own_scale_are_taken_as_they_are(calibration)
 
 def test_another_current_is_scaled_and_said(calibration):
     half = _recording(frames(np.tile(_PLACE, (7, 1)), _FORCE) / 2, current_A=2e-4)
-    (said,) = recorded_frames(calibration, half, None)[1]
+    (said,) = scale_frames(calibration, half, None)[1]
     assert said == "readings at 0.2 mA were scaled to the calibration's 0.4 mA"
     np.testing.assert_allclose(
         _force(calibration, half).force_N, _force(calibration, _recording()).force_N, rtol=1e-9
@@ -77,9 +78,9 @@ def test_counts_have_a_scale_only_where_first_frames_are_of_the_unloaded_sheet(c
     volts = frames(np.tile(_PLACE, (7, 1)), _FORCE, noise=0.0)
     counts = _recording(20.0 * volts, unit=VoltageUnit.COUNT, current_A=None)
     with pytest.raises(RecordingError, match=r"press.h5 holds readings in count without their scale") as caught:
-        recorded_frames(calibration, counts, None)
+        scale_frames(calibration, counts, None)
     assert "--reference N" in caught.value.remedy
-    voltages, remarks = recorded_frames(calibration, counts, 4)
+    voltages, remarks = scale_frames(calibration, counts, 4)
     assert "1 count is 0.05 V of the calibration" in remarks[0]
     np.testing.assert_allclose(voltages, volts, rtol=1e-9, atol=1e-12 * SCALE)
     drifted = _recording(1.03 * volts, current_A=None)
@@ -89,22 +90,22 @@ def test_counts_have_a_scale_only_where_first_frames_are_of_the_unloaded_sheet(c
 
 def test_volts_at_a_current_nobody_states_have_no_scale_either(calibration):
     with pytest.raises(RecordingError, match="does not say its drive current"):
-        recorded_frames(calibration, _recording(current_A=None), None)
+        scale_frames(calibration, _recording(current_A=None), None)
 
 
 @pytest.mark.parametrize("count", [0, 8, -1])
 def test_a_reference_of_no_frames_is_refused(calibration, count):
     with pytest.raises(RecordingError, match=f"--reference {count} of press.h5, which holds 7 frames; 1 to 7"):
-        recorded_frames(calibration, _recording(), count)
+        scale_frames(calibration, _recording(), count)
 
 
 def test_first_frames_of_another_sensor_are_refused(calibration):
     turned = np.roll(frames(np.tile(_PLACE, (7, 1)), _FORCE), 3, axis=2)
     with pytest.raises(RecordingError, match="are not those of sensor S-1 unloaded") as caught:
-        recorded_frames(calibration, _recording(turned), 4)
+        scale_frames(calibration, _recording(turned), 4)
     assert "order of its electrodes" in caught.value.remedy
     with pytest.raises(RecordingError, match="differ from its reference by 100%"):
-        recorded_frames(calibration, _recording(np.zeros((7, 16, 16))), 4)
+        scale_frames(calibration, _recording(np.zeros((7, 16, 16))), 4)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +124,7 @@ def test_first_frames_of_another_sensor_are_refused(calibration):
 )
 def test_a_recording_of_something_else_is_refused_by_name(calibration, recording, said):
     with pytest.raises(RecordingError, match=said) as caught:
-        recorded_frames(calibration, recording, None)
+        scale_frames(calibration, recording, None)
     assert caught.value.reason.startswith("press.h5 ")
 
 
@@ -136,7 +137,7 @@ def test_a_missing_or_saturated_reading_is_left_out(calibration):
     assert found.force_N == pytest.approx(_force(calibration, _recording()).force_N, abs=0.1)
     assert (found.flags & Flag.MISSING > 0).tolist() == [False] * 4 + [True, True, False]
     with pytest.raises(RecordingError, match=r"first 5 frames of press\.h5 is missing or saturated"):
-        recorded_frames(calibration, _recording(flags=flags), 5)
+        scale_frames(calibration, _recording(flags=flags), 5)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +145,7 @@ def test_a_missing_or_saturated_reading_is_left_out(calibration):
     [([], True), ([0.0, 2.5], True), ([2.5, 0.0], False), ([1.0, 1.0], False), ([np.nan], False)],
 )
 def test_loads_are_followed_only_over_times_in_order(time_s, in_order):
-    assert _in_order(np.array(time_s)) is in_order
+    assert _is_increasing(np.array(time_s)) is in_order
 
 
 def test_every_flag_has_words():

@@ -9,10 +9,12 @@ import pytest
 from calibration_samples import sample_calibration
 from typer.testing import CliRunner
 
-from cbsr_qa.calibration.file import encode, stamp, verify_calibration_file, write_calibration
-from cbsr_qa.cli import app
-from cbsr_qa.domain import CalibrationError, tabulated
-from cbsr_qa.domain.results import Calibration
+from cbsr_qa.calibration.file.entries import encode
+from cbsr_qa.calibration.file.hdf5 import stamp, verify_calibration_file, write_calibration
+from cbsr_qa.cli.main import app
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import walk_fields
+from cbsr_qa.domain.results.calibration import Calibration
 
 
 @pytest.fixture
@@ -62,7 +64,7 @@ def test_show_as_json_is_one_document(issued):
 def test_every_field_of_the_field_table_is_shown(issued):
     """All that the table names and the file holds is in the document; a person sees no long array, nothing twice."""
     calibration = sample_calibration()
-    kept = {path for path, _ in tabulated(Calibration) if not path.endswith("/")}
+    kept = {path for path, _ in walk_fields(Calibration) if not path.endswith("/")}
     held = kept & set(encode(calibration))
     assert {"identity/issued_at", "validity/strain", "reconstruction/method", "image/mask"} <= held
     values = json.loads(_run("show", str(issued), "--json").stdout)["values"]

@@ -14,9 +14,10 @@ from force_calibration import force_calibration, frames
 from signed_samples import AT, made_key
 
 import cbsr_qa as qa
-from cbsr_qa.calibration.file import sign_calibration, signing_key, stamp, write_calibration
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.calibration.file.hdf5 import sign_calibration, stamp, write_calibration
+from cbsr_qa.calibration.file.keys import signing_key
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 
 _VARIABLE = "CBSR_QA_KEY_PASSPHRASE"
 
@@ -35,7 +36,7 @@ def run(folder, capsys):
     """A command of ``calibration``: its exit code, and what it says."""
 
     def command(*arguments):
-        code = guarded(["calibration", *map(str, arguments)])
+        code = run_guarded(["calibration", *map(str, arguments)])
         said = capsys.readouterr()
         return code, " ".join((said.out + said.err).split())
 

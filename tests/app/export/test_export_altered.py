@@ -9,12 +9,12 @@ import pytest
 from altered_runs import change
 from exported_runs import five_runs
 
-from cbsr_qa.app.run import outcome_of_stored
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import StoreError
-from cbsr_qa.interface import Run
-from cbsr_qa.plugin import discover
-from cbsr_qa.store import open_store
+from cbsr_qa.app.run.render import outcome_of_stored
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.interface.stored_run import Run
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.store.opening import open_store
 
 FAILED, PASSED = "S-1", "S-0"
 
@@ -40,7 +40,7 @@ def forged(database):
 
 
 def command(*words, database):
-    return guarded([*map(str, words), "--database", database])
+    return run_guarded([*map(str, words), "--database", database])
 
 
 def csv_rows(file):

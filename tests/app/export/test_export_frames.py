@@ -6,10 +6,10 @@ import scipy.io
 from exported_runs import GRID, five_runs, store_pressed
 from stored_runs import SENSOR_TYPE
 
-from cbsr_qa.app.export import ExportRequest, export_data
-from cbsr_qa.domain import RecordingError, RefusedError
-from cbsr_qa.domain.readings import ReadOptions
-from cbsr_qa.store import open_store
+from cbsr_qa.app.export.export import ExportRequest, export_data
+from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.readings.frames import ReadOptions
+from cbsr_qa.store.opening import open_store
 from cbsr_qa_plugins.recordings.eidors_mat import EidorsMat
 
 xarray = pytest.importorskip("xarray")
@@ -163,7 +163,7 @@ def test_analyse_reads_eidors_files_without_missing_readings(tmp_path):
 
 def test_a_channel_that_is_named_like_a_variable_gets_a_name_of_its_own():
     from cbsr_qa.app.export.netcdf import _samples
-    from cbsr_qa.domain.readings import SampleBlock
+    from cbsr_qa.domain.readings.frames import SampleBlock
 
     block = SampleBlock("strain", "1", np.arange(2.0), np.arange(2.0))
     assert [variable.name for variable in _samples(block, {"strain", "strain_time"})] == ["strain__time", "strain_"]

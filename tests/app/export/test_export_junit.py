@@ -8,7 +8,7 @@ import pytest
 import xmlschema
 from exported_runs import five_runs
 
-from cbsr_qa.app.export import ExportRequest, export_data
+from cbsr_qa.app.export.export import ExportRequest, export_data
 
 #: The schema of Jenkins' xUnit plugin, as pytest 9.2 ships it in its tests (MIT).
 SCHEMA = xmlschema.XMLSchema(str(Path(__file__).with_name("junit-10.xsd")))

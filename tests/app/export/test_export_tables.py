@@ -8,11 +8,12 @@ from datetime import UTC, datetime
 import pytest
 from exported_runs import five_runs
 
-from cbsr_qa.app.export import ExportRequest, export, export_data
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.shift import ListRequest
+from cbsr_qa.app.export import export
+from cbsr_qa.app.export.export import ExportRequest, export_data
+from cbsr_qa.app.shift.lists import ListRequest
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.store.repository import Repository
 
 
 @pytest.fixture(scope="module")

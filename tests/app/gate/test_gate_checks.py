@@ -8,24 +8,27 @@ import pytest
 from stored_lots import judged, store_run
 from stored_runs import identity, journalled, short_run
 
-from cbsr_qa.app.gate import (
-    GateRequest,
-    Override,
-    ReleaseRequest,
-    ask_gate,
-    asks_pin,
-    gate_refusal,
-    list_releases,
-    release_file,
-)
-from cbsr_qa.config import load_material, load_recipe, load_sensor_type, load_station, merge
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator, SyncSettings
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome
-from cbsr_qa.domain.run import ChartReference, CheckOutcome, CheckResult, GateOutcome, StationCheck
-from cbsr_qa.plugin import Veto, discover, hookimpl
-from cbsr_qa.store import open_store, writing
-from cbsr_qa.system import hashed_pin, pin_matches
+from cbsr_qa.app.gate.gate import ask_gate, gate_refusal
+from cbsr_qa.app.gate.people import asks_pin
+from cbsr_qa.app.gate.release_list import list_releases
+from cbsr_qa.app.gate.releases import ReleaseRequest, release_file
+from cbsr_qa.app.gate.request import GateRequest, Override
+from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
+from cbsr_qa.config.merging import merge
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.plan import SyncSettings
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.gate import GateOutcome
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Veto, hookimpl
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.pins import hash_pin, pin_matches
 
 STATION = "bench-α"
 LIMITS = {"drift": Limit("drift", "%/min", -0.5, 0.5)}
@@ -80,7 +83,7 @@ def test_what_follows_is_the_stations_policy(ask, policy, outcome):
 
 
 def test_an_override_states_who_and_why_and_only_of_what_would_refuse(ask):
-    override = Override(("operator",), "Grace", "night shift").checked()
+    override = Override(("operator",), "Grace", "night shift").validate()
     answer = ask("operator", asked={"override": override}, operators=(Operator("Ada"),))
     assert (answer.outcome, answer.by, answer.why) == (GateOutcome.OVERRIDDEN, "Grace", "night shift")
     assert gate_refusal([answer]) is None
@@ -100,7 +103,7 @@ def test_an_override_states_who_and_why_and_only_of_what_would_refuse(ask):
 )
 def test_an_override_that_is_not_whole_is_refused(override, named):
     with pytest.raises(ConfigError, match=named):
-        override.checked()
+        override.validate()
 
 
 @pytest.mark.parametrize(
@@ -223,7 +226,7 @@ def test_there_is_space_for_the_run(ask):
 
 
 def test_the_operator_is_listed_and_gives_the_pin(ask):
-    listed = (Operator("Zoë Ōtani", hashed_pin("4711")), Operator("Ada"))
+    listed = (Operator("Zoë Ōtani", hash_pin("4711")), Operator("Ada"))
     for pin, outcome in (("4711", GateOutcome.PASSED), ("4712", GateOutcome.REFUSED), ("", GateOutcome.REFUSED)):
         asked = {"operator": "Zoë Ōtani", "pin": lambda text, pin=pin: pin}
         answer = ask("operator", asked=asked, operators=listed)
@@ -243,7 +246,7 @@ def test_the_operator_is_listed_and_gives_the_pin(ask):
 
 
 def test_a_pin_has_a_salt_and_no_hash_costs_more_than_a_station_can_pay():
-    one, other = hashed_pin("12345678"), hashed_pin("12345678")
+    one, other = hash_pin("12345678"), hash_pin("12345678")
     assert one != other
     assert pin_matches("12345678", one)
     assert pin_matches("12345678", other)

@@ -2,10 +2,11 @@
 
 import pytest
 
-from cbsr_qa.config import load_material, load_recipe, load_sensor_type, load_station, merge
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
-from cbsr_qa.system import hashed_pin
+from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
+from cbsr_qa.config.merging import merge
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.system.pins import hash_pin
 
 
 def station(folder, gate, head=""):
@@ -62,7 +63,7 @@ def test_operators_change_no_digest_and_their_pins_are_not_stored(tmp_path):
     parts = load_recipe("nine-locations"), load_sensor_type("disc-100mm"), load_material("cbsr-8wt")
     digests = set()
     for name in ("Ada", "Grace"):
-        gate = f'[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "{name}"\npin = "{hashed_pin("4711")}"'
+        gate = f'[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "{name}"\npin = "{hash_pin("4711")}"'
         at = load_station(station(tmp_path, gate))
         assert at.value.gate.operators[0].name == name
         merged = merge(at, *parts, seed=1)

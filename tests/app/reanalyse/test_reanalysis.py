@@ -9,17 +9,24 @@ from dataclasses import replace
 import pytest
 from stored_lots import store_run
 
-from cbsr_qa.app import list_changes
-from cbsr_qa.app.reanalyse import ReanalyseRequest, reanalyse, reanalysed_outcome
-from cbsr_qa.app.reanalyse.reanalysis import phase_difference
+from cbsr_qa.app.changes import list_changes
+from cbsr_qa.app.reanalyse.reanalysis import phase_difference, reanalyse
+from cbsr_qa.app.reanalyse.report import reanalysis_outcome
+from cbsr_qa.app.reanalyse.request import ReanalyseRequest
 from cbsr_qa.app.reanalyse.work import Worked
 from cbsr_qa.app.reanalyse.workers import Workers
-from cbsr_qa.config import DocumentKind, load_recipe, open_document, toml_document
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunSelection, decide
-from cbsr_qa.report import json_document, terminal_lines
-from cbsr_qa.store import open_store
-from cbsr_qa.store.results import Reanalysis
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.text import toml_document
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.document import json_document
+from cbsr_qa.report.terminal import terminal_lines
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import Reanalysis
 
 RECIPE = dict(open_document(DocumentKind.RECIPE, "nine-locations").data)
 LIMIT = Limit("centre_of_mass_error", "mm", None, 5.0)
@@ -28,7 +35,7 @@ EVERY = RunSelection()
 
 def values(error, noise=0.5):
     return (
-        Measurement("centre_of_mass_error", error, "mm", phase="nine locations", location="L0").judged(LIMIT),
+        Measurement("centre_of_mass_error", error, "mm", phase="nine locations", location="L0").judge(LIMIT),
         Measurement("noise", noise, "1"),
     )
 
@@ -113,7 +120,7 @@ def test_changes_and_flips_are_shown_and_no_verdict_changes(database):
     assert (aborted.serial, aborted.why) == ("S-9", "it has not finished (aborted)")
     assert done.new_warnings == {"a new warning": 3}
     assert verdicts(database) == BEFORE
-    shown = "\n".join(terminal_lines(*((out := reanalysed_outcome(done)).page, out.sections)))
+    shown = "\n".join(terminal_lines(*((out := reanalysis_outcome(done)).page, out.sections)))
     assert out.exit_code == 0
     for words in ("1 verdict differs", "S-1", "centre of mass error", "0.750", "--adopt --by NAME", "123 MB"):
         assert words in shown, words
@@ -126,7 +133,7 @@ def test_a_repeat_computes_nothing_and_says_so(database):
     assert made.jobs == []
     assert (second.computed, second.reused) == (0, 3)
     assert (second.values, second.flips) == (first.values, first.flips)
-    assert "nothing was computed: 3 of 3" in reanalysed_outcome(second).page.banner.reason
+    assert "nothing was computed: 3 of 3" in reanalysis_outcome(second).page.banner.reason
     third = again(database, made := Made(7.0), fresh=True)
     assert (len(made.jobs), third.values[0].largest) == (3, 7.0)
 
@@ -146,7 +153,7 @@ def test_where_only_limits_differ_nothing_is_imaged_again(database, tmp_path, mo
     assert (made.jobs, stricter.computed, stricter.judged, stricter.reused) == ([], 0, 3, 0)
     assert stricter.values == by_limit.values
     assert [(flip.serial, flip.now) for flip in stricter.flips] == [("S-1", Outcome.FAIL)]
-    assert "3 judged by other limits" in reanalysed_outcome(stricter).page.banner.reason
+    assert "3 judged by other limits" in reanalysis_outcome(stricter).page.banner.reason
     assert again(database, made, recipe=limited(tmp_path, 4.8)).reused == 3
     again(database, made := Made(7.0), recipe=limited(tmp_path, 4.9), fresh=True)
     assert len(made.jobs) == 3
@@ -243,7 +250,7 @@ def test_runs_of_another_plan_are_named_with_the_phase_that_differs(database, tm
     assert [(one.serial, one.why) for one in done.other_plan] == [
         (f"S-{n}", "phase 'noise figure' ran with frames = 30; the recipe has frames = 31") for n in range(3)
     ]
-    assert reanalysed_outcome(done).exit_code == 3
+    assert reanalysis_outcome(done).exit_code == 3
 
 
 def test_phases_are_compared_by_name_sequence_and_options():

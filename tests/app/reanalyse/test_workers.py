@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.app.reanalyse.workers import Workers, cluster_workers, local_workers
-from cbsr_qa.domain import BrokenError, RefusedError
+from cbsr_qa.domain.errors import BrokenError, RefusedError
 
 
 class Pool(Executor):
@@ -51,7 +51,7 @@ def pools(kills, begun, slow=()):
 def test_a_job_that_kills_its_worker_is_named_and_all_others_are_done():
     begun = []
     workers = Workers(pools(lambda job: job == 4, begun), 2, lambda job: 10 * job)
-    done = dict(workers.done([0, 1, 3, 4, 6, 7]))
+    done = dict(workers.run_jobs([0, 1, 3, 4, 6, 7]))
     assert {job: result for job, result in done.items() if job != 4} == {0: 0, 1: 10, 3: 30, 6: 60, 7: 70}
     assert "killed 2 times" in done[4]
     assert len(begun) <= 4
@@ -63,7 +63,7 @@ def test_a_job_under_way_beside_a_killed_worker_is_done_again():
     def kills(job):
         return job == 4 and not killed and not killed.append(job)
 
-    done = dict(Workers(pools(kills, [], [2]), 2, lambda job: 10 * job).done([2, 4, 6]))
+    done = dict(Workers(pools(kills, [], [2]), 2, lambda job: 10 * job).run_jobs([2, 4, 6]))
     assert done == {2: 20, 4: 40, 6: 60}
     assert killed == [4]
 
@@ -72,12 +72,12 @@ def test_workers_that_cannot_live_here_end_the_work():
     workers = Workers(pools(lambda job: True, []), 2, lambda job: job)
     done = []
     with pytest.raises(BrokenError, match="workers in a row ended"):
-        done.extend(workers.done(list(range(9))))
+        done.extend(workers.run_jobs(list(range(9))))
     assert all("killed" in why for _, why in done)
 
 
 def test_what_a_worker_raises_is_the_reason_of_its_job_alone():
-    (one, two) = Workers(pools(lambda job: False, []), 2, lambda job: 1 // job).done([0, 1])
+    (one, two) = Workers(pools(lambda job: False, []), 2, lambda job: 1 // job).run_jobs([0, 1])
     assert one == (0, "ZeroDivisionError: integer division or modulo by zero")
     assert two == (1, 1)
 
@@ -92,7 +92,7 @@ def tenfold(job, folder):
 
 
 def test_a_process_that_is_killed_changes_no_result(tmp_path):
-    done = dict(local_workers(2, partial(tenfold, folder=tmp_path)).done([1, 2, 3, 4]))
+    done = dict(local_workers(2, partial(tenfold, folder=tmp_path)).run_jobs([1, 2, 3, 4]))
     assert done == {job: (10 * job, "1") for job in (1, 2, 3, 4)}
     assert (tmp_path / "2").exists()
 
@@ -102,7 +102,7 @@ def test_a_cluster_does_the_work():
     options = {"processes": False, "dashboard_address": ":0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **options) as cluster:
         with cluster_workers(cluster.scheduler_address, abs) as workers:
-            assert dict(workers.done([-1, -2, -3])) == {-1: 1, -2: 2, -3: 3}
+            assert dict(workers.run_jobs([-1, -2, -3])) == {-1: 1, -2: 2, -3: 3}
         cluster.scale(0)
 
 

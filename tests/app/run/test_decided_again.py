@@ -7,12 +7,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.analysis import judge
+from cbsr_qa.analysis.evaluate import judge
 from cbsr_qa.app.run.decided_again import check_decided
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Bound, EndReason, Limit, Measurement, Outcome, Verdict, decide
-from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.results import StoredAnalysis
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.run.run import ChainState
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.results.analyses import StoredAnalysis
 
 LIMITS = (
     Limit("position_error", "mm", None, 5.0, 0.5, version="7"),

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from cbsr_qa.app.run.preflight import check_unloaded
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press
-from cbsr_qa.domain.run import Load
-from cbsr_qa.testing import example_plan
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.steps import AcquireFrames, MarkUnloaded, Press
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.testing.bench import example_plan
 
 _RECIPE = load_recipe("nine-locations").value
 

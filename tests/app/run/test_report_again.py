@@ -10,9 +10,9 @@ import pytest
 from report_samples import sample_run
 
 from cbsr_qa.app.run.render import render_result
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.plugin import discover
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.plugin.discovery import discover
 
 SECTIONS = ("limits", "traceability")
 
@@ -49,7 +49,7 @@ def test_what_the_page_warns_of_is_in_the_document_too(result, tmp_path, monkeyp
     monkeypatch.setattr("cbsr_qa.app.run.render.open_store", lambda *_, **__: nullcontext(Mock()))
     monkeypatch.setattr("cbsr_qa.app.run.render.rebuilt", lambda *_: (warned, SECTIONS))
     monkeypatch.setattr("cbsr_qa.app.run.render.write_calibration", lambda *_: None)
-    assert guarded(["report", "S-1", "--to", str(tmp_path), "--json"]) == 0
+    assert run_guarded(["report", "S-1", "--to", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"] == ["its rows are not chained"]
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from report_samples import sample_run
 
-from cbsr_qa.app.run import RunOutcome
-from cbsr_qa.report import json_document
+from cbsr_qa.app.run.outcome import RunOutcome
+from cbsr_qa.report.document import json_document
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def result():
 
 
 def document(result):
-    return json_document(RunOutcome.of(result))
+    return json_document(RunOutcome.from_result(result))
 
 
 def test_the_regularisation_parameter_and_what_chose_it_are_said(result):

@@ -9,11 +9,15 @@ from report_samples import sample_run
 from stored_lots import judged, store_run
 
 from cbsr_qa.app.run.outcome import PastRuns, RunOutcome, run_outcome
-from cbsr_qa.domain.results import EndReason, Measurement, Outcome
-from cbsr_qa.domain.run import EarlierRun, SensorHistory, StationCheck
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.report import json_document, run_page
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.changes import EarlierRun, SensorHistory
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import StationCheck
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.report.document import json_document
+from cbsr_qa.report.page import run_page
+from cbsr_qa.store.opening import open_store
 
 SENSOR = SensorIdentity("S-7", "42", "disc-100mm")
 
@@ -112,7 +116,7 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         ]
         assert found.earlier[0].overridden == (Outcome.FAIL, "Zoë")
         assert "drift" in found.earlier[0].reason
-        assert (found.ordinal, json_document(PastRuns.of(found))["try"]) == ("third", 3)
+        assert (found.ordinal, json_document(PastRuns.from_history(found))["try"]) == ("third", 3)
         assert len(found.differences) == 1
         assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
         assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
@@ -138,7 +142,7 @@ def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, st
     assert "changed since it was stored (run " + run in found.words
     assert table in found.earlier[0].changed
     assert (found.earlier[0].outcome, found.ordinal, len(found.warnings)) == (None, "second", 1)
-    told = json_document(PastRuns.of(found))["earlier_runs"][0]
+    told = json_document(PastRuns.from_history(found))["earlier_runs"][0]
     assert (told["end"], told["outcome"], table in told["changed"]) == (None, None, True)
 
 
@@ -154,7 +158,7 @@ def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
 def test_last_lines_document_and_page_one_tell_the_history():
     result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations", (FAIL, STOPPED)))
     words = result.sensor_history.words
-    outcome = run_outcome(RunOutcome.of(result))
+    outcome = run_outcome(RunOutcome.from_result(result))
     told = json_document(outcome.result)["sensor_history"]
     assert (told["try"], [one["outcome"] for one in told["earlier_runs"]]) == (3, ["fail", None])
     assert dict(outcome.page.identity)["Sensor"] == words
@@ -163,6 +167,6 @@ def test_last_lines_document_and_page_one_tell_the_history():
 
 def test_a_first_run_says_nothing_of_earlier_ones():
     result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations"))
-    assert "Sensor" not in dict(run_outcome(RunOutcome.of(result)).page.identity)
+    assert "Sensor" not in dict(run_outcome(RunOutcome.from_result(result)).page.identity)
     assert dict(run_page(result).identity)["Earlier runs"] == "none of this sensor in the database"
-    assert json_document(PastRuns.of(result.sensor_history)) == {"try": 1, "earlier_runs": []}
+    assert json_document(PastRuns.from_history(result.sensor_history)) == {"try": 1, "earlier_runs": []}

@@ -6,8 +6,8 @@ import signal
 import pytest
 from stopping import dropped
 
-from cbsr_qa.app.run import stoppable
-from cbsr_qa.domain import AbortedError
+from cbsr_qa.app.run.stopping import stoppable
+from cbsr_qa.domain.errors import AbortedError
 
 NUMBERS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 

@@ -6,13 +6,15 @@ import signal
 import pytest
 from killing import BRIEF, write_files
 
-from cbsr_qa.app.run import RunRequest, plan_run, resume_run, run as starting, run_sensor
+from cbsr_qa.app.run import run as starting
+from cbsr_qa.app.run.resume import resume_run
+from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
 from cbsr_qa.app.run.session import Session
-from cbsr_qa.domain import StoppedError
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.errors import StoppedError
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station import bench, execution, setup
-from cbsr_qa.station.control import station_holder
-from cbsr_qa.store import open_store
+from cbsr_qa.station.control.lock import station_holder
+from cbsr_qa.store.opening import open_store
 
 NUMBERS = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
 
@@ -40,7 +42,7 @@ def told(monkeypatch):
         calls.extend((who.partition(" ")[0], action.__name__) for who, action in actions)
         return stop_all(actions, **how)
 
-    monkeypatch.setattr(setup, "_opened", noted)
+    monkeypatch.setattr(setup, "_open_instrument", noted)
     monkeypatch.setattr(bench, "stop_all", noting)
     return made, calls
 
@@ -59,10 +61,10 @@ def strike(monkeypatch, place, name, number):
 
 
 PLACES = {
-    "while it is opened": (setup, "_opened"),
+    "while it is opened": (setup, "_open_instrument"),
     "when it is open": (setup, "check_clock"),
     "before the plan is checked": (Session, "walk"),
-    "before the run is stored": (starting, "_stored_run"),
+    "before the run is stored": (starting, "_run_and_store"),
     "when instruments were asked": (starting, "_identity"),
 }
 
@@ -76,7 +78,7 @@ def test_the_bench_is_made_safe_and_closed(request_of_run, told, monkeypatch, pl
     with pytest.raises(StoppedError, match=f"stopped by signal {number.name} outside of the steps"):
         run_sensor(request_of_run)
     made, calls = told
-    assert made or name == "_opened"
+    assert made or name == "_open_instrument"
     for role in made:
         of_it = [what for who, what in calls if who == role]
         assert of_it.index("safe_state") < of_it.index("close"), role

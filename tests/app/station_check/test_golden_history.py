@@ -14,9 +14,11 @@ from cbsr_qa.app.station_check.golden_history import (
     compare_golden,
     golden_history,
 )
-from cbsr_qa.domain.results import Bound, EndReason, Measurement
-from cbsr_qa.domain.run import CheckOutcome
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import CheckOutcome
+from cbsr_qa.store.opening import open_store
 
 OK, WARNING, FAILED, NOT_DONE = CheckOutcome
 MEANS = {name: 10.0 * (k + 1) for k, (name, _) in enumerate(FIGURES)}

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from cbsr_qa.app.station_check.bench import look_at_bench, with_ring
-from cbsr_qa.domain import AbortedError, ConfigError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, InstrumentSpec, ReferenceRing
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import CheckOutcome, CheckResult
-from cbsr_qa.plugin import discover
-from cbsr_qa.station import configure
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, ScriptedApplicator, ScriptedFrames, ScriptedLoadCell, raising
+from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings
+from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.station.setup import configure
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, ScriptedLoadCell, raising
 
 OK, WARNING, FAILED, NOT_DONE = CheckOutcome
 RING = ReferenceRing((1e4,), 0.001, 5, 0.01, 0.01, 1e-3, 1e-3, 100.0)

@@ -8,9 +8,9 @@ import pytest
 import sqlalchemy as sa
 from test_gauge_command import fill, runs
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.store import open_store
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.store.opening import open_store
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -35,7 +35,7 @@ def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monk
     commands = re.findall(r"^\$ cbsr-qa (.*)$", page, re.M)
     assert len(commands) == 7
     for command in commands:
-        assert guarded(shlex.split(command)) == 0, command
+        assert run_guarded(shlex.split(command)) == 0, command
         assert capsys.readouterr().out.strip()
     assert {path.name for path in tmp_path.iterdir()} == {"gain.toml", "golden.toml", "charts.html", "gauge.html"}
 
@@ -51,7 +51,7 @@ def test_every_key_of_the_documents_is_documented(database, monkeypatch, capsys,
     import json
 
     monkeypatch.setenv("CBSR_QA_DATABASE", str(database))
-    assert guarded(shlex.split(command)) == 0
+    assert run_guarded(shlex.split(command)) == 0
     said = set(re.findall(r"`(\w+)", (DOCS / "reference" / "station-statistics.md").read_text()))
     assert keys(json.loads(capsys.readouterr().out)) - said == set()
 

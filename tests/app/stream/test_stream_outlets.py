@@ -9,11 +9,12 @@ from contextlib import closing
 
 import pytest
 
-from cbsr_qa.app.stream import EndMessage, HeaderMessage, Outlets, clients
+from cbsr_qa.app.stream import clients
 from cbsr_qa.app.stream.clients import LARGEST_QUEUE, MOST_CLIENTS
-from cbsr_qa.app.stream.messages import SCHEMA_VERSION, FrameMessage, json_line
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.plugin import discover
+from cbsr_qa.app.stream.messages import SCHEMA_VERSION, EndMessage, FrameMessage, HeaderMessage, json_line
+from cbsr_qa.app.stream.outlets import Outlets
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.plugin.discovery import discover
 
 _HEADER = HeaderMessage(
     "header", 0, "cbsr-qa-force-stream", SCHEMA_VERSION, "S-1", "disc", "c", "d", "run", True, "N", "mm", 50.0,

@@ -16,8 +16,9 @@ from calibration_samples import (
 )
 
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
-from cbsr_qa.domain import CalibrationError, as_filed, in_steps
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.kept import as_filed, round_to_steps
+from cbsr_qa.domain.sensor.mesh import Mesh
 
 
 @pytest.mark.parametrize("make", [sample_calibration, sparse_calibration, old_calibration])
@@ -151,9 +152,9 @@ def test_values_in_steps_are_near_and_stay_when_rounded_again(seed):
     values = random.standard_normal((30, 4)) * 10.0 ** random.integers(-12, 12)
     values[0, 0] = 2.0 ** random.integers(-40, 40) * (1 - 1e-6)  # rounded up to where steps are twice as large
     largest, steps = np.abs(values).max(), 2**12
-    rounded = in_steps(values, steps)
+    rounded = round_to_steps(values, steps)
     assert np.abs(rounded - values).max() <= 0.5 * (1 + 1 / steps) * largest / steps
-    np.testing.assert_array_equal(in_steps(rounded, steps), rounded)
+    np.testing.assert_array_equal(round_to_steps(rounded, steps), rounded)
     np.testing.assert_array_equal(rounded.astype(np.float32), rounded)
 
 
@@ -161,8 +162,8 @@ def test_values_in_steps_are_near_and_stay_when_rounded_again(seed):
 def test_values_of_any_size_are_rounded_or_stay(size):
     """A step smaller than any normal number was divided by."""
     values = size * np.array([1.0, 0.3])
-    np.testing.assert_allclose(in_steps(values, 2**12), values, rtol=2**-12)
-    assert in_steps(np.zeros((0, 3)), 16).shape == (0, 3)
+    np.testing.assert_allclose(round_to_steps(values, 2**12), values, rtol=2**-12)
+    assert round_to_steps(np.zeros((0, 3)), 16).shape == (0, 3)
 
 
 _ISSUED = stamp(sample_calibration())

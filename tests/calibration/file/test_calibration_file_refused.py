@@ -12,7 +12,7 @@ from calibration_samples import edited, forged, sample_calibration
 
 from cbsr_qa.calibration.file.content import SCHEMA_VERSION
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 # --- what is refused ---------------------------------------------------------------------------------------
 

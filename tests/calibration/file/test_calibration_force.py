@@ -10,8 +10,8 @@ from calibration_samples import edited, forged, old_calibration, sample_calibrat
 
 from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.results.calibration import ForceModel
 
 
 def test_the_sample_says_something_in_every_field():

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from cbsr_qa.calibration.file.content import SCHEMA_VERSION, Entry, content_digest
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 
 def _text(document):

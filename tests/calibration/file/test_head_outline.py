@@ -8,10 +8,10 @@ import pytest
 from calibration_samples import assert_same, sample_calibration
 
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, write_calibration
-from cbsr_qa.config import load_sensor_type, load_station
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.store.runs import decoded_indenter, encoded
+from cbsr_qa.config.loader import load_sensor_type, load_station
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.store.runs.codec import decode_indenter, encode_setting
 
 ELL = [[-3.0, -3.0], [5.0, -3.0], [5.0, 0.0], [0.0, 0.0], [0.0, 5.0], [-3.0, 5.0]]
 
@@ -33,7 +33,7 @@ def station_with(tmp_path):
 def test_a_station_declares_an_outline(station_with):
     head = station_with(f"outline_mm = {ELL}")
     assert head.area_mm2 == pytest.approx(39.0)
-    assert head.at(0.0, 0.0).drawn_mm().tolist() == ELL
+    assert head.footprint_at(0.0, 0.0).outline_mm().tolist() == ELL
     assert station_with(f"outline_mm = {ELL[::-1]}") == head
     assert head.words() == "outline of 6 corners, 11.7 mm across"
 
@@ -60,10 +60,10 @@ def test_what_is_no_head_is_refused_with_its_line(station_with, table, said):
 
 def test_a_stored_run_keeps_the_outline():
     head = Indenter.with_outline([(x, y) for x, y in ELL])
-    setting = json.loads(json.dumps(encoded(load_sensor_type("disc-100mm").value, head)))
-    assert decoded_indenter(setting) == head
+    setting = json.loads(json.dumps(encode_setting(load_sensor_type("disc-100mm").value, head)))
+    assert decode_indenter(setting) == head
     del setting["indenter"]["outline_mm"]  # as it was before heads had one
-    assert decoded_indenter(setting) == Indenter(head.diameter_mm)
+    assert decode_indenter(setting) == Indenter(head.diameter_mm)
 
 
 def test_a_calibration_keeps_the_outline(tmp_path):

@@ -27,9 +27,9 @@ from cbsr_qa.calibration.file.hdf5 import (
 from cbsr_qa.calibration.file.json import json_document, read_json_calibration, verify_json_calibration
 from cbsr_qa.calibration.file.keys import public_key, signing_key
 from cbsr_qa.calibration.file.signing import check_signature, check_signed_file
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import fingerprint
-from cbsr_qa.system import read_untrusted
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.results.signature import fingerprint
+from cbsr_qa.system.untrusted import read_untrusted
 
 _READERS = {".h5": read_issued, ".json": read_json_calibration}
 

@@ -9,13 +9,15 @@ import pytest
 from calibration_samples import sample_calibration
 from pressed_sheets import issued_from_presses
 
-from cbsr_qa.app.calibration import read_any
-from cbsr_qa.calibration.file import encode, hdf5, read_in_child, read_json_calibration, stamp, write_calibration
+from cbsr_qa.app.calibration.file import read_any
+from cbsr_qa.calibration.file import hdf5
 from cbsr_qa.calibration.file.content import Entry, content_digest, schema_version
-from cbsr_qa.calibration.file.json import dataset
-from cbsr_qa.calibration.runtime import Calibration
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.system import CONTAINED
+from cbsr_qa.calibration.file.entries import encode
+from cbsr_qa.calibration.file.hdf5 import read_in_child, stamp, write_calibration
+from cbsr_qa.calibration.file.json import dataset, read_json_calibration
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.system.untrusted import CONTAINED
 
 #: Processor time that is granted, with what starting a child takes [s].
 _GRANTED_S = 10.0

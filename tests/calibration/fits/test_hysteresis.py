@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis.run import run_force
+from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import LoopObservation, Trace
-from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
-from cbsr_qa.station import PlannedPhase
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.results.observation import LoopObservation, Trace
+from cbsr_qa.station.plan import PlannedPhase
 from cbsr_qa_plugins.metrics.data_sheet import Hysteresis
 from cbsr_qa_plugins.sequences.centre import HysteresisLoopSequence
 from cbsr_qa_plugins.sequences.places import LocationGridSequence

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_hysteresis import _by_hand
 
-from cbsr_qa.calibration.fits import creep_fit as creep
+from cbsr_qa.calibration.fits import creep_fit as creep, estimates
 from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
 from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
@@ -14,13 +14,13 @@ from cbsr_qa.calibration.fits.relaxation import fit_relaxation
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
 from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, relaxation_start
 from cbsr_qa.calibration.fits.superposition import fit_step
-from cbsr_qa.calibration.sheet import data_sheet
-from cbsr_qa.calibration.strip import mean_trace
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Trace
-from cbsr_qa.stats import brunner_munzel, quantile
-from cbsr_qa.stats.gauge import straight_line
-from cbsr_qa.studies.reproduce import deviations_agree
+from cbsr_qa.calibration.strip.relaxation import mean_trace
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.results.observation import Trace
+from cbsr_qa.stats.gauge.reference import straight_line
+from cbsr_qa.stats.robust import brunner_munzel
+from cbsr_qa.stats.samples import quantile
+from cbsr_qa.studies.reproduce.compare import deviations_agree
 
 TIME_S = np.arange(1.0, 61.0)
 TRACE = 1 + 0.3 * np.exp(-TIME_S / 5) + 0.1 * np.exp(-TIME_S / 25) + 1e-4 * np.sin(37 * TIME_S)
@@ -49,17 +49,17 @@ def spoilt_curve(part, bad):
 
 #: What is called, and the good numbers of which one is spoilt.
 CALLS = {
-    "pooled deviation": (lambda a: data_sheet.pool_deviations([a, Y]), Y),
-    "best line, values": (lambda a: data_sheet.best_straight_line(X, a), Y),
-    "best line, places": (lambda a: data_sheet.best_straight_line(a, Y), X),
-    "best line, errors": (lambda a: data_sheet.best_straight_line(X, Y, a), ERROR),
-    "terminal line, values": (lambda a: data_sheet.terminal_line(X, a), Y),
-    "terminal line, errors": (lambda a: data_sheet.terminal_line(X, Y, a), ERROR),
-    "ratio, parts": (lambda a: data_sheet.ratio_of_sums(a, X), Y),
-    "ratio, wholes": (lambda a: data_sheet.ratio_of_sums(Y, a), X),
-    "spread": (data_sheet.relative_spread, Y),
-    "slope, values": (lambda a: data_sheet.slope(X, a), Y),
-    "slope, places": (lambda a: data_sheet.slope(a, Y), X),
+    "pooled deviation": (lambda a: estimates.pool_deviations([a, Y]), Y),
+    "best line, values": (lambda a: estimates.best_straight_line(X, a), Y),
+    "best line, places": (lambda a: estimates.best_straight_line(a, Y), X),
+    "best line, errors": (lambda a: estimates.best_straight_line(X, Y, a), ERROR),
+    "terminal line, values": (lambda a: estimates.terminal_line(X, a), Y),
+    "terminal line, errors": (lambda a: estimates.terminal_line(X, Y, a), ERROR),
+    "ratio, parts": (lambda a: estimates.ratio_of_sums(a, X), Y),
+    "ratio, wholes": (lambda a: estimates.ratio_of_sums(Y, a), X),
+    "spread": (estimates.relative_spread, Y),
+    "slope, values": (lambda a: estimates.slope(X, a), Y),
+    "slope, places": (lambda a: estimates.slope(a, Y), X),
     "creep between cycles": (lambda a: creep.change_between(zip(Y, a, strict=True)), Y),
     "creep, end": (lambda a: creep.end_level(trace(a), 60), TRACE),
     "creep, level": (lambda a: creep.level_at(trace(a), 4.5), TRACE),

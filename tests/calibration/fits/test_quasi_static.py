@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 
 STRAINS = np.array([0.05, 0.10, 0.15, 0.20, 0.25, 0.30])
 

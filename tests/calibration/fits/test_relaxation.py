@@ -7,8 +7,8 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.calibration.fits.relaxation import fit_relaxation, relaxation_curve
 from cbsr_qa.calibration.fits.settling import relaxation_start, settling_time
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import FitStatus
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 TIME_S = np.arange(0.0, 60.0, 2.5)
 

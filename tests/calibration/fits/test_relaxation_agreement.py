@@ -7,7 +7,7 @@ from test_relaxation_common import TIME_S, _traces
 
 from cbsr_qa.calibration.fits.agreement import Agreement, MeasuredRelaxation, compare_relaxations
 from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa_plugins.metrics.relaxation import BlobAndImageRelaxation
 
 _WINDOW_S = float(TIME_S[-1])

@@ -6,8 +6,8 @@ import pytest
 from cbsr_qa.calibration.fits.common_relaxation import common_settling_time, fit_common_relaxation
 from cbsr_qa.calibration.fits.relaxation import fit_relaxation
 from cbsr_qa.calibration.fits.settling import settling_time
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import FitStatus
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 TIME_S = np.arange(1.25, 60.0, 2.5)
 #: The material file's loading kernel: settles after 23.1 s · ln(0.55 / 0.15) = 30.0 s.

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, settling_time
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import FitStatus, RelaxationFit
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit
 
 
 def _fit(offset, amplitudes=(), taus=(), status=None):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import simulated_runs
 
-from cbsr_qa.analysis import judge
-from cbsr_qa.config import load_material, load_recipe
-from cbsr_qa.domain.results import Bound, Outcome
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.analysis.evaluate import judge
+from cbsr_qa.config.loader import load_material, load_recipe
+from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa_plugins.metrics.relaxation import SettlingTimes
 
 _WINDOW_S = 55.0  # of a rest of 60 s, but for the head's way up

@@ -20,11 +20,11 @@ from cbsr_qa.calibration.fits.steady_state import (
     learn_kernel,
     predict_steady,
 )
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import StrainRamp
-from cbsr_qa.domain.results import RelaxationKernel
-from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.simulate import transient
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.world import StrainRamp
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
+from cbsr_qa.domain.sensor.sensor_type import Relaxation
+from cbsr_qa.simulate.ramps import transient
 
 WEIGHTS, TAUS_S = np.array([-0.20, -0.55]), np.array([2.5, 23.1])
 TIME_S = np.arange(1.25, 60.0, 2.5)

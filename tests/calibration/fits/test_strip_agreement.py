@@ -7,12 +7,14 @@ import pytest
 from simulated_runs import observed_run, simulated_run
 from strip_samples import Truth, readings, specimen
 
-from cbsr_qa.analysis.run import sheet_against_strip
+from cbsr_qa.analysis.run.agreement import sheet_against_strip
 from cbsr_qa.calibration.fits.agreement import Agreement, compare_relaxations
-from cbsr_qa.calibration.strip import KernelCurve, characterise
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.results import CharacterisationSettings, Figure, Paragraph
-from cbsr_qa.domain.sensor import MeasuredKernel, Relaxation
+from cbsr_qa.calibration.strip.characterisation import characterise
+from cbsr_qa.calibration.strip.relaxation import KernelCurve
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.results.report import Figure, Paragraph
+from cbsr_qa.domain.sensor.sensor_type import MeasuredKernel, Relaxation
 from cbsr_qa_plugins.metrics.relaxation import SheetAndStripRelaxation
 from cbsr_qa_plugins.sections.relaxation import _agreements
 

@@ -15,8 +15,8 @@ from cbsr_qa.calibration.fits.superposition import (
     separate_with_constants,
     shift_constants,
 )
-from cbsr_qa.calibration.strip import SlowResidue, changes_of, separate_with_residue, subtract_residue
-from cbsr_qa.domain.results import FitStatus
+from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, subtract_residue
+from cbsr_qa.domain.results.relaxation import FitStatus
 
 STRAINS = np.repeat([0.1, 0.2, 0.3], 3)
 

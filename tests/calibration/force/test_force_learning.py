@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
+from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
 from cbsr_qa.calibration.force.templates import _press_lattice, _templates, template_bank
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Parameter
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.sensor_type import Parameter
 
 PLACES = 39  # nine locations and thirty more
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pressed_sheets import pressed_sheet
 
-from cbsr_qa.calibration import Flag
-from cbsr_qa.calibration.place import PlaceEstimator, learn_place
-from cbsr_qa.calibration.place.learning import _reach
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.learning import _reach, learn_place
 from cbsr_qa.calibration.place.mixture import mahalanobis
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 LEARNED, TESTED = slice(0, 60), slice(60, 260)
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration import Flag
-from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator
-from cbsr_qa.calibration.presses import learn_presses
-from cbsr_qa.calibration.runtime import FrameFaults
+from cbsr_qa.calibration.force.faults import FrameFaults
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.modelled import ModelledEstimator
+from cbsr_qa.calibration.presses.issue import learn_presses
 
 _SIMULATED = (
     {"noise": 0.01},

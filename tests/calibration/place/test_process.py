@@ -18,7 +18,7 @@ from cbsr_qa.calibration.place.process import (
     locate,
 )
 from cbsr_qa.calibration.place.templates import NO_PRESS, TemplateLearning
-from cbsr_qa.domain.results import FeatureScaling
+from cbsr_qa.domain.results.learned_place import FeatureScaling
 
 TURNS = pattern_turns(adjacent_pairs(8), 8)
 

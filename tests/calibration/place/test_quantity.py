@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from pressed_sheets import pressed_sheet
 
-from cbsr_qa.calibration.place import PlaceEstimator, Places, QuantityEstimator, learn_place, learn_quantity
+from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.drift import Session
-from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.learning import learn_place
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.place.quantity import QuantityEstimator, learn_quantity
 
 CENTRE = np.zeros(2)
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration.place import PlaceEstimator, QuantityEstimator, mahalanobis
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.mixture import mahalanobis
+from cbsr_qa.calibration.place.quantity import QuantityEstimator
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
-from cbsr_qa.calibration.runtime import Flag
 
 
 def without_contact(pressed, electrode, *, common, noise=20.0):

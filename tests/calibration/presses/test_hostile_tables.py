@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cbsr_qa.calibration.presses.number_tables import read_table
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.system import CONTAINED
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.system.untrusted import CONTAINED
 
 pytestmark = pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration.presses import learn_presses
+from cbsr_qa.calibration.presses.issue import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
     list_ignored_columns,
@@ -14,7 +14,7 @@ from cbsr_qa.calibration.presses.odd_labels import (
     off_the_sheet,
 )
 from cbsr_qa.calibration.presses.pairs import DistinctPairs, match_readings
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 
 @pytest.mark.rest
@@ -62,9 +62,9 @@ def test_presses_in_the_order_of_their_places_are_seen(count):
     sheet = pressed_sheet(count)
     x, y = sheet.places_mm.T
     for order in (np.argsort(x - 2 * y), np.argsort(np.hypot(x, y))):
-        assert some(sheet, order).labelled().by_place()
+        assert some(sheet, order).labelled().follow_places()
     by_chance = [some(sheet, np.random.default_rng(seed).permutation(count)).labelled() for seed in range(200)]
-    assert sum(each.by_place() for each in by_chance) <= 2
+    assert sum(each.follow_places() for each in by_chance) <= 2
 
 
 # --- pairs ---

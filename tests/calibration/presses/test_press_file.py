@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from pressed_sheets import issued_from_presses
 
-from cbsr_qa.calibration.file import (
-    decode,
-    encode,
+from cbsr_qa.calibration.file.entries import decode, encode
+from cbsr_qa.calibration.file.hdf5 import (
     read_calibration,
     read_issued,
     stamp,
@@ -16,7 +15,7 @@ from cbsr_qa.calibration.file import (
     write_calibration,
 )
 from cbsr_qa.calibration.presses.issue import noise_size
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
 from cbsr_qa.calibration.presses.likeness import Likeness
 from cbsr_qa.calibration.presses.registration import register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.eit.loads import RoundLoads
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.estimate.readings import load_model
+from cbsr_qa.eit.loads.round_load import RoundLoads
 
 
 def registered(pressed, *, stated=True, radius_mm=None):
@@ -49,7 +49,7 @@ def test_without_a_stated_radius_it_is_estimated_at_a_scale_of_one():
 def test_places_on_the_sheet_and_labels_are_turned_into_each_other():
     pose = registered(pressed_sheet(12, mirrored=True, scale=0.95)).registration
     places = np.array([[3.0, 4.0], [-20.0, 7.0]])
-    np.testing.assert_allclose(pose.on_sheet_mm(pose.labelled_mm(places)), places, atol=1e-9)
+    np.testing.assert_allclose(pose.on_sheet_mm(pose.to_press_frame_mm(places)), places, atol=1e-9)
 
 
 def test_places_in_another_unit_are_seen_in_the_scale():
@@ -135,7 +135,8 @@ def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, r
         assert found.registration.trusted
         assert found.registration.mirrored
         places = [
-            pose.labelled_mm(on_sheet * pose.radius_mm / 73) for pose in (found.registration, whole.registration)
+            pose.to_press_frame_mm(on_sheet * pose.radius_mm / 73)
+            for pose in (found.registration, whole.registration)
         ]
         apart.append(np.linalg.norm(places[0] - places[1], axis=1).mean())
     assert np.quantile(apart, 0.9) < 9

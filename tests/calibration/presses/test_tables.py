@@ -9,7 +9,7 @@ from pressed_sheets import adjacent_pairs
 
 from cbsr_qa.calibration.presses.number_tables import read_table
 from cbsr_qa.calibration.presses.tables import read_pairs, read_presses
-from cbsr_qa.domain import RecordingError
+from cbsr_qa.domain.errors import RecordingError
 
 
 def written(tmp_path, text, name="table.csv"):

@@ -12,13 +12,17 @@ import pytest
 from calibration_samples import sample_calibration
 from force_calibration import NOISE_V, force_calibration, frames
 
-from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.file import encode, firmware_document, measure_loss, thin_model, write_calibration
-from cbsr_qa.calibration.force import prepare_force, template_bank
-from cbsr_qa.calibration.runtime import TemplateFilter
-from cbsr_qa.domain import CalibrationError, NumericsError, as_filed
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.estimate import load_model, merge_reciprocal
+from cbsr_qa.calibration.file.entries import encode
+from cbsr_qa.calibration.file.firmware import firmware_document, measure_loss, thin_model
+from cbsr_qa.calibration.file.hdf5 import write_calibration
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.force.template_matching import TemplateFilter
+from cbsr_qa.calibration.force.templates import prepare_force, template_bank
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 
 _DOCS = Path(__file__).parents[3] / "docs"
 _PAGE = (_DOCS / "reference" / "calibration-file.md").read_text()

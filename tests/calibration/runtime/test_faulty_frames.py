@@ -5,8 +5,10 @@ import pytest
 from force_calibration import NOISE_V, SCALE, force_calibration, frames
 from stored_runs import SENSOR_TYPE
 
-from cbsr_qa.calibration import Calibration, Flag, ForceStream
-from cbsr_qa.eit.estimate import load_model
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.tracking import ForceStream
+from cbsr_qa.eit.estimate.readings import load_model
 
 COUNT = 60
 NAMES = Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED | Flag.OFFSET | Flag.MISSING

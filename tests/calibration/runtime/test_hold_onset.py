@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.calibration.fits import HoldsSoFar, exponentials
+from cbsr_qa.calibration.fits.relaxation import exponentials
+from cbsr_qa.calibration.fits.steady_state import HoldsSoFar
 from cbsr_qa.calibration.runtime.track import UnsureHold
-from cbsr_qa.domain.results import RelaxationKernel
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
 WEIGHTS, TAU_S = np.array([-0.19, -0.54]), np.array([2.6, 22.4])
 KERNEL = RelaxationKernel(True, WEIGHTS, TAU_S, np.eye(4) * 1e-5, np.array([0.002, 0.004]), 20.0, 9)

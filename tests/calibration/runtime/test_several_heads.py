@@ -7,14 +7,14 @@ import pytest
 from force_samples import HEAD, in_use, learned, line, pressed, setting, smooth_response, somewhere
 from mpmath import mp
 
-from cbsr_qa.calibration.runtime.force import Flag, SizeError
-from cbsr_qa.calibration.runtime.multi_load import HeadCounter, _inverse_root
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.loads import RoundLoads
-from cbsr_qa.simulate import SimulatedSheet
+from cbsr_qa.calibration.force.inverse import Flag, SizeError
+from cbsr_qa.calibration.force.multi_load import HeadCounter, _inverse_root
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.eit.loads.round_load import RoundLoads
+from cbsr_qa.simulate.sheet import SimulatedSheet
 
 NOISE = 2.4e-5
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from force_samples import HEAD, NOISE, in_use, learned, line, pressed, setting, smooth_response, somewhere
 
-from cbsr_qa.calibration.runtime.force import Flag
+from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
 from cbsr_qa.calibration.runtime.track import Track
 from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import RelaxationKernel
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.loads import RoundLoads
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.relaxation import RelaxationKernel
+from cbsr_qa.eit.loads.round_load import RoundLoads
 
 FRAME_S = 2.5
 STEADY_S = 55.0

@@ -13,8 +13,8 @@ from cbsr_qa.calibration.sheet.baseline import (
     location_baseline,
     predict_change,
 )
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
 
 STRESS = sample_material().against_stress
 QUIET = np.zeros((8, 180))

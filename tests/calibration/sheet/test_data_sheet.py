@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.optimize import linprog
 
-from cbsr_qa.calibration.sheet.data_sheet import (
+from cbsr_qa.calibration.fits.estimates import (
     best_straight_line,
     pool_deviations,
     ratio_of_sums,
@@ -13,7 +13,7 @@ from cbsr_qa.calibration.sheet.data_sheet import (
     slope,
     terminal_line,
 )
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 
 #: NIST StRD, analysis of variance, SiRstv: five instruments, five readings each; certified residual deviation.
 SIRSTV = (

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cbsr_qa.calibration.sheet.response_map import learn_response
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 
 RADIUS_MM = 50.0
 LENGTHS = (0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from strip_samples import SPEED, Truth, readings, specimen
 
-from cbsr_qa.calibration.fits import fit_quasi_static
+from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
 from cbsr_qa.calibration.strip.characterisation import characterise
 from cbsr_qa.calibration.strip.lines import (
     decide_response,
@@ -15,9 +15,10 @@ from cbsr_qa.calibration.strip.lines import (
     lowest_clear_strain,
     strain_levels,
 )
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import CharacterisationSettings, CycleChange
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.results.characterisation import CycleChange
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
 
 SETTINGS = CharacterisationSettings()
 

@@ -10,14 +10,14 @@ from scipy.integrate import quad
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.geometry.footprints import Footprint, PolygonFootprint, RoundFootprint, overlap_mm2
 from cbsr_qa.domain.geometry.polygons import inside_polygon
-from cbsr_qa.domain.results import Blob, Image
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.imaging import (
+from cbsr_qa.domain.imaging import Blob, Image
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.shape import (
     SpatialFigures,
     area_overlap_percent,
     centre_of_mass_error_mm,
-    contour_regions,
     shape_deviation_mm2,
     spatial_figures,
 )
@@ -109,7 +109,7 @@ def test_deviation_along_edges_is_the_integral_of_the_squared_distance():
     exact = [
         quad(along, 0, 1, args=(k,), epsabs=1e-12, limit=400, points=[0.2, 0.5])[0] * length[k] for k in range(4)
     ]
-    assert head.squared_distance_mm3(start, end) == pytest.approx(exact, abs=2e-7)
+    assert head.integrate_distance2_mm3(start, end) == pytest.approx(exact, abs=2e-7)
 
 
 def test_the_nearest_of_an_ells_sides_may_be_the_inner_ones():
@@ -226,8 +226,8 @@ def test_an_indenter_knows_its_true_area_and_reach():
     square = Indenter.with_outline([(-5, -5), (5, -5), (5, 5), (-5, 5)])
     assert square.area_mm2 == pytest.approx(100.0)
     assert square.reach_mm == pytest.approx(np.sqrt(50))
-    assert square.at(10.0, 0.0).centre_mm == pytest.approx((10.0, 0.0))
-    assert square.at(10.0, 0.0).area_mm2 == pytest.approx(100.0)
+    assert square.footprint_at(10.0, 0.0).centre_mm == pytest.approx((10.0, 0.0))
+    assert square.footprint_at(10.0, 0.0).area_mm2 == pytest.approx(100.0)
     round_head = Indenter(13.0)
     assert (round_head.area_mm2, round_head.reach_mm) == (pytest.approx(132.73, abs=0.01), 6.5)
-    assert round_head.at(1.0, 2.0) == RoundFootprint(1.0, 2.0, 6.5)
+    assert round_head.footprint_at(1.0, 2.0) == RoundFootprint(1.0, 2.0, 6.5)

@@ -7,8 +7,8 @@ from matplotlib.path import Path
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry.curve import circle_curve
-from cbsr_qa.domain.geometry.outlines import Disc, Polygon, simplified
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, PlacedElectrodes, placement_problems
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon, simplify_outline
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, PlacedElectrodes, placement_problems
 
 RECTANGLE = ((-60.0, -40.0), (60.0, -40.0), (60.0, 40.0), (-60.0, 40.0))
 ELBOW = ((0.0, 0.0), (80.0, 0.0), (80.0, 30.0), (30.0, 30.0), (30.0, 80.0), (0.0, 80.0))
@@ -49,7 +49,7 @@ def test_area_perimeter_and_radius_of_rounded_corners_are_exact():
 def test_clearance_is_the_distance_to_the_densely_drawn_edge(corners, rounding):
     polygon = Polygon(corners, rounding)
     curve = polygon.curve
-    drawn = curve.at(np.linspace(0, curve.perimeter, 6001))
+    drawn = curve.points_at(np.linspace(0, curve.perimeter, 6001))
     points = np.random.default_rng(0).uniform(-60, 60, (60, 2))
     clearance = polygon.clearance_mm(points)
     distance = np.hypot(*(points[:, None] - drawn).transpose(2, 0, 1)).min(axis=1)
@@ -81,7 +81,7 @@ def test_places_that_line_up_with_corners_and_chords_are_told_apart_too(rounding
 def test_a_place_on_the_edge_is_found_again(corners, share):
     curve = Polygon(corners, 1.0).curve
     along = np.array([share * curve.perimeter])
-    found, away = curve.nearest(curve.at(along))
+    found, away = curve.nearest(curve.points_at(along))
     assert away[0] < 1e-9
     apart = abs(found[0] - along[0])
     assert min(apart, curve.perimeter - apart) < 1e-6
@@ -112,9 +112,9 @@ def test_the_centre_is_the_origin_where_that_is_well_inside_and_else_the_deepest
 def test_corners_that_are_none_are_left_out_for_images():
     middles = [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2) for a, b in zip(ELBOW, (*ELBOW[1:], ELBOW[0]), strict=True)]
     dense = Polygon(tuple(point for pair in zip(ELBOW, middles, strict=True) for point in pair))
-    assert simplified(dense, 0.01) == Polygon(ELBOW)
-    assert simplified(Polygon(ELBOW, 2.0), 1.0) == Polygon(ELBOW, 2.0)
-    assert simplified(Disc(3.0), 1.0) == Disc(3.0)
+    assert simplify_outline(dense, 0.01) == Polygon(ELBOW)
+    assert simplify_outline(Polygon(ELBOW, 2.0), 1.0) == Polygon(ELBOW, 2.0)
+    assert simplify_outline(Disc(3.0), 1.0) == Disc(3.0)
 
 
 @pytest.mark.parametrize(

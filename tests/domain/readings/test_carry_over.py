@@ -4,7 +4,7 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.domain.readings.carry_over import correct_carry_over, estimate_carry_over, reciprocity_error
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
-from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 
 USABLE = adjacent_pattern(16).usable()
 ORDER = np.arange(256)

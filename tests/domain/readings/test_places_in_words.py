@@ -2,7 +2,7 @@
 
 import pytest
 
-from cbsr_qa.domain.readings import ImagedPlace
+from cbsr_qa.domain.results.findings import ImagedPlace
 
 
 @pytest.mark.parametrize(

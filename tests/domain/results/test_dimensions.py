@@ -2,7 +2,8 @@
 
 import pytest
 
-from cbsr_qa.domain.results import Dimensions, Measurement
+from cbsr_qa.domain.results.dimensions import Dimensions
+from cbsr_qa.domain.results.measurement import Measurement
 
 QUALIFIERS = {
     "": Dimensions(),
@@ -28,8 +29,8 @@ def test_a_qualifier_and_its_dimensions_stand_for_each_other(text):
 
 @pytest.mark.parametrize("text", ["mask half", "mask 1..2 %", "pair 1", "drive -1", "measure ٣ ", "target of nan mm"])
 def test_words_that_only_look_like_a_dimension_stay_words(text):
-    assert Dimensions.of(text) == Dimensions(text)
+    assert Dimensions.from_qualifier(text) == Dimensions(text)
 
 
 def test_a_dimension_given_twice_keeps_the_first():
-    assert Dimensions.of("pair 1-2, pair 3-4") == Dimensions("pair 3-4", pair=(1, 2))
+    assert Dimensions.from_qualifier("pair 1-2, pair 3-4") == Dimensions("pair 3-4", pair=(1, 2))

@@ -12,21 +12,13 @@ from pages import blocks
 from pydantic import TypeAdapter
 from stored_runs import force, frames, record, short_run
 
-from cbsr_qa.domain.plan import AcquireFrames, Press
-from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
-from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.domain.run import (
-    EventMessage,
-    FramesTaken,
-    Load,
-    LoadFinished,
-    RunConcluded,
-    RunEvent,
-    SamplesTaken,
-    StepStarted,
-    event_document,
-)
-from cbsr_qa.domain.run.event_documents import EventDocument
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.steps import AcquireFrames, Press
+from cbsr_qa.domain.readings.frames import ReadingFlag, SampleBlock
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.event_documents import EventDocument, EventMessage, event_document
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, RunConcluded, RunEvent, SamplesTaken, StepStarted
+from cbsr_qa.domain.run.states import EndReason
 
 
 def test_the_events_of_a_run_are_all_documented():

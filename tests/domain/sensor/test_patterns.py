@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, imaging_problems, named_pairs
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, imaging_problems, list_pairs
 
 
 def pairs_on(count):
@@ -82,7 +82,7 @@ def test_adjacent_pairs_have_as_many_independent_readings_as_the_field_counts(co
 
 @pytest.mark.parametrize("rules", [("adjacent", "skip-2"), ("opposite", "adjacent"), ("skip-4", "skip-3")])
 def test_patterns_of_rules_are_counted_like_any_other(rules):
-    pattern = DrivePattern(12, *(named_pairs(rule, 12) for rule in rules))
+    pattern = DrivePattern(12, *(list_pairs(rule, 12) for rule in rules))
     assert pattern.independent_readings() == rank_by_definition(pattern, pattern.usable())
 
 
@@ -93,9 +93,9 @@ def test_no_pattern_has_more_independent_readings_than_the_sheet_has_numbers():
 
 
 def test_rules_name_the_pairs_they_promise():
-    assert named_pairs("adjacent", 4) == ((0, 1), (1, 2), (2, 3), (3, 0))
-    assert named_pairs("skip-1", 5) == ((0, 2), (1, 3), (2, 4), (3, 0), (4, 1))
-    assert named_pairs("opposite", 6) == ((0, 3), (1, 4), (2, 5))
+    assert list_pairs("adjacent", 4) == ((0, 1), (1, 2), (2, 3), (3, 0))
+    assert list_pairs("skip-1", 5) == ((0, 2), (1, 3), (2, 4), (3, 0), (4, 1))
+    assert list_pairs("opposite", 6) == ((0, 3), (1, 4), (2, 5))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_rules_name_the_pairs_they_promise():
 )
 def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, reason, remedy):
     with pytest.raises(RefusedError) as caught:
-        named_pairs(rule, count)
+        list_pairs(rule, count)
     assert reason in caught.value.reason
     assert remedy in caught.value.remedy
 
@@ -136,7 +136,7 @@ def test_pairs_that_cannot_be_are_refused_by_name(drive, said, kind):
 
 
 def test_a_reversed_pair_is_a_reading_that_adds_no_independent_one():
-    plain = DrivePattern(8, named_pairs("adjacent", 8), named_pairs("adjacent", 8))
+    plain = DrivePattern(8, list_pairs("adjacent", 8), list_pairs("adjacent", 8))
     both_ways = DrivePattern(8, plain.drive + tuple((b, a) for a, b in plain.drive), plain.measure)
     assert both_ways.usable().sum() == 2 * plain.usable().sum()
     assert both_ways.independent_readings() == plain.independent_readings()

@@ -7,10 +7,10 @@ from hypothesis import given, strategies as st
 
 from benchmarks.load_bound import load_bound
 from benchmarks.reference_solutions import fitted_mesh
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import LoadFinding
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.readings.load_estimates import LoadFinding
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.eit.estimate.load_estimate import (
     DETECTED_GAIN,
     LEAST_DETECTABILITY,
@@ -20,10 +20,10 @@ from cbsr_qa.eit.estimate.load_estimate import (
     radius_of,
 )
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
-from cbsr_qa.eit.loads import RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM
+from cbsr_qa.eit.loads.round_load import RoundLoads
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 SENSOR = load_sensor_type("disc-100mm").value
 MODEL = load_model(SENSOR)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_solutions import point_transfer_impedance
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
 
 ANGLES = 2 * np.pi * np.arange(16) / 16

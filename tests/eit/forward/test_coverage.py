@@ -6,14 +6,16 @@ from disc_meshes import square_mesh
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import PolygonFootprint, RoundFootprint
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.coverage import Cover, cover, disc_coverage
 from cbsr_qa.eit.forward.elements import FiniteElements
 from cbsr_qa.eit.forward.model import ForwardModel
-from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 
 @pytest.fixture(scope="module", params=[1, 2])

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from disc_meshes import disc_mesh, square_mesh
 
-from cbsr_qa.domain import NumericsError, RefusedError
-from cbsr_qa.domain.sensor import CircleArcs, Mesh
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.sensor.mesh import CircleArcs, Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
-from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
+from cbsr_qa.testing.numerics import assert_expected_order
 
 ORDERS = (1, 2)
 

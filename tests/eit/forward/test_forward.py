@@ -6,14 +6,15 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from benchmarks.reference_solutions import pin_transfer_impedance, point_transfer_impedance
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.sensor import DrivePattern, Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
 from cbsr_qa.eit.forward.coverage import cover
 from cbsr_qa.eit.forward.model import ForwardModel, point_model
-from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
+from cbsr_qa.testing.numerics import assert_expected_order
 
 ANGLES = 2 * np.pi * np.arange(16) / 16
 EVEN = ConcentricSheet(1.0, 1.0)

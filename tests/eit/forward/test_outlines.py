@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_solutions import pin_transfer_impedance
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, PlacedElectrodes, polygon_sensor
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import polygon_sensor
 from cbsr_qa.eit.forward.model import ForwardModel
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 OPEN = 1e9  # contact impedance of an electrode that is not there
 

@@ -6,7 +6,7 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from cbsr_qa.eit.forward.model import ForwardModel
-from cbsr_qa.testing import assert_adjoint, assert_expected_order
+from cbsr_qa.testing.numerics import assert_adjoint, assert_expected_order
 
 COUNT = 8
 

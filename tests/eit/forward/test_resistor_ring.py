@@ -5,12 +5,13 @@ import pytest
 from effect_setting import setting
 from hypothesis import given, strategies as st
 
-from cbsr_qa.config import load_scene
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
+from cbsr_qa.config.loader import load_scene
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, list_pairs
 from cbsr_qa.eit.forward.closed_forms import lead_readings, ring_impedance, ring_readings
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.world import SimulatedWorld
 
 OF = setting()
 EFFECTS = discover()
@@ -39,7 +40,7 @@ def nodal(resistances_ohm, leads_ohm, pattern):
 
 
 def pattern_of(drive, measure):
-    return DrivePattern(16, named_pairs(drive, 16), named_pairs(measure, 16))
+    return DrivePattern(16, list_pairs(drive, 16), list_pairs(measure, 16))
 
 
 @pytest.mark.parametrize(

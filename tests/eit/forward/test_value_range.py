@@ -7,8 +7,8 @@ potentials, so that no current is lost to rounding, and corrections are added un
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.eit.forward.model import ForwardModel, point_model
 from cbsr_qa.eit.forward.prepared import refine
 from cbsr_qa.eit.forward.value_range import CONTACT_RANGE, FAR_CONTACT_RANGE, MOST_CONTRAST, least_and_most

@@ -7,9 +7,9 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Blob, Image
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Blob, Image
 from cbsr_qa.eit.imaging.blobs import find_blobs, nearest_blob, noise_floor, percentage_mask, subtract_noise_floor
 from cbsr_qa.eit.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
 

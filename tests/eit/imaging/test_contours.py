@@ -8,14 +8,17 @@ from disc_meshes import disc_mesh, square_mesh
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
 from cbsr_qa.eit.imaging.blobs import find_blobs, find_blobs_by_mask, nearest_blob, percentage_mask
 from cbsr_qa.eit.imaging.contours import contour_regions, field_regions, find_contours_by_mask, nodal_values
 from cbsr_qa.eit.imaging.shape import SpatialFigures, spatial_figures
-from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.eit.mesh.sheet import image_mesh
 
 R = 6.5
 MASKS = (0.25, 0.5, 0.75, 0.85)

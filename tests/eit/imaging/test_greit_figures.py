@@ -7,10 +7,10 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 from scipy.integrate import quad
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import PolygonFootprint, RoundFootprint
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.rasters import Raster, pixel_image
 from cbsr_qa.eit.imaging.shape import greit_figures
 

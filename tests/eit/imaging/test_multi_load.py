@@ -9,14 +9,14 @@ from disc_meshes import disc_mesh, square_mesh, uniform_blob
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, ParameterChoice
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.eit.imaging.blobs import find_blobs
 from cbsr_qa.eit.imaging.multi_load import assign_regions, split_blobs, two_touch_resolution
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.eit.inverse.problem import imaging_problem
 
 PLACES = st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), max_size=4)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from disc_meshes import disc_mesh, square_mesh, uniform_blob
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
-from cbsr_qa.domain.results import Image, Region
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint, overlap_mm2
+from cbsr_qa.domain.imaging import Image, Region
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.contours import contour_regions
 from cbsr_qa.eit.imaging.rasters import Raster, find_regions, outlines, split_touching
 from cbsr_qa.eit.imaging.shape import area_overlap_percent, shape_deviation_mm2, spatial_figures

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa.eit.imaging.registration import register
 
 NINE = np.array(NINE_LOCATIONS_MM)

@@ -5,10 +5,10 @@ import pytest
 from disc_meshes import disc_mesh, square_mesh, uniform_blob
 from scipy.integrate import quad
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Blob, Image
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Blob, Image
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.shape import (
     area_overlap_percent,
     centre_of_mass_error_mm,
@@ -162,7 +162,7 @@ def test_a_rim_close_to_the_indenters_keeps_its_digits(corners):
     half = np.pi / corners
     angle = 2 * half * np.arange(corners)
     rim = 6.5 * np.column_stack([np.cos(angle), np.sin(angle)])
-    integral = RoundFootprint(0.0, 0.0, 6.5).squared_distance_mm3(rim, np.roll(rim, -1, axis=0)).sum()
+    integral = RoundFootprint(0.0, 0.0, 6.5).integrate_distance2_mm3(rim, np.roll(rim, -1, axis=0)).sum()
     sagitta = 2 * 6.5 * np.sin(half / 2) ** 2
     perimeter = corners * 2 * 6.5 * np.sin(half)
     assert integral / perimeter == pytest.approx(8 / 15 * sagitta**2, rel=3 * half**2 + 1e-7)

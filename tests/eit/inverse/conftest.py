@@ -3,9 +3,9 @@
 import pytest
 from round_sensors import MakeSensor
 
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.problem import imaging_problem
 
 
 @pytest.fixture(scope="session")

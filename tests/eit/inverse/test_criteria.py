@@ -5,7 +5,7 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
 from cbsr_qa.eit.inverse.one_step import (
     RidgeCurves,

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
-from cbsr_qa.eit.forward import ForwardModel, point_model
-from cbsr_qa.eit.inverse import NoiseFigureForm, hyperparameter_for, noise_figure
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.model import ForwardModel, point_model
 from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
+from cbsr_qa.eit.inverse.noise_figures import NoiseFigureForm, hyperparameter_for, noise_figure
 from cbsr_qa.eit.inverse.priors import Prior, laplace, laplace_matrix, noser
 
 #: Complete electrodes on two meshes, and point electrodes.

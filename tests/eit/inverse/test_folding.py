@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import DrivePattern, SensorType
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.dual import dual_matrix
 from cbsr_qa.eit.inverse.priors import noser
 from cbsr_qa.eit.inverse.problem import imaging_problem

@@ -3,9 +3,9 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa.eit.inverse.dual import dual_matrix
 from cbsr_qa.eit.inverse.priors import noser
 from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import NumericsError, RefusedError
-from cbsr_qa.domain.sensor import DrivePattern, Response, SensorType, adjacent_pattern, imaging_problems
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, imaging_problems
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
 from cbsr_qa.eit.inverse.problem import _disc_change, imaging_problem, target_signal
 from cbsr_qa.eit.inverse.scaling import agreement, changes, scale_of
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace

@@ -3,12 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.sensor import DrivePattern, Mesh
-from cbsr_qa.eit.forward import ForwardModel, disc_coverage
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.inverse.overlap import overlap_fractions, overlap_pieces
 from cbsr_qa.eit.inverse.problem import image_jacobian, imaging_problem, nominal_model, target_signal
-from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
-from cbsr_qa.testing import assert_adjoint
+from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
+from cbsr_qa.testing.numerics import assert_adjoint
 
 
 def test_image_jacobian_of_linear_elements_is_the_forward_one_through_the_overlap(pin_sensor, model_of):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.eit.inverse.problem import find_masked_electrodes, imaging_problem
 from cbsr_qa.eit.inverse.uncertainty import masking_effect
 

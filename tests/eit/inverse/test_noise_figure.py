@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import NoiseFigureForm, hyperparameter_for, noise_figure, noise_figure_of
 from cbsr_qa.eit.inverse.priors import noser

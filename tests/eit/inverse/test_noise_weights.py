@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError, as_filed
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.kept import as_filed
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES, reading_noise
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 READINGS = 208
 

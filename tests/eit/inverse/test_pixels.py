@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import NumericsError, RefusedError
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.results import LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.imaging import LinearReconstruction, ParameterChoice
 from cbsr_qa.eit.inverse.pixels import PixelImaging, pixel_imaging
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa_plugins.reconstruction.direct import LinearBackProjection

@@ -5,8 +5,8 @@ import pytest
 from disc_meshes import square_mesh
 from scipy.special import gamma, kv
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import noise_figure, noise_figure_of
 from cbsr_qa.eit.inverse.priors import Prior, high_pass, indenter_smoothness, laplace, laplace_matrix

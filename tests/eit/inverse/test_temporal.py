@@ -3,8 +3,8 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.eit.inverse import central_signal
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.eit.inverse.noise_figures import central_signal
 from cbsr_qa.eit.inverse.priors import indenter_smoothness
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.temporal import Correlation, smooth

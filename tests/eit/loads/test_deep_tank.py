@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.sensor import adjacent_pattern
-from cbsr_qa.eit.forward import ConcentricSheet, arc_transfer_impedance
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
+from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.loads.bodies import DeepTank
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.testing.numerics import assert_expected_order
 
 ANGLES = 2 * np.pi * np.arange(16) / 16
 PATTERN = adjacent_pattern(16)

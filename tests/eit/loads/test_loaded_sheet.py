@@ -8,10 +8,11 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward import ForwardModel, cover, cover_by_nested_outlines
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.forward.coverage import cover, cover_by_nested_outlines
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads import sheet as loaded_sheet
 from cbsr_qa.eit.loads.family import WEAK, LoadFamily, Series
 from cbsr_qa.eit.loads.sheet import LoadedSheet

@@ -3,10 +3,11 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward import ForwardModel, cover, disc_coverage
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.forward.coverage import cover, disc_coverage
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads import local, rims
 from cbsr_qa.eit.loads.local import LocalUpdate
 

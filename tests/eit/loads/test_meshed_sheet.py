@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_solutions import fitted_mesh
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.estimate import LoadEstimator, load_model, merge_reciprocal
-from cbsr_qa.eit.forward import ForwardModel, point_model
-from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.eit.estimate.load_estimate import LoadEstimator
+from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
+from cbsr_qa.eit.forward.model import ForwardModel, point_model
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.loads.meshed_sheet import MeshedSheet
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 
 PATCH = load_sensor_type("patch-120x80mm").value
 

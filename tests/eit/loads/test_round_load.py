@@ -8,13 +8,15 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from benchmarks.reference_solutions import fitted_mesh, pin_transfer_impedance, point_transfer_impedance
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, PlacedElectrodes, adjacent_pattern
-from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, PlacedElectrodes
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
+from cbsr_qa.testing.numerics import assert_expected_order
 
 PATTERN = adjacent_pattern(16)
 USED = PATTERN.usable()

@@ -6,14 +6,16 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 from strip_samples import models
 
-from cbsr_qa.config import load_scene, load_sensor_type, load_station
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, PlacedElectrodes, polygon_sensor
+from cbsr_qa.config.loader import load_scene, load_sensor_type, load_station
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.sensor_type import polygon_sensor
 from cbsr_qa.eit.loads.bodies import StripModel, check_strip
-from cbsr_qa.simulate import SimulatedSheet
+from cbsr_qa.simulate.sheet import SimulatedSheet
 
 PAIR = DrivePattern(2, ((0, 1),), ((0, 1),))
 CHANGES = np.array([-0.5, -0.1, 0.03, 0.18, 1.0])

@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from cbsr_qa.config import canonical_json, load_sensor_type
-from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.sensor import ElectrodeKind, Mesh, PlacedElectrodes, adjacent_pattern, polygon_sensor
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import polygon_sensor
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.mesh.files import mesh_sensor, read_mesh, write_mesh
 from cbsr_qa.eit.mesh.imported import ElectrodeAt, import_mesh
 from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh

@@ -11,10 +11,14 @@ import pytest
 from drawn import drawn
 from hypothesis import given, reject, strategies as st
 
-from cbsr_qa.domain import NumericsError, RefusedError
-from cbsr_qa.domain.geometry import Polygon, corner_turns, rounding_room
-from cbsr_qa.domain.sensor import ElectrodeKind, Mesh, PlacedElectrodes, SensorType, adjacent_pattern, polygon_sensor
-from cbsr_qa.eit.forward import FiniteElements
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.geometry.curve import corner_turns, rounding_room
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import SensorType, polygon_sensor
+from cbsr_qa.eit.forward.elements import FiniteElements
 from cbsr_qa.eit.mesh import triangulate
 from cbsr_qa.eit.mesh.sheet import image_mesh, sheet_mesh
 from cbsr_qa.eit.mesh.triangulate import smallest_angle_deg
@@ -49,9 +53,9 @@ def around(outline, count, inset=0.0):
     """Places evenly along the edge, or so far inside it."""
     curve = outline.curve
     along = curve.perimeter * (np.arange(count) + 0.5) / count
-    ahead = curve.at(along + 1e-3) - curve.at(along - 1e-3)
+    ahead = curve.points_at(along + 1e-3) - curve.points_at(along - 1e-3)
     inward = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
-    return tuple(map(tuple, (curve.at(along) + inset * inward).tolist()))
+    return tuple(map(tuple, (curve.points_at(along) + inset * inward).tolist()))
 
 
 def sensor_on(name, kind, count=16):
@@ -133,7 +137,7 @@ def any_sheets(draw):
         reject()
     begin, width = draw(st.floats(0, 1)), draw(st.floats(0.01, 0.1))
     curve = outline.curve
-    places = curve.at(curve.perimeter * (begin + np.arange(5) / 5))
+    places = curve.points_at(curve.perimeter * (begin + np.arange(5) / 5))
     electrodes = PlacedElectrodes(ElectrodeKind.ARC, tuple(map(tuple, places.tolist())), width * curve.perimeter)
     return polygon_sensor("any", outline, 1.0, electrodes, adjacent_pattern(5))
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.plugin.links import locks
 from cbsr_qa.plugin.links.locks import AddressLock
 

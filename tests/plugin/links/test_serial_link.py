@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 from terminal import Terminal
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
 from cbsr_qa.plugin.links.serial_link import SerialLink
-from cbsr_qa.system import RealClock
+from cbsr_qa.system.clock import RealClock
 
 
 @pytest.fixture

@@ -6,11 +6,12 @@ import threading
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links.serial_link import SerialLink
 from cbsr_qa.plugin.links.visa_link import VisaLink
-from cbsr_qa.simulate.instruments import Fault, PtyPort, TcpPort, streams
-from cbsr_qa.system import RealClock
+from cbsr_qa.simulate.instruments import streams
+from cbsr_qa.simulate.instruments.streams import Fault, PtyPort, TcpPort
+from cbsr_qa.system.clock import RealClock
 
 #: Their bytes hold line ends.
 NUMBERS = np.frombuffer(b"\n\n\n\n" + b"\x00\x0a\x80\x3f" * 3, "<f4")

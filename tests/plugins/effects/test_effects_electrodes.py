@@ -9,10 +9,10 @@ from effect_setting import applied, moment, plain_sheet, setting, world_of
 from hypothesis import given, strategies as st
 from scipy.stats import kstest
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
-from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.simulate import RandomStream
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
+from cbsr_qa.domain.readings.frames import ReadingFlag
+from cbsr_qa.simulate.streams import RandomStream
 from cbsr_qa_plugins.effects.electrodes import ElectrodeIntermittent, ElectrodeOpen
 from cbsr_qa_plugins.effects.readings import ElectrodeNoise, VoltmeterInput
 

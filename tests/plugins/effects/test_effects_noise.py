@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from effect_setting import READING_SCALE_V, applied, moment, setting
 
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.plan import SceneSetting
-from cbsr_qa.simulate import RandomStream
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.world import SceneSetting
+from cbsr_qa.simulate.streams import RandomStream
 from cbsr_qa_plugins.effects.force import LoadCellNoise
 from cbsr_qa_plugins.effects.readings import MeasurementNoise
 

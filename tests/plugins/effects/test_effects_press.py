@@ -8,9 +8,9 @@ import pytest
 from effect_setting import STEP_S, applied, history, moment, setting, world_of
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.plan import SheetDesign
-from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa_plugins.effects.force import (
     Confinement,
     ElasticStress,

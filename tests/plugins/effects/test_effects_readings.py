@@ -10,8 +10,8 @@ from hypothesis import given, strategies as st
 from scipy.constants import Boltzmann
 from scipy.signal import lfilter
 
-from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.readings.frames import ReadingFlag
 from cbsr_qa_plugins.effects.board import ConverterSaturation, Quantisation, ReadingMemory, ReadingOffset, TimeSkew
 from cbsr_qa_plugins.effects.electrodes import ContactDrift, ElectrodeShort, LeadResistance
 from cbsr_qa_plugins.effects.readings import JohnsonNoise, MainsHum, SourceCompliance

@@ -8,9 +8,9 @@ import pytest
 from effect_setting import setting
 from scipy.stats import binomtest, chisquare
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.plugin import RecordingEffect
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.world import Transcript
+from cbsr_qa.plugin.interfaces import RecordingEffect
 from cbsr_qa_plugins.effects.board import FrameLoss, WatchdogDump
 
 FRAMES = 4000

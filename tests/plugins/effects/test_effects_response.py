@@ -6,9 +6,9 @@ from effect_setting import STEP_S, history, kernel, last_outside, moment, settin
 from hypothesis import given, strategies as st
 from scipy.integrate import quad
 
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress
-from cbsr_qa.simulate import CONTACT_STRAIN
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.world import Moment, SceneSetting, SimulatedPress
+from cbsr_qa.simulate.ramps import CONTACT_STRAIN
 from cbsr_qa_plugins.effects.sheet import ConductanceRelaxation, Piezoresistivity
 
 MATERIAL = load_material("cbsr-8wt").value

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from effect_setting import setting
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import SheetDesign
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.world import SheetDesign
 from cbsr_qa_plugins.effects.electrodes import ContactSpread
 from cbsr_qa_plugins.effects.head import PinPositionError
 from cbsr_qa_plugins.effects.sheet import UnevenConductance, UnevenResponse, UnevenThickness, places_on

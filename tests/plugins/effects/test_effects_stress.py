@@ -8,8 +8,8 @@ from effect_setting import history, moment, setting
 from hypothesis import given, strategies as st
 from scipy.integrate import solve_ivp
 
-from cbsr_qa.config import load_material
-from cbsr_qa.domain.plan import SimulatedPress
+from cbsr_qa.config.loader import load_material
+from cbsr_qa.domain.plan.world import SimulatedPress
 from cbsr_qa_plugins.effects.force import ElasticStress, StressRelaxation
 
 MATERIAL = load_material("cbsr-8wt").value

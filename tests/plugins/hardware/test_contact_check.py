@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, list_pairs
 from cbsr_qa_plugins.hardware._contact_check import ContactState, contact_faults
 from cbsr_qa_plugins.hardware._esp32 import stepping_order
 
@@ -62,7 +62,7 @@ def test_pins_are_told_from_their_pairs(pairs, faults):
 
 
 def test_pins_that_pairs_cannot_tell_apart_are_named_together():
-    opposite = DrivePattern(16, named_pairs("opposite", 16), named_pairs("adjacent", 16))
+    opposite = DrivePattern(16, list_pairs("opposite", 16), list_pairs("adjacent", 16))
     assert found(ohm(opposite, p2_10=INF), opposite) == [(OPEN, (2, 10))]
 
 
@@ -85,7 +85,7 @@ def test_the_order_of_a_firmware_in_which_the_voltage_pair_is_inner():
 
 
 def test_a_firmware_that_skips_electrodes():
-    skipping = DrivePattern(16, named_pairs("skip-2", 16), named_pairs("adjacent", 16))
+    skipping = DrivePattern(16, list_pairs("skip-2", 16), list_pairs("adjacent", 16))
     assert set(stepping_order(skipping, inner="current", current_skip=2)) == {
         (d, m) for d in range(16) for m in range(16)
     }

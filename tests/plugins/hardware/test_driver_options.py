@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 from simulated_setting import context
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 PLUGINS = discover()
 DRIVERS = [r.name for r in PLUGINS.registrations(Kind.INSTRUMENT)]

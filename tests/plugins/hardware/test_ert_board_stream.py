@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, MOTION, held, material, scene, sensor_type, world
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.plan import EMULATED, InstrumentSpec
-from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
-from cbsr_qa.plugin import StationContext
-from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, Fault, WatchedClock
-from cbsr_qa.system import RealClock, VirtualClock
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec
+from cbsr_qa.domain.readings.frames import ReadingFlag, VoltageUnit
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
+from cbsr_qa.simulate.instruments.streams import Fault, WatchedClock
+from cbsr_qa.system.clock import RealClock, VirtualClock
 from cbsr_qa_plugins.hardware._board_stream import stream_order
 from cbsr_qa_plugins.hardware.ert_board_stream import open_board
 
@@ -207,7 +208,7 @@ def test_a_fault_in_any_row_gives_the_right_frame_or_none(opened, fault):
         block = bench.driver.acquire(2)
         np.testing.assert_array_equal(block.voltages[:, USABLE], [expected, expected])
         assert block.time_s[0] - PERIOD_S / 2 >= start_s - 1.1 * PERIOD_S / 16
-    assert not bench.emulation.ports["frames"].faults.met()
+    assert not bench.emulation.ports["frames"].faults.take()
 
 
 def test_a_silent_board_is_an_error_that_may_be_tried_again(opened):

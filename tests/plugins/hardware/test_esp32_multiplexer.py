@@ -5,12 +5,14 @@ import re
 import pytest
 from scanning_rig import MATERIAL, SENSOR, Scanning
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.run import CheckOutcome, Indenter
-from cbsr_qa.plugin import StationContext
-from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa.simulate.instruments import Fault, PtyPort, WatchedClock, multiplexer as emulated, streams
-from cbsr_qa.system import RealClock
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.run.station import CheckOutcome
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.plugin.links.serial_link import SerialLink
+from cbsr_qa.simulate.instruments import multiplexer as emulated, streams
+from cbsr_qa.simulate.instruments.streams import Fault, PtyPort, WatchedClock
+from cbsr_qa.system.clock import RealClock
 from cbsr_qa_plugins.hardware.esp32_multiplexer import open_multiplexer
 
 

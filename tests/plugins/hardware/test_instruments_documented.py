@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "instruments.md").read_text()
 PLUGINS = discover()

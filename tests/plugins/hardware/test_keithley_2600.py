@@ -5,10 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from scanning_rig import OHM, Scanning, TabledWorld, context
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.run import CheckOutcome
-from cbsr_qa.simulate.instruments import Fault, TcpPort, source_meter, streams
-from cbsr_qa.system import RealClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.run.station import CheckOutcome
+from cbsr_qa.simulate.instruments import source_meter, streams
+from cbsr_qa.simulate.instruments.streams import Fault, TcpPort
+from cbsr_qa.system.clock import RealClock
 from cbsr_qa_plugins.hardware.keithley_2600 import open_source_meter
 
 
@@ -24,7 +25,7 @@ def test_it_says_who_it_is(bench):
 
 
 def test_opening_switches_a_source_off_that_was_left_on(bench):
-    bench.emulation.instruments["meter"].received(
+    bench.emulation.instruments["meter"].receive(
         b"smub.source.func = 0\nsmub.source.leveli = 1e-3\nsmub.source.output = 1\n"
     )
     assert bench.rig.wiring.current_A == 1e-3
@@ -33,7 +34,7 @@ def test_opening_switches_a_source_off_that_was_left_on(bench):
 
 
 def test_prompts_that_another_program_switched_on_do_no_harm(bench):
-    assert bench.emulation.instruments["meter"].received(b"localnode.prompts = 1\n") == b"TSP>\n"
+    assert bench.emulation.instruments["meter"].receive(b"localnode.prompts = 1\n") == b"TSP>\n"
     bench.emulation.ports["meter"].send(b"TSP>\n")
     meter = bench.sourcing()
     assert meter.measure().volts == pytest.approx(1e-4 * OHM[0, 0], rel=1e-6)
@@ -87,7 +88,7 @@ def test_a_reading_at_the_end_of_the_range_is_saturated_and_stays_a_number():
         bench.rig.wiring.measure = 0
         assert not meter.measure().saturated
         meter_20 = bench.emulation.instruments["meter"]
-        meter_20.received(b"smua.measure.rangev = 2\nsmua.source.limitv = 100\n")
+        meter_20.receive(b"smua.measure.rangev = 2\nsmua.source.limitv = 100\n")
         bench.rig.wiring.drive = bench.rig.wiring.measure = 1
         beyond = meter.measure()  # the instrument says 9.91e37
         assert beyond.saturated
@@ -165,7 +166,7 @@ def test_one_that_was_reset_in_the_rest_is_noticed(hasty):
 
 def test_a_source_that_somebody_switched_off_gives_no_reading(bench):
     meter = bench.sourcing()
-    bench.emulation.instruments["meter"].received(b"smub.source.output = 0\n")
+    bench.emulation.instruments["meter"].receive(b"smub.source.output = 0\n")
     with pytest.raises(InstrumentError, match=r"the source gives 0 mA where 0\.1 mA were asked for") as off:
         meter.measure()
     assert off.value.retryable
@@ -191,7 +192,7 @@ def test_it_tests_itself_without_current_and_is_off_after_it(bench, monkeypatch)
     assert bench.rig.wiring.current_A is None
     meter.source(1e-4)  # and may be used again
     instrument = bench.emulation.instruments["meter"]
-    instrument.received(b"?\n")
+    instrument.receive(b"?\n")
     monkeypatch.setattr(instrument, "_volts", lambda channel: 0.05)
     lines = {line.name: line for line in meter.self_test()}
     assert lines["errors"].outcome is CheckOutcome.FAILED

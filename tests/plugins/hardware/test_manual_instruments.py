@@ -6,14 +6,17 @@ from dataclasses import replace
 import pytest
 from simulated_setting import HEAD, MOTION, material, sensor_type
 
-from cbsr_qa.domain import AbortedError, ConfigError, InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, Home, InstrumentSpec, Press, Release
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import Load, LoadFinished, SamplesTaken
-from cbsr_qa.plugin import StationContext
-from cbsr_qa.station import Bench, Mounted, execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import Script, ScriptedApplicator, ScriptedFrames, example_identity, example_plan
+from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, Press, Release
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import LoadFinished, SamplesTaken
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.station.bench import Bench, Mounted
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, example_identity, example_plan
 from cbsr_qa_plugins.hardware.manual_applicator import open_applicator
 from cbsr_qa_plugins.hardware.manual_samplers import open_load_cell, open_thermometer
 

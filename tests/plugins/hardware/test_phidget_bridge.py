@@ -9,9 +9,9 @@ from types import ModuleType
 import pytest
 from simulated_setting import context
 
-from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
-from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa.testing import check_closing, check_sampler
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa.testing.instruments import check_closing, check_sampler
 from cbsr_qa_plugins.hardware import phidget_bridge
 from cbsr_qa_plugins.hardware.phidget_bridge import open_bridge
 

@@ -8,9 +8,10 @@ import pytest
 from simulated_setting import HEAD, MOTION, base_scene, context, material, sensor_type
 from station_files import station_file
 
-from cbsr_qa.domain import ConfigError, InstrumentError, RecordingError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, Home, InstrumentSpec, MarkUnloaded, Press, Release
-from cbsr_qa.domain.readings import (
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, RecordingError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release
+from cbsr_qa.domain.readings.frames import (
     FrameBlock,
     Recording,
     SampleBlock,
@@ -19,12 +20,16 @@ from cbsr_qa.domain.readings import (
     join_frames,
     join_samples,
 )
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, Load, LoadFinished, SamplesTaken
-from cbsr_qa.plugin import StationContext, discover
-from cbsr_qa.station import Bench, Mounted, configure, execute, open_station, station_clock
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import example_identity, example_plan
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.instruments import StationContext
+from cbsr_qa.station.bench import Bench, Mounted
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.setup import configure, open_station, station_clock
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import example_identity, example_plan
 from cbsr_qa_plugins.hardware.replayed_recording import open_replay
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 
@@ -212,7 +217,7 @@ file = '{file}'
 
 
 def test_a_station_file_names_the_recording(tmp_path):
-    from cbsr_qa.analysis import write_recording
+    from cbsr_qa.analysis.recording_files import write_recording
 
     write_recording(tmp_path / "kept.h5", recording(clock="station"))
     station = tmp_path / "replay.toml"

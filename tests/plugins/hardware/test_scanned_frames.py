@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scanning_rig import OHM, Scanning, TabledWorld
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
-from cbsr_qa.domain.run import CheckOutcome
-from cbsr_qa.simulate.instruments import Fault, streams
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.readings.frames import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.run.station import CheckOutcome
+from cbsr_qa.simulate.instruments import streams
+from cbsr_qa.simulate.instruments.streams import Fault
 
 
 def with_open_pin(pin, ohm=1e8):

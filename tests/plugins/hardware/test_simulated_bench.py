@@ -5,8 +5,8 @@ import pytest
 from simulated_benches import SPEED, lying, opened
 from simulated_setting import context, scene
 
-from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.system import in_ticks
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.system.clock import round_to_ticks
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 
 # --- frames ---
@@ -80,8 +80,8 @@ def test_samples_of_a_step_begin_again_with_what_the_head_is_told():
     bench.begin_step(0, 2)
     clock.sleep(0.15)
     times = bench.samples_since(-1.0).time_s
-    at_s = in_ticks(0.3)
-    after_s = at_s + 1.0 + in_ticks(0.05)
+    at_s = round_to_ticks(0.3)
+    after_s = at_s + 1.0 + round_to_ticks(0.05)
     expected = [0.125, 0.25, *(at_s + np.arange(1, 9) / 8), after_s + 0.125]
     np.testing.assert_array_equal(times, expected)
 

@@ -7,14 +7,16 @@ import pytest
 from simulated_benches import SPEED, lying, opened
 from simulated_setting import MOTION, context, scene, truth
 
-from cbsr_qa.config import load_station
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import FindSurface, Hold, Press, Release, stroke_s, surface_search_s, travel_s
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load, LoadFinished
-from cbsr_qa.station import Bench, Mounted, execute
-from cbsr_qa.system import VirtualClock
-from cbsr_qa.testing import example_identity, example_plan
+from cbsr_qa.config.loader import load_station
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan.steps import FindSurface, Hold, Press, Release, stroke_s, surface_search_s, travel_s
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.domain.run.run import LoadFinished
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.station.bench import Bench, Mounted
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing.bench import example_identity, example_plan
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 
 

@@ -5,8 +5,8 @@ import pytest
 from simulated_benches import SPEED, opened
 from simulated_setting import scene
 
-from cbsr_qa.domain.plan import Scene
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.plan.plan import Scene
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
 
 
@@ -75,7 +75,7 @@ def test_a_step_gives_the_same_numbers_whenever_it_is_done_and_wherever_the_head
     np.testing.assert_array_equal(second.reading_time_s - shift_s, first.reading_time_s)
     np.testing.assert_array_equal(second.voltages, first.voltages)
     # Samples from the press on; before it the head travelled for another time.
-    count = len(force.between(force.time_s[-1] - 8.0, 1e9))
+    count = len(force.select_interval(force.time_s[-1] - 8.0, 1e9))
     assert count > 50
     np.testing.assert_array_equal(second_force.time_s[-count:] - shift_s, force.time_s[-count:])
     np.testing.assert_array_equal(second_force.values[-count:], force.values[-count:])

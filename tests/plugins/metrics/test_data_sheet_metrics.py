@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from observation_samples import INDENTER, sample_load, sample_relaxation, sample_run
 
-from cbsr_qa.calibration.sheet import characteristics, data_sheet_loads, mean_characteristic
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import Role
+from cbsr_qa.calibration.sheet.characteristic import characteristics, data_sheet_loads, mean_characteristic
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa_plugins.metrics.data_sheet import Creep, Nonlinearity, PreconditioningChange, Repeatability, ZeroReturn
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus, Uniformity
 from cbsr_qa_plugins.metrics.relaxation import SettlingTimes

@@ -10,11 +10,12 @@ import pytest
 from effect_setting import history, setting
 from simulated_runs import HEAD, observed_run, simulated_run
 
-from cbsr_qa.calibration.fits import trace_of
-from cbsr_qa.calibration.sheet import place_responses
-from cbsr_qa.domain.plan import Role, SheetDesign
-from cbsr_qa.domain.run import Load
-from cbsr_qa.simulate import Transients
+from cbsr_qa.calibration.fits.creep_fit import trace_of
+from cbsr_qa.calibration.sheet.data_sheet import place_responses
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.simulate.ramps import Transients
 from cbsr_qa_plugins.effects.sheet import UnevenResponse
 from cbsr_qa_plugins.metrics.data_sheet import Creep, Nonlinearity, Repeatability, ZeroReturn
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus, Uniformity
@@ -65,7 +66,7 @@ def _conductance(run, load, time_s):
     """Change of the sheet over its quasi-static one at a time of the run, from the material's kernels alone."""
     material, press = run.record.material, _press(run, load)
     transients = Transients(material.loading_relaxation, material.unloading_relaxation)
-    return press.strain_at(time_s) + transients.of(press, time_s)
+    return press.strain_at(time_s) + transients.change_at(press, time_s)
 
 
 def _frames(load, *, loading):
@@ -97,8 +98,8 @@ def test_creep_is_what_the_materials_kernels_say(quiet):
     kernel, press = quiet.record.material.stress_relaxation, _press(quiet, load)
     transients = Transients(kernel, kernel)
     from_s, until_s = times_s[-4], load.record.release_start_s
-    last = 1 + np.mean([transients.of(press, t) for t in np.linspace(from_s, until_s, 50)])
-    of_stress = 100 * (last - 1 - transients.of(press, load.record.hold_start_s + 5.0)) / last
+    last = 1 + np.mean([transients.change_at(press, t) for t in np.linspace(from_s, until_s, 50)])
+    of_stress = 100 * (last - 1 - transients.change_at(press, load.record.hold_start_s + 5.0)) / last
     assert _one(Creep(), quiet, qualifier="stress").value == pytest.approx(of_stress, abs=0.3)
     assert _one(Creep(), quiet).value == pytest.approx(of_conductance - of_stress, abs=1.0)
 

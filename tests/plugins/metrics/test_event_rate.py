@@ -2,7 +2,8 @@
 
 import pytest
 
-from cbsr_qa.domain.results import Bound, Measurement
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa_plugins.metrics import relaxation as event_rate
 from cbsr_qa_plugins.metrics.relaxation import EventRate
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from observation_samples import SETTINGS, sample_load, sample_relaxation, sample_run
 
-from cbsr_qa.domain.results import Bound
+from cbsr_qa.domain.plan.limits import Bound
 from cbsr_qa_plugins.metrics.location import AreaOverlap, CentreOfMassError, ShapeDeviation
 from cbsr_qa_plugins.metrics.mechanics import AppliedForce
 from cbsr_qa_plugins.metrics.relaxation import SettlingTimes

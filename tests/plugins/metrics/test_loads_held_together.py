@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run
 
-from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import Role, SheetDesign
-from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
-from cbsr_qa.domain.results import EndReason, RunObservation
-from cbsr_qa.domain.run import Indenter, Load, LoadRecord, PhaseRecord, RunRecord
-from cbsr_qa.simulate import SimulatedSheet
-from cbsr_qa.testing import example_identity
+from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.plan.world import SheetDesign
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.readings.loads import Indenter, Load, LoadRecord
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.testing.bench import example_identity
 from cbsr_qa_plugins.metrics.images import GreitFiguresOfMerit, LoadAssignment, TwoTouchResolution
 from cbsr_qa_plugins.metrics.location import AreaOverlap, CentreOfMassError
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from observation_samples import sample_load, sample_run
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa_plugins.metrics.contacts import ContactResistance, ReciprocityError
 from cbsr_qa_plugins.metrics.images import RegistrationOfPlaces
 from cbsr_qa_plugins.metrics.noise import ChannelNoise, ImageNoise, NoiseFigure

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from observation_samples import sample_load, sample_run
 
-from cbsr_qa.analysis import judge
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.results import Outcome, decide
-from cbsr_qa.plugin import discover
+from cbsr_qa.analysis.evaluate import judge
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import decide
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa_plugins.metrics.location import AreaOverlap
 
 _SHIPPED = files("cbsr_qa._stations").joinpath("recipes", "nine-locations.toml").read_text()

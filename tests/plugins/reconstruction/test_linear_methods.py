@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import ReadingFold, Truncation, central_signal, evidence_of, imaging_problem, target_signal
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.eit.inverse.noise_figures import central_signal, evidence_of
+from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
+from cbsr_qa.eit.inverse.readings import ReadingFold
+from cbsr_qa.eit.inverse.truncation import Truncation
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd
 from cbsr_qa_plugins.reconstruction.one_step import (
     GaussNewtonHighPass,

@@ -7,23 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.geometry import Polygon
-from cbsr_qa.domain.sensor import (
-    DrivePattern,
-    ElectrodeKind,
-    ElectrodeLayout,
-    Response,
-    SensorType,
-    adjacent_pattern,
-    polygon_sensor,
-)
-from cbsr_qa.eit.inverse import imaging_problem, overlap_fractions
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.geometry.outlines import Polygon
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorType, polygon_sensor
+from cbsr_qa.eit.inverse.overlap import overlap_fractions
+from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa_plugins.reconstruction.pyeit import (
     PyeitGreit,
     PyeitJac,
     PyeitProblem,
-    _between,
+    _interpolate_raster,
     pyeit_problem,
     quiet,
     solver,
@@ -113,8 +108,8 @@ def test_interpolation_between_pixels_is_exact_for_planes():
     x, y = np.linspace(-1, 1, 9, endpoint=False), np.linspace(-1, 1, 7, endpoint=False)
     points = np.random.default_rng(0).uniform(-0.9, 0.6, (30, 2))
     raster = (2 + 3 * x[None] - y[:, None]).ravel()
-    assert np.allclose(_between(x, y, points) @ raster, 2 + 3 * points[:, 0] - points[:, 1], rtol=1e-13)
-    beyond = _between(x, y, np.array([[5.0, 5.0]])) @ raster
+    assert np.allclose(_interpolate_raster(x, y, points) @ raster, 2 + 3 * points[:, 0] - points[:, 1], rtol=1e-13)
+    beyond = _interpolate_raster(x, y, np.array([[5.0, 5.0]])) @ raster
     assert beyond == pytest.approx(2 + 3 * x[-1] - y[-1])
 
 

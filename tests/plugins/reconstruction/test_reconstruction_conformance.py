@@ -6,15 +6,11 @@ from typing import Any
 
 import pytest
 
-from cbsr_qa.plugin import Kind, Plugins, discover
-from cbsr_qa.testing import (
-    Tolerances,
-    check_reconstruction,
-    compare_elsewhere,
-    elsewhere_readings,
-    example_problem,
-    images_elsewhere,
-)
+from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.testing.checked import Tolerances
+from cbsr_qa.testing.reconstructions import check_reconstruction, compare_elsewhere, elsewhere_readings
+from cbsr_qa.testing.targets import example_problem, images_elsewhere
 
 _PLUGINS: Plugins = discover()
 _METHODS = _PLUGINS.names(Kind.RECONSTRUCTION)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from board_files import BLOCK, DUMP, PAIRS, BoardFile, counts, read
 
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.domain.readings import ReadOptions, ScanKind, VoltageUnit
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.readings.frames import ReadOptions, ScanKind, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 
 

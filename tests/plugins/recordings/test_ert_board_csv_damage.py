@@ -6,7 +6,7 @@ from board_files import BLOCK, DUMP, PAIRS, BoardFile, read
 from drawn import drawn
 from hypothesis import HealthCheck, given, strategies as st
 
-from cbsr_qa.domain import RecordingError
+from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa_plugins.recordings.lab_files import LONGEST_LINE, MOST_BAD_IN_A_ROW, text_lines
 
 

@@ -18,10 +18,10 @@ from written_scenes import (
     simulated_press,
 )
 
-from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
-from cbsr_qa.domain.plan import Dump
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, VoltageUnit
-from cbsr_qa.report import json_document
+from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.domain.plan.world import Dump
+from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, VoltageUnit
+from cbsr_qa.report.document import json_document
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.recordings.ert_board_writer import END_COUNTS, counts_per_volt, scale_of

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from written_scenes import FORMATS, INNER, LAB, made_up, middles_s, setting, volts
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.plan import Dump, Transcript
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.world import Dump, Transcript
+from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, list_pairs
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv
 
@@ -21,7 +21,7 @@ def _of(**changes):
 
 
 def _other_pattern():
-    return _of(pattern=DrivePattern(16, named_pairs("adjacent", 16), named_pairs("skip-1", 16)))
+    return _of(pattern=DrivePattern(16, list_pairs("adjacent", 16), list_pairs("skip-1", 16)))
 
 
 def _eight():

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, VoltageUnit, scan_order
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.readings.carry_over import scan_order
+from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, VoltageUnit
 from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv
 

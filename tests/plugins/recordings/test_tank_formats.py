@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from cbsr_qa.domain import RecordingError
-from cbsr_qa.domain.readings import ReadingFlag, ReadOptions
-from cbsr_qa.domain.sensor import adjacent_pattern
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.ds_tank_text import DsTankText
 from cbsr_qa_plugins.recordings.eidors_mat import EidorsMat

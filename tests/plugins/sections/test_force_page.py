@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa_plugins.metrics.force import ForceError
 
 TOP = Path(__file__).parents[3]
@@ -30,7 +30,7 @@ def test_every_figure_is_shown_and_can_do_nothing_but_be_looked_at(drawing):
     shown = re.findall(r"!\[[^\]]{20,}\]\(figures/force/(\w+)\.svg\)", PAGE.read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(drawing.FIGURES) == sorted(path.stem for path in FOLDER.iterdir())
     for path in FOLDER.iterdir():
-        checked_svg(path.read_text(encoding="utf-8"))
+        check_svg(path.read_text(encoding="utf-8"))
 
 
 def test_a_figure_is_what_the_script_draws_today(drawing):

@@ -8,9 +8,9 @@ from board_files import BoardFile, counts
 from recording_samples import sample_recording
 from section_texts import blocks, tables, texts
 
-from cbsr_qa.analysis.recording import analyse_recording
-from cbsr_qa.domain.readings import ReadOptions
-from cbsr_qa.domain.results import Figure, Paragraph
+from cbsr_qa.analysis.recording.analysis import analyse_recording
+from cbsr_qa.domain.readings.frames import ReadOptions
+from cbsr_qa.domain.results.report import Figure, Paragraph
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.sections.recording import RecordingChannels, RecordingEvents, RecordingRows

@@ -9,10 +9,12 @@ from load_samples import Sampler
 from report_samples import sample_run
 from section_texts import blocks, observed
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Figure, LoopObservation, Measurement, Table, Trace
-from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
-from cbsr_qa.report.draw import checked_svg
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.observation import LoopObservation, Trace
+from cbsr_qa.domain.results.report import Figure, Table
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa_plugins.metrics.data_sheet import Hysteresis, Nonlinearity, Repeatability
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus
 from cbsr_qa_plugins.sections.data_sheet import DataSheet
@@ -88,7 +90,7 @@ def test_a_loop_has_its_rows_and_its_figure(result):
     assert "1 loop" in rows(section)["Hysteresis"][1]
     assert "creep included" in rows(section)["– with creep, as read"][1]
     _, loop, _ = blocks(section, Figure)
-    assert checked_svg(loop.svg)
+    assert check_svg(loop.svg)
     assert "1 location; the branches differ by at most" in loop.alternative
 
 
@@ -107,7 +109,7 @@ def test_repeatability_by_strain_is_one_row(result):
 def test_the_figures_show_every_place(result):
     characteristic, maps = blocks(DataSheet().render(result), Figure)
     for figure in (characteristic, maps):
-        checked_svg(figure.svg)
+        check_svg(figure.svg)
     measured = next(m for m in result.measurements if m.name == "nonlinearity" and not m.qualifier and not m.location)
     said = float(re.search(r"by at most ([\d.]+) %", characteristic.alternative)[1])
     assert said == pytest.approx(measured.value, rel=0.02)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from section_texts import tables, texts
 
-from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.relaxation import RelaxationFits
 
@@ -12,7 +13,7 @@ from cbsr_qa_plugins.sections.relaxation import RelaxationFits
 def test_of_many_limits_the_closest_are_shown_and_the_others_folded(result):
     limit = Limit("e", "mm", None, 5.0)
     judged = tuple(
-        Measurement("e", 0.05 * k, "mm", phase="nine", location="L0", load=k, strain=0.05 * (1 + k % 6)).judged(limit)
+        Measurement("e", 0.05 * k, "mm", phase="nine", location="L0", load=k, strain=0.05 * (1 + k % 6)).judge(limit)
         for k in range(110)
     )
     closest, others = tables(Limits().render(replace(result, measurements=judged)))
@@ -41,7 +42,7 @@ def test_a_lower_bound_is_marked_wherever_it_is_written(result):
     common = Measurement(
         "common_settling_time", 60.0, "s", bound=Bound.LOWER, qualifier="stress, loading", how="slow"
     )
-    (undecided, failed) = (common.judged(Limit(common.name, "s", None, upper)) for upper in (70.0, 50.0))
+    (undecided, failed) = (common.judge(Limit(common.name, "s", None, upper)) for upper in (70.0, 50.0))
     for judged, margin in ((undecided, ""), (failed, "−10.0 s")):
         section = Limits().render(replace(result, measurements=(judged, *late, replace(late[0], bound=Bound.EXACT))))
         (row,) = texts(tables(section)[0])
@@ -54,8 +55,8 @@ def test_a_lower_bound_is_marked_wherever_it_is_written(result):
 
 
 def test_every_limit_is_listed_the_worst_first(result):
-    failing = Measurement("strangers_metric", 9.0, "mm").judged(Limit("strangers_metric", "mm", None, 3.0))
-    lost = Measurement("other", None, "1", how="why not").judged(Limit("other", "1", 0.0, None))
+    failing = Measurement("strangers_metric", 9.0, "mm").judge(Limit("strangers_metric", "mm", None, 3.0))
+    lost = Measurement("other", None, "1", how="why not").judge(Limit("other", "1", 0.0, None))
     section = Limits().render(replace(result, measurements=(*result.measurements, failing, lost)))
     rows = texts(tables(section)[0])
     assert len(rows) == sum(m.limit is not None for m in result.measurements) + 2

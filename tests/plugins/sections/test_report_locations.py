@@ -8,9 +8,11 @@ import pytest
 from report_samples import without_blobs
 from section_texts import observed, tables, texts
 
-from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Figure, Limit, Measurement, Outcome
-from cbsr_qa.report import Measured, loads_of
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.report import Figure
+from cbsr_qa.report.select import Measured, loads_of
 from cbsr_qa_plugins.sections.loads import RandomLoads
 from cbsr_qa_plugins.sections.locations import MaskComparison, NineLocations
 
@@ -65,7 +67,7 @@ def test_trials_are_averaged_and_the_worst_outcome_shown(result):
     loads = [load for load in result.observation.loads if load.phase == "noise"]
     values = [0.5, 1.0, 3.0]
     measured = tuple(
-        Measurement("centre_of_mass_error", v, "mm", phase="noise", location="L0", trial=k, load=k).judged(limit)
+        Measurement("centre_of_mass_error", v, "mm", phase="noise", location="L0", trial=k, load=k).judge(limit)
         for k, v in enumerate(values)
     )
     phases = (replace(result.record.phases[0], role=Role.GRID),)
@@ -100,10 +102,10 @@ def test_loads_of_one_name_and_trial_are_told_apart_by_their_index_in_whatever_o
     weak, strong = (replace(load, record=replace(load.record, index=k)) for k in (4, 5))
     about = {"phase": load.phase, "location": load.record.load.label, "trial": load.record.load.trial}
     measured = Measured([Measurement("e", v, "mm", load=k, **about) for k, v in ((5, 2.0), (4, 1.0))])
-    assert measured.of_load("e", weak).value == 1.0
-    assert measured.of_load("e", strong).value == 2.0
-    assert measured.of_load("e", replace(load, record=replace(load.record, index=6))) is None
-    assert measured.of_load("e", replace(weak, phase="another")) is None
+    assert measured.find("e", weak).value == 1.0
+    assert measured.find("e", strong).value == 2.0
+    assert measured.find("e", replace(load, record=replace(load.record, index=6))) is None
+    assert measured.find("e", replace(weak, phase="another")) is None
 
 
 def test_sections_ask_what_a_phase_is_for_and_not_who_made_it(result):

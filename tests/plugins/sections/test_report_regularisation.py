@@ -9,10 +9,12 @@ from report_samples import sample_run
 from section_texts import blocks, observed, tables, texts
 from sensor_samples import SENSOR
 
-from cbsr_qa.domain.results import Figure, Paragraph
-from cbsr_qa.eit.inverse import evidence_of, imaging_problem
-from cbsr_qa.report import number
-from cbsr_qa.report.draw import INK, checked_svg, drawing, parameter_figure
+from cbsr_qa.domain.results.report import Figure, Paragraph
+from cbsr_qa.eit.inverse.noise_figures import evidence_of
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.report.draw.parameter import parameter_figure
+from cbsr_qa.report.draw.style import INK, check_svg, drawing
+from cbsr_qa.report.tables import number
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd
 from cbsr_qa_plugins.reconstruction.one_step import (
     GaussNewtonIndenter,
@@ -96,7 +98,7 @@ def test_the_full_mark_lies_at_the_choice_and_on_the_curve(problem, canvas_of, m
 @pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
 def test_nothing_but_numbers_is_drawn(problem, section_of, method):
     (figure,) = blocks(section_of(method().prepare(problem)), Figure)
-    assert "nan" not in checked_svg(figure.svg).lower()
+    assert "nan" not in check_svg(figure.svg).lower()
     assert "inf" not in figure.svg.lower()
     assert ">noise figure<" in figure.svg  # the axis has a name
 

@@ -8,8 +8,10 @@ from recording_samples import sample_recording
 from report_samples import ended_early, without_blobs
 from section_texts import blocks, check_showable, observed, tables, texts
 
-from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.domain.results.relaxation import FitStatus
+from cbsr_qa.domain.results.report import Figure, Paragraph
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa_plugins.sections.data_sheet import BaselineConductanceMap
 from cbsr_qa_plugins.sections.loads import LoadImages
 from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts

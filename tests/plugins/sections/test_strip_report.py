@@ -9,11 +9,16 @@ import pytest
 from section_texts import blocks, check_showable, tables, texts
 from strip_bench import strip_run
 
-from cbsr_qa.analysis import characterise_run, judge, measure_characterisation
-from cbsr_qa.app.run import material_of, why_no_material
-from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import CharacterisationSettings, Figure, Limit, Outcome, Paragraph, RunResult, Verdict
-from cbsr_qa.report import run_page
+from cbsr_qa.analysis.evaluate import judge
+from cbsr_qa.analysis.strip_cycles import characterise_run
+from cbsr_qa.analysis.strip_measurements import measure_characterisation
+from cbsr_qa.app.run.material_output import material_of, why_no_material
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Verdict
+from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult
+from cbsr_qa.report.page import run_page
 from cbsr_qa_plugins.sections.characterisation import MaterialCharacterisation
 
 

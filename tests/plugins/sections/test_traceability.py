@@ -5,8 +5,9 @@ from importlib.metadata import version
 
 import pytest
 
-from cbsr_qa.plugin import discover, software_versions
-from cbsr_qa.station import configure, open_station, station_clock
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.software import software_versions
+from cbsr_qa.station.setup import configure, open_station, station_clock
 
 PLUGINS = discover()
 

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import FindSurface, Press
-from cbsr_qa.plugin import discover
-from cbsr_qa.station import configure, plan_of
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.steps import FindSurface, Press
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.station.setup import configure, plan_of
 from cbsr_qa_plugins.sequences.places import GivenLoadsSequence
 
 _POLAR = {"radius_mm": 10.0, "angle_deg": 90.0, "strain_percent": 20.0}
@@ -52,11 +52,11 @@ def test_a_load_without_a_place_or_with_two_is_refused_by_number(load, named):
 
 
 def test_the_recipe_of_the_paper_presses_its_random_loads_where_it_says():
-    from cbsr_qa.studies.reproduce import published
+    from cbsr_qa.studies.reproduce.reproduce import read_published
 
     configuration = configure("simulated", "paper", sensor_type=None, material=None, seed=1)
     sequence = next(p.sequence for p in plan_of(configuration, discover()).phases if p.name == "random loads")
-    loads, rows = _pressed(sequence), published()["table5_random_E_CoM_mm"]["rows"]
+    loads, rows = _pressed(sequence), read_published()["table5_random_E_CoM_mm"]["rows"]
     assert len(loads) == 3 * len(rows) == 30
     for load, (radius_mm, angle_deg, percent, *_) in zip(loads, rows * 3, strict=True):
         assert np.hypot(load.x_mm, load.y_mm) == pytest.approx(radius_mm, abs=0.01)

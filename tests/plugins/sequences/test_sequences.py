@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.stats import chisquare
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, StrainStep
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.testing import example_plan
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, StrainStep
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.sequences.centre import (
     HysteresisLoopSequence,
     NoiseFigureSequence,

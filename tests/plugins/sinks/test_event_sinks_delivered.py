@@ -14,9 +14,9 @@ from uuid import uuid4
 
 import pytest
 
-from cbsr_qa.domain import ConfigError, DeliveryError
-from cbsr_qa.station import Delivery
-from cbsr_qa.testing import check_sink, example_messages
+from cbsr_qa.domain.errors import ConfigError, DeliveryError
+from cbsr_qa.station.event_sinks import Delivery
+from cbsr_qa.testing.sinks import check_sink, example_messages
 from cbsr_qa_plugins.sinks.json_lines import JsonLines
 from cbsr_qa_plugins.sinks.mqtt import Mqtt
 from cbsr_qa_plugins.sinks.webhook import Webhook
@@ -376,8 +376,8 @@ def test_events_that_a_dripping_server_does_not_take_are_sent_again_and_named_as
     delivery.end()
     delivery.wait(2.0)
     assert attempts[:2] == [1, 1]
-    assert "1 of 1 events were not delivered" in delivery.lost()
-    assert "has not answered in full within 0.2 s" in delivery.lost()
+    assert "1 of 1 events were not delivered" in delivery.describe_loss()
+    assert "has not answered in full within 0.2 s" in delivery.describe_loss()
 
 
 # Options

@@ -9,9 +9,9 @@ from hypothesis import given, strategies as st
 from report_samples import sample_run
 from sensor_samples import SENSOR
 
-from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, force_figure, ratio_figure, stated_error
+from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, fit_stated_error, force_figure, ratio_figure
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure, round_levels
-from cbsr_qa.report.draw.style import checked_svg
+from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa_plugins.sections.force import Force
 
 _NONE = np.zeros(0)
@@ -39,7 +39,7 @@ def drawn_map(fields, used=((0.0, 0.0),), refused=()):
 
 
 def looks_whole(figure):
-    checked_svg(figure)
+    check_svg(figure)
     assert "nan" not in figure.lower()
     assert "inf" not in figure.lower()
     return True
@@ -76,12 +76,12 @@ def test_loads_beyond_the_edge_are_marks_and_do_not_flatten_the_others():
 def test_stated_errors_that_grow_as_the_model_says_are_met_exactly(level, growth, count):
     force = np.linspace(0.5, 5, count)
     stated = np.sqrt(level**2 + growth**2 * force**2)
-    np.testing.assert_allclose(stated_error(force, stated, force), stated, atol=1e-6 * (level + growth))
+    np.testing.assert_allclose(fit_stated_error(force, stated, force), stated, atol=1e-6 * (level + growth))
 
 
 @given(st.lists(st.floats(0.01, 10), min_size=1, max_size=20))
 def test_bands_are_real_whatever_the_stated_errors(stated):
-    found = stated_error(np.linspace(1, 3, len(stated)), np.array(stated), np.linspace(0, 5, 20))
+    found = fit_stated_error(np.linspace(1, 3, len(stated)), np.array(stated), np.linspace(0, 5, 20))
     assert np.isfinite(found).all()
     assert (found >= 0).all()
 

@@ -12,27 +12,21 @@ from matplotlib.figure import Figure as Canvas
 from recording_samples import sample_recording
 from sensor_samples import SENSOR
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.geometry import Disc
-from cbsr_qa.domain.results import (
-    Blob,
-    Figure,
-    FitStatus,
-    Image,
-    RelaxationFit,
-    RelaxationObservation,
-    SettlingTime,
-    Trace,
-)
-from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.geometry.outlines import Disc
+from cbsr_qa.domain.imaging import Blob, Image
+from cbsr_qa.domain.results.observation import RelaxationObservation, Trace
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.results.report import Figure
+from cbsr_qa.eit.mesh.sheet import image_mesh
 from cbsr_qa.report.draw.channels import ChannelMark, channel_map_figure
 from cbsr_qa.report.draw.images import ImagePanel, Marker, image_figure
-from cbsr_qa.report.draw.metrics import Held, held_profile
+from cbsr_qa.report.draw.metrics import Held, average_over_holds
 from cbsr_qa.report.draw.parameter import log_ticks
 from cbsr_qa.report.draw.relaxation import SettledLoad, relaxation_figure, relaxation_value
 from cbsr_qa.report.draw.sheet import Raster, rings
-from cbsr_qa.report.draw.style import checked_svg, drawing, name_rows, spread_labels
-from cbsr_qa.report.draw.time import Span, thinned, timeline_figure
+from cbsr_qa.report.draw.style import check_svg, drawing, name_rows, spread_labels
+from cbsr_qa.report.draw.time import Span, thin_trace, timeline_figure
 from cbsr_qa_plugins.sections.recording import RecordingEvents
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">{}</svg>'
@@ -73,17 +67,17 @@ def timeline(name="force", spans=()):
 )
 def test_an_svg_that_could_do_more_than_be_looked_at_is_refused(content):
     with pytest.raises(RefusedError):
-        checked_svg(SVG.format(content))
+        check_svg(SVG.format(content))
 
 
 def test_entities_are_refused_before_they_are_expanded():
     with pytest.raises(RefusedError, match="declaration"):
-        checked_svg('<!DOCTYPE svg [<!ENTITY a "aaaa">]>' + SVG.format("<text>&a;</text>"))
+        check_svg('<!DOCTYPE svg [<!ENTITY a "aaaa">]>' + SVG.format("<text>&a;</text>"))
 
 
 def test_a_harmless_svg_passes_unchanged():
     harmless = SVG.format('<defs><path id="m" d="M0 0"/></defs><use href="#m"/><rect fill="url(#g)"/>')
-    assert checked_svg(harmless) == harmless
+    assert check_svg(harmless) == harmless
 
 
 def test_the_same_numbers_give_the_same_bytes():
@@ -104,7 +98,7 @@ def test_every_figure_passes_the_check_and_leaves_no_trace_in_the_settings(mesh)
         channel_map_figure(np.full((1, 16), np.nan), label="SNR", unit="dB"),
     ]
     for figure in figures:
-        checked_svg(figure)
+        check_svg(figure)
     assert dict(mpl.rcParams) == before
 
 
@@ -121,7 +115,7 @@ def test_every_name_that_is_referred_to_is_there():
 
 def test_text_in_a_figure_is_text_and_never_a_formula():
     svg = timeline('<script>"$x^2$" & مرحبا')
-    checked_svg(svg)
+    check_svg(svg)
     assert "&lt;script&gt;" in svg
     assert "$x^2$" in svg
     assert "مرحبا" in svg
@@ -246,7 +240,7 @@ def test_a_pixel_shows_the_element_it_lies_in(mesh):
 def test_a_line_that_is_thinned_keeps_its_spike():
     time_s, values = np.arange(20000.0), np.zeros(20000)
     values[7777] = 5.0
-    kept_s, kept = thinned(time_s, values, 400)
+    kept_s, kept = thin_trace(time_s, values, 400)
     assert len(kept) <= 400
     assert kept.max() == 5.0
     assert kept_s[kept.argmax()] == 7777
@@ -258,7 +252,7 @@ def test_what_waiting_buys_is_an_average_over_the_presses():
     held = [Held("a", 0, 50), Held("b", 100, 150)]
     values = np.where(time_s < 100, 1.0, 3.0)
     values[time_s == 105] = np.nan
-    since, mean, low, high = held_profile(time_s, values, held)
+    since, mean, low, high = average_over_holds(time_s, values, held)
     assert len(since) == 20
     assert since[2] == 5.0
     assert mean[3] == 2.0
@@ -268,7 +262,7 @@ def test_what_waiting_buys_is_an_average_over_the_presses():
 
 
 def test_nothing_seen_gives_an_empty_profile():
-    since, *_ = held_profile(np.arange(10.0), np.full(10, np.nan), [Held("a", 0, 10)])
+    since, *_ = average_over_holds(np.arange(10.0), np.full(10, np.nan), [Held("a", 0, 10)])
     assert not len(since)
 
 

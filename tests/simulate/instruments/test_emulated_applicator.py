@@ -23,7 +23,7 @@ class Printer:
         self.instrument = EmulatedApplicator(self.rig, OPTIONS | options, self.unasked.append)
 
     def __call__(self, *lines):
-        return self.instrument.received("".join(f"{line}\n" for line in lines).encode()).decode().splitlines()
+        return self.instrument.receive("".join(f"{line}\n" for line in lines).encode()).decode().splitlines()
 
     def took(self, *lines):
         before = self.rig.clock.now()

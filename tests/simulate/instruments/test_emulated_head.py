@@ -9,7 +9,7 @@ from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.system.clock import VirtualClock
 
 SPEED = 40 / 60
 CENTRE, HOVER_Z = (125.0, 105.0), 60.0
@@ -24,7 +24,7 @@ def one_world():
 def rig(one_world):
     one_world.presses.clear()
     rig = EmulatedRig(WatchedClock(), one_world, MOTION)
-    rig.head.mounted(CENTRE, HOVER_Z)
+    rig.head.mount_over(CENTRE, HOVER_Z)
     return rig
 
 
@@ -156,7 +156,7 @@ def test_beside_the_sheet_there_is_nothing_to_press(rig, one_world):
 
 
 def test_a_machine_whose_z_grows_downwards(rig):
-    rig.head.mounted(CENTRE, HOVER_Z, up=False)
+    rig.head.mount_over(CENTRE, HOVER_Z, up=False)
     rig.head.go((*CENTRE, HOVER_Z + 20.0), 100.0)
     rig.clock.sleep(10.0)
     assert rig.head.height_mm == pytest.approx(5.0)

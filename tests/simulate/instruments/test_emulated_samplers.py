@@ -14,7 +14,7 @@ def sampled():
     port = PtyPort("load cell")
     rig = EmulatedRig(WatchedClock(), world(base_scene()), MOTION)
     cell = EmulatedLoadCell(rig, {"unit": "g", "rate_hz": 8.0}, port.send)
-    cell.attached(port)
+    cell.attach(port)
     port.serve(cell)
     yield rig.clock, port
     port.close()

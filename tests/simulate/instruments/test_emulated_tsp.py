@@ -5,7 +5,7 @@ import struct
 import pytest
 from scanning_rig import TabledWorld
 
-from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain.plan.plan import Motion
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.source_meter import EmulatedSourceMeter
 from cbsr_qa.simulate.instruments.streams import Fault, WatchedClock
@@ -20,7 +20,7 @@ def smu():
 
 
 def say(smu, *lines):
-    return smu.received("".join(f"{line}\n" for line in lines).encode()).decode("latin-1")
+    return smu.receive("".join(f"{line}\n" for line in lines).encode()).decode("latin-1")
 
 
 def errors(smu):
@@ -33,9 +33,9 @@ def test_it_says_who_it_is(smu):
 
 
 def test_lines_may_come_in_pieces(smu):
-    assert smu.received(b"print(1") == b""
-    assert smu.received(b")\nprint(") == b"1.00000e+00\n"
-    assert smu.received(b'"a", true, nil)\n') == b"a\ttrue\tnil\n"
+    assert smu.receive(b"print(1") == b""
+    assert smu.receive(b")\nprint(") == b"1.00000e+00\n"
+    assert smu.receive(b'"a", true, nil)\n') == b"a\ttrue\tnil\n"
 
 
 def test_attributes_are_read_back_with_the_precision_that_was_set(smu):
@@ -115,7 +115,7 @@ def test_binary_buffers_hold_readings_and_status_and_say_where_there_is_none(smu
     drive(smu, 1e-3)
     say(smu, "format.data = format.REAL32", "smub.nvbuffer1.appendmode = 1", "smub.measure.rangei = 1e-3",
         "for k = 1, 2 do smub.measure.i(smub.nvbuffer1) end")  # fmt: skip
-    reply = smu.received(b"printbuffer(1, 3, smub.nvbuffer1.readings, smub.nvbuffer1.statuses)\n")
+    reply = smu.receive(b"printbuffer(1, 3, smub.nvbuffer1.readings, smub.nvbuffer1.statuses)\n")
     assert reply[:2] == b"#0"
     assert reply[-1:] == b"\n"
     values = struct.unpack("<6f", reply[2:-1])

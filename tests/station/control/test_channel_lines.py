@@ -5,7 +5,7 @@ import socket
 
 import pytest
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.station.control.client import RunChannel
 from cbsr_qa.station.control.lock import Holder
 from cbsr_qa.station.control.server import _content, _number, _Request
@@ -43,21 +43,21 @@ def test_a_command_refuses_what_a_run_cannot_have_sent(line, why):
 
 @pytest.mark.parametrize("text", [b"[" * 4000, b'{"pid": 1, "pid": 2}', b"7", b'{"pid": NaN}', b""])
 def test_a_lock_file_of_somebody_else_names_nobody(text):
-    assert Holder.of_text(text) is None
+    assert Holder.from_text(text) is None
 
 
 _HELD = {"station": "bench", "pid": 1, "started": "5", "who": "Ada", "doing": "testing S-1"}
 
 
 def test_a_lock_file_names_its_holder():
-    assert Holder.of_text(json.dumps(_HELD).encode()) == Holder(**_HELD)
+    assert Holder.from_text(json.dumps(_HELD).encode()) == Holder(**_HELD)
 
 
 @pytest.mark.parametrize(
     "changed", [{"pid": True}, {"pid": "1"}, {"pid": 1.0}, {"pid": 0}, {"who": 3}, {"doing": None}, {"more": 1}]
 )
 def test_a_lock_file_with_a_value_of_another_type_names_nobody(changed):
-    assert Holder.of_text(json.dumps(_HELD | changed).encode()) is None
+    assert Holder.from_text(json.dumps(_HELD | changed).encode()) is None
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_lock_file_with_a_value_of_another_type_names_nobody(changed):
 )
 def test_a_request_with_a_value_of_another_type_is_refused_with_what_is_allowed(content, why):
     with pytest.raises(RefusedError, match=why):
-        (_number if "id" in content else _Request.of)(content)
+        (_number if "id" in content else _Request.from_content)(content)
 
 
 @pytest.mark.parametrize("ok", ["false", 1, None, "yes"])

@@ -10,7 +10,7 @@ from certified_groups import certified_table
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.gauge.anova import MeanSquare, Source, gauge_anova, sum_interval
 from cbsr_qa.stats.gauge.crossed_study import Study, gauge_range, study
 from cbsr_qa.stats.gauge.reference import bias, linearity, stability, straight_line

@@ -11,7 +11,7 @@ from fleet_designs import fleet, three_batches, uneven
 from hypothesis import given, strategies as st
 from scipy import optimize, stats
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.crossings import crossing
 from cbsr_qa.stats.difference import welch
 from cbsr_qa.stats.mixed_model.model import Model, fit

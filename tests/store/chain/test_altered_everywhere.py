@@ -5,14 +5,15 @@ import shutil
 import pytest
 from altered_runs import another_value, change, fill, linked_again
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome, ResultState
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.states import ResultState
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.chain.links import VARIABLE
-from cbsr_qa.store.chain.run_documents import KEYS, covered
-from cbsr_qa.store.runs import latest_result
-from cbsr_qa.store.tables import Base
+from cbsr_qa.store.chain.run_documents import KEYS, list_covered
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.runs.outcomes import latest_result
+from cbsr_qa.store.tables.runs import Base
 
 KEY = "a key of twenty-two let"
 SENSOR = SensorIdentity("S-1", "B7", "disc-100mm")
@@ -36,7 +37,7 @@ def refusing(read):
 
 
 def measured(store, run):
-    found = store.measured_runs([run])
+    found = store.read_measurements([run])
     return [*dict.fromkeys((run, "") for run in found.runs), *found.altered.items()]
 
 
@@ -44,12 +45,12 @@ def measured(store, run):
 READERS = {
     "load_run": (set(KEYS), refusing(lambda store, run: store.load_run(run))),
     "analyses": (ANALYSIS, refusing(lambda store, run: store.analyses(run))),
-    "lists": (JUDGED, lambda store, run: marked(store.listed_runs())),
+    "lists": (JUDGED, lambda store, run: marked(store.list_runs())),
     "run lines": (VERDICT, lambda store, run: marked(store.run_lines())),
     "runs of a sensor": (VERDICT, lambda store, run: marked(store.find_runs("S-1"))),
     "comparison, charts, gauge": (JUDGED, refusing(lambda store, run: store.fleet())),
     "table of measurements": (JUDGED, measured),
-    "judged measurements": (JUDGED, refusing(lambda store, run: store.judged_measurements([run]) or None)),
+    "judged measurements": (JUDGED, refusing(lambda store, run: store.read_limited_measurements([run]) or None)),
     "page of a station": (VERDICT, lambda store, run: marked([store.latest_run_at("bench-α")])),
     "page of a run": (VERDICT, lambda store, run: marked([store.look_at(run)])),
     "history of a sensor": (
@@ -57,7 +58,7 @@ READERS = {
         lambda store, run: [(one.run, one.changed) for one in store.sensor_history(SENSOR, "short").earlier],
     ),
     "overrides": ({"verdict_overrides"}, refusing(lambda store, run: store.overrides(run))),
-    "changes": (RECORDS, lambda store, run: [(run, store.altered_records().get(run, ""))]),
+    "changes": (RECORDS, lambda store, run: [(run, store.find_altered_records().get(run, ""))]),
     "re-analysis": (
         {"reanalyses"},
         refusing(lambda store, run: [store.reanalysis(one) for one in store.reanalyses_of(run)] or None),
@@ -111,7 +112,7 @@ def test_every_reader_shows_a_sound_run(copied):
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
         assert [name for name, (_, read) in READERS.items() if (run, "") not in read(store, run)] == []
-        (listed,) = (one for one in store.listed_runs() if one.run == run)
+        (listed,) = (one for one in store.list_runs() if one.run == run)
         assert (listed.verdict, listed.outcome) == (Outcome.PASS, Outcome.FAIL)
 
 
@@ -123,7 +124,7 @@ CELLS = [
         table, column, id=f"{table}.{column.name}", marks=[] if (table, column.name) in QUICK else [pytest.mark.rest]
     )
     for table in sorted(set(KEYS) - OF_BEFORE)
-    for column in covered(Base.metadata.tables[table])
+    for column in list_covered(Base.metadata.tables[table])
 ]
 
 
@@ -251,5 +252,5 @@ def test_a_run_whose_chain_was_removed_but_not_all_its_links_is_altered(copied, 
     change(path, "update analyses set outcome = 'pass'")
     change(path, f"delete from run_links where kind in ({kinds})")
     with open_store(f"sqlite:///{path}") as store:
-        (listed,) = [one for one in store.listed_runs() if one.run == run]
+        (listed,) = [one for one in store.list_runs() if one.run == run]
     assert "states no chain, and run_links holds links" in listed.altered

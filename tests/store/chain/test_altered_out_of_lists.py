@@ -10,13 +10,14 @@ import pytest
 from altered_runs import change
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome, RunSelection
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
-from cbsr_qa.store import open_store
+from cbsr_qa.app.shift.lists import list_request, list_runs, list_sensors
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.store.chain.links import VARIABLE
-from cbsr_qa.studies.shift import list_request, list_runs, list_sensors
+from cbsr_qa.store.opening import open_store
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +33,12 @@ def made(tmp_path_factory):
             for serial, values in (("S-1", good), ("S-1", bad), ("S-2", good), ("S-3", bad))
         ]
         store.save_station_check(golden_check(store, names[3]))
-        assert [run.verdict for run in store.listed_runs()][1] is Outcome.FAIL
+        assert [run.verdict for run in store.list_runs()][1] is Outcome.FAIL
     return file, names
 
 
 def golden_check(store, run):
-    (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
+    (listed,) = store.list_runs(RunSelection(up_to=run, latest=1))
     return StationCheck(
         check=store.new_id(),
         station=listed.station,
@@ -79,12 +80,12 @@ def test_a_failed_run_that_was_moved_out_of_a_selection_is_listed_as_altered(
     change(path, f"update runs set {column} = {value} where run = ?", names[1])
     at = [*options, "--database", f"sqlite:///{path}"]
     for command in (["runs"], ["runs", "--failed"], ["sensors"]):
-        assert guarded([*command, *at, "--json"]) == 1, command
+        assert run_guarded([*command, *at, "--json"]) == 1, command
         shown = json.loads(capsys.readouterr().out)
         entries = shown.get("runs") or shown.get("sensors")
         assert names[1] in [one["run"] for one in entries if one["verdict"] == "altered"], command
-    assert guarded(["export", *at, "--to", str(tmp_path / "runs.csv")]) == 1
-    assert guarded(["export", *at, "--to", str(tmp_path / "runs.xml")]) == 2
+    assert run_guarded(["export", *at, "--to", str(tmp_path / "runs.csv")]) == 1
+    assert run_guarded(["export", *at, "--to", str(tmp_path / "runs.xml")]) == 2
     assert not (tmp_path / "runs.xml").exists()
     assert names[1] in capsys.readouterr().err
     with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match=names[1]):
@@ -96,7 +97,7 @@ def test_a_selection_of_the_latest_runs_looks_no_further_back_than_the_oldest_of
     change(path, "update runs set station = 'line-9' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
         for latest, altered in ((1, []), (2, []), (3, [names[1]])):
-            listed = store.listed_runs(RunSelection(stations=("bench-α",), latest=latest))
+            listed = store.list_runs(RunSelection(stations=("bench-α",), latest=latest))
             assert [run.run for run in listed if run.altered] == altered
 
 
@@ -104,7 +105,7 @@ def test_a_failed_run_that_was_given_another_serial_number_is_listed_with_the_ru
     path, names = moved
     change(path, "update runs set serial = 'S-2' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
-        listed = store.listed_runs(RunSelection(serials=("S-1",)))
+        listed = store.list_runs(RunSelection(serials=("S-1",)))
         found = store.find_runs("S-1")
     assert [(run.run, bool(run.altered)) for run in listed] == [(names[0], False), (names[1], True)]
     assert [(run.run, bool(run.altered)) for run in reversed(found)] == [(names[0], False), (names[1], True)]
@@ -118,10 +119,10 @@ def test_a_serial_number_is_not_resolved_past_an_altered_run(moved):
             store.resolve("S-1")
         assert store.resolve(names[0]) == names[0]
         assert store.resolve("S-3") == names[3]
-        assert list(store.altered_elsewhere("S-1")) == [names[1]]
+        assert list(store.find_altered_elsewhere("S-1")) == [names[1]]
     change(path, "update runs set serial = 'S-1' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
-        assert (store.resolve("S-1"), store.altered_elsewhere("S-1")) == (names[1], {})
+        assert (store.resolve("S-1"), store.find_altered_elsewhere("S-1")) == (names[1], {})
 
 
 def test_an_altered_run_has_a_row_of_its_own_among_sensors(moved):
@@ -175,18 +176,18 @@ def test_one_odd_cell_marks_its_run_and_hides_no_other(moved, tmp_path, capsys, 
         if not measuring:
             assert [one.run for one in store.find_runs() if one.altered] == [run]
             assert [one.run for one in store.run_lines() if one.altered] == [run]
-        assert list(store.measured_runs(names).altered) == [run]
+        assert list(store.read_measurements(names).altered) == [run]
         with pytest.raises(StoreError):
-            store.judged_measurements([run])
+            store.read_limited_measurements([run])
     expected = 1 if marked else 0
-    assert guarded(["runs", *at]) == expected
-    assert guarded(["sensors", *at]) == expected
-    assert guarded(["export", *at, "--to", str(tmp_path / "runs.csv")]) == expected
-    assert guarded(["export", *at, "--table", "measurements", "--to", str(tmp_path / "values.csv")]) == 1
-    assert guarded(["db", "check", *at]) == 1
+    assert run_guarded(["runs", *at]) == expected
+    assert run_guarded(["sensors", *at]) == expected
+    assert run_guarded(["export", *at, "--to", str(tmp_path / "runs.csv")]) == expected
+    assert run_guarded(["export", *at, "--table", "measurements", "--to", str(tmp_path / "values.csv")]) == 1
+    assert run_guarded(["db", "check", *at]) == 1
     assert run in capsys.readouterr().out
-    assert guarded(["report", run, *at]) == 2
-    assert guarded(["export", run, *at, "--to", str(tmp_path / "runs.nc")]) == 2
+    assert run_guarded(["report", run, *at]) == 2
+    assert run_guarded(["export", run, *at, "--to", str(tmp_path / "runs.nc")]) == 2
 
 
 def test_a_run_whose_whole_chain_was_removed_is_altered_if_another_one_followed_it(moved, capsys):
@@ -200,7 +201,7 @@ def test_a_run_whose_whole_chain_was_removed_is_altered_if_another_one_followed_
     assert "begun after it, names a link of it" in listed[names[1]].reason
     assert [listed[run].verdict for run in names] == ["pass", "altered", "pass", "fail"]
     assert listed[names[3]].chain == "unchained"
-    assert guarded(["runs", "--checks", "--database", f"sqlite:///{path}"]) == 1
+    assert run_guarded(["runs", "--checks", "--database", f"sqlite:///{path}"]) == 1
     assert "fail, unchained" in capsys.readouterr().out
 
 
@@ -220,7 +221,7 @@ def test_a_check_that_does_not_fit_hides_no_failed_run(moved, capsys, statement,
         listed = {one.run: one for one in list_runs(store, list_request()).runs}
         assert (listed[names[1]].verdict, listed[names[1]].of_check) == (Outcome.FAIL, False)
         assert names[1] in [one.run for one in store.run_lines(RunSelection(checks=False))]
-    assert guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
+    assert run_guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
     assert words in " ".join(capsys.readouterr().out.split())
 
 
@@ -238,7 +239,7 @@ def test_a_sealed_check_of_another_station_or_time_hides_no_failed_run(moved, ca
     with open_store(f"sqlite:///{path}") as store:
         store.save_station_check(replace(golden_check(store, names[1]), **changes))
         assert [one.run for one in list_runs(store, list_request()).runs] == names[:3]
-    assert guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
+    assert run_guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
     assert words in " ".join(capsys.readouterr().out.split())
 
 
@@ -266,7 +267,7 @@ def test_an_override_that_cannot_be_read_hides_no_other(moved, capsys, cell, cha
         change(path, "delete from run_links")
         change(path, "update runs set chain = null")
     change(path, f"update verdict_overrides set {cell} where run = ?", names[1])
-    assert guarded(["db", "changes", "--database", f"sqlite:///{path}", "--json"]) == 1
+    assert run_guarded(["db", "changes", "--database", f"sqlite:///{path}", "--json"]) == 1
     shown = json.loads(capsys.readouterr().out)
     assert [one["run"] for one in shown["overrides"]] == names[:1]
     assert len(shown["altered"]) == 1

@@ -3,9 +3,10 @@
 import pytest
 from synced import Place, judged, link_again, remove_run, run_of
 
-from cbsr_qa.app import check_database, synchronise
-from cbsr_qa.domain.results import Outcome
-from cbsr_qa.store import open_store
+from cbsr_qa.app.keeping import check_database
+from cbsr_qa.app.sync import synchronise
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.store.opening import open_store
 
 pytestmark = pytest.mark.rest
 

@@ -5,9 +5,9 @@ from datetime import UTC
 import sqlalchemy as sa
 from hypothesis import given, strategies as st
 
-from cbsr_qa.store.chain import documents, documents_in_columns, keys_of, row_texts
-from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
-from cbsr_qa.store.tables import Base
+from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of, row_texts
+from cbsr_qa.store.chain.run_documents import KEYS, documents, list_covered, row_text
+from cbsr_qa.store.tables.runs import Base
 from cbsr_qa.store.types import FiniteDouble, Instant, Whole
 
 LINKED = [Base.metadata.tables[name] for name in KEYS]
@@ -36,7 +36,7 @@ def typed(kind):
 def test_documents_are_those_of_rows_one_by_one(table, data):
     count = data.draw(st.integers(0, 12))
     columns = {}
-    for one in covered(table):
+    for one in list_covered(table):
         own = cells(one.type) | st.none()
         cell = data.draw(st.sampled_from([own, own if typed(one.type) else own | FOREIGN]))
         columns[one.name] = data.draw(st.lists(cell, min_size=count, max_size=count))

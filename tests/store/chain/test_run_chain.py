@@ -13,34 +13,29 @@ from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_eng
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, short_run
 
-from cbsr_qa.calibration.file import stamp
-from cbsr_qa.domain import ConfigError, StoreError
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
-from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, RunSelection, decide
-from cbsr_qa.domain.run import (
-    ChainState,
-    ChartReference,
-    CheckOutcome,
-    CheckResult,
-    GateAnswer,
-    GateOutcome,
-    InstrumentIdentity,
-    RingReadings,
-    RunStarted,
-    StationCheck,
-)
-from cbsr_qa.store import open_store
+from cbsr_qa.calibration.file.hdf5 import stamp
+from cbsr_qa.domain.errors import ConfigError, StoreError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.charts import ChartReference
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.measurement import Measurement, decide
+from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.domain.run.run import ChainState, InstrumentIdentity, RunStarted
+from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey, link_digest
-from cbsr_qa.store.chain.run_documents import KEYS, covered, documents, row_text
-from cbsr_qa.store.results import Reanalysis
-from cbsr_qa.store.tables import Base
+from cbsr_qa.store.chain.run_documents import KEYS, documents, list_covered, row_text
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.results.reanalyses import Reanalysis
+from cbsr_qa.store.tables.runs import Base
 from cbsr_qa.store.types import FiniteDouble, Whole
 
 KEY, OTHER = "a key of twenty-two let", "another key of some length"
 LIMIT = Limit("drift", "mm", None, 5.0)
 MEASURED = (
-    Measurement("drift", 4.0, "mm", phase="nine locations").judged(LIMIT),
+    Measurement("drift", 4.0, "mm", phase="nine locations").judge(LIMIT),
     Measurement("noise", -0.0, "1", 0.1 + 0.2),
 )
 
@@ -324,7 +319,7 @@ def test_every_table_of_a_run_is_covered_or_said_not_to_be():
     for name in KEYS:  # what holds bytes holds a digest of them too, which is covered
         table = Base.metadata.tables[name]
         if any(isinstance(column.type, LargeBinary) for column in table.columns):
-            assert any(column.name.endswith("sha256") for column in covered(table)), name
+            assert any(column.name.endswith("sha256") for column in list_covered(table)), name
 
 
 def test_a_column_that_is_added_later_changes_no_digest_of_before():

@@ -10,13 +10,16 @@ import sqlalchemy as sa
 from stored_runs import SETTING, identity, journalled, short_run
 from synced import assert_all_there, content, link_again, on_both, remove_run, run_of, sent
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import Outcome
-from cbsr_qa.domain.run import RunStarted
-from cbsr_qa.store import writing
-from cbsr_qa.store.chain import FIGURES, KEYS, of_run
-from cbsr_qa.store.sync import held, let_go, refusals, send_again, waiting
-from cbsr_qa.store.tables import Base, LinkRow
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.run import RunStarted
+from cbsr_qa.store.chain.check import select_run
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.sync.centre import refusals
+from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
+from cbsr_qa.store.tables.records import LinkRow
+from cbsr_qa.store.tables.runs import Base
 
 DAY = date(2026, 1, 1)
 
@@ -52,7 +55,7 @@ def overridden(station):
 def assert_quarantined(station, centre, done, run, why):
     assert [entry.item for entry in done.quarantined] == [run]
     assert (done.items, done.rows) == (0, 0)
-    (entry,) = held(station.engine)
+    (entry,) = list_held(station.engine)
     assert why in entry.why
     assert [refused.run for refused in refusals(centre.engine)] == [run]
 
@@ -119,7 +122,7 @@ def cut_links(centre, run, left):
                 table = Base.metadata.tables[kind]
                 keys = zip(KEYS[kind], document.split("/"), strict=True)
                 same = [sa.cast(table.c[name], sa.Text) == value for name, value in keys]
-                connection.execute(table.delete().where(of_run(table, run), *same))
+                connection.execute(table.delete().where(select_run(table, run), *same))
         connection.execute(sa.delete(LinkRow).where(LinkRow.run == run, LinkRow.number >= left))
 
 
@@ -213,7 +216,7 @@ def test_what_is_no_run_is_compared_too(full, centre, where, statement, why):
     assert sent(full, centre).quarantined == []  # nothing announces it
     (entry,) = sent(full, centre, compare_since=DAY).quarantined
     assert entry.kind == why
-    assert "differs from the centre's" in held(full.engine)[0].why
+    assert "differs from the centre's" in list_held(full.engine)[0].why
 
 
 def test_a_run_under_way_is_compared_when_it_has_ended(station, centre):
@@ -245,7 +248,7 @@ def test_a_run_that_was_removed_before_it_was_sent_is_named_at_both_ends(station
     remove_run(station, runs[1])
     done = sent(station, centre)
     assert (done.runs, [entry.item for entry in done.quarantined]) == (2, [runs[1]])
-    (entry,) = held(station.engine)
+    (entry,) = list_held(station.engine)
     assert entry.why.startswith(f"the run before {runs[2]} (begun 2026-11-21 08:00 UTC) is missing: run {runs[1]}")
     (refused,) = refusals(centre.engine)
     assert (refused.run, refused.station, refused.why) == (runs[1], "bench-α", entry.why)

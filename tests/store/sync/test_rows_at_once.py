@@ -9,12 +9,13 @@ import pytest
 import sqlalchemy as sa
 from synced import opened
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.store import restored, writing
-from cbsr_qa.store.runs import check_many_frames, check_many_samples, frame_values, sample_values
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.runs.codec import frame_values, sample_values
+from cbsr_qa.store.runs.many_blocks import check_many_frames, check_many_samples
 from cbsr_qa.store.sync import copying
-from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word, restored_together
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word, restore, restore_many
 
 
 def frames(number, *, timed=True, current_A=None):
@@ -64,7 +65,7 @@ def test_the_samples_that_were_changed_are_named():
 def test_cells_are_restored_together_as_one_by_one(steps):
     stored = [frames(number).reading_time_s for number in range(300)]
     stored[7] = random.Random(7).randbytes(192)
-    assert restored_together(stored, 192, 8, steps=steps) == [restored(one, 192, 8, steps=steps) for one in stored]
+    assert restore_many(stored, 192, 8, steps=steps) == [restore(one, 192, 8, steps=steps) for one in stored]
 
 
 #: A cell of each type of column.
@@ -105,4 +106,4 @@ def test_a_cell_that_does_not_fit_its_column_is_named(place):
     row[place] = {1: 2**31, 4: {1j}}.get(place, row)
     if place != 3:  # everything is true or false
         with pytest.raises(OverflowError, match=f"each.c{place}"):
-            copying.encoded(table_of_each_type(), [row] * 5)
+            copying.encode_rows(table_of_each_type(), [row] * 5)

@@ -12,13 +12,17 @@ import synced
 from stored_runs import calibration, frames, journalled, short_run
 from synced import assert_all_there, content, everything, judged, on_both, run_of, send, sent
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import FramesTaken, RunEnded
-from cbsr_qa.store import HEAD, archives, reading
-from cbsr_qa.store.chain import check_run
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store import archives
+from cbsr_qa.store.chain.check import check_run
+from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
-from cbsr_qa.store.sync import held, let_go, parcels, refusals, send_again, storing, waiting
+from cbsr_qa.store.schema import HEAD
+from cbsr_qa.store.sync import parcels, storing
+from cbsr_qa.store.sync.centre import refusals
+from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 
@@ -122,7 +126,7 @@ def test_an_altered_run_is_quarantined_and_the_queue_goes_on(station, centre):
     station.change(f"UPDATE loads SET x_mm = 1.5 WHERE run = '{runs[1]}'")
     done = sent(station, centre)
     assert (done.runs, [entry.item for entry in done.quarantined]) == (2, [runs[1]])
-    (entry,) = held(station.engine)
+    (entry,) = list_held(station.engine)
     assert (entry.item, entry.state) == (runs[1], "quarantined")
     assert "loads (phase 0, load_index 0) was changed" in entry.why
     (refused,) = refusals(centre.engine)
@@ -157,7 +161,7 @@ def test_each_alteration_is_named(station, centre, statement, why):
     run_of(station.store)
     station.change(statement)
     sent(station, centre)
-    (entry,) = held(station.engine)
+    (entry,) = list_held(station.engine)
     assert why in entry.why
     assert not centre.said("SELECT run FROM runs")
     assert len(refusals(centre.engine)) == 1
@@ -175,7 +179,7 @@ def test_frames_archived_before_they_were_sent_are_read_from_their_file(station,
     else:
         spoil(file)
         assert [entry.item for entry in sent(station, centre).quarantined] == [one.run]
-        assert f"archived in {file}" in held(station.engine)[0].why
+        assert f"archived in {file}" in list_held(station.engine)[0].why
 
 
 def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, centre, tmp_path, monkeypatch):
@@ -184,7 +188,7 @@ def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, cen
     (one,) = station.store.archivable(LATER)
     station.store.archive_run(one, tmp_path / "kept", LATER)
     read, parcelled = [], []
-    monkeypatch.setattr(archives, "checked_bytes", counted(archives.checked_bytes, read))
+    monkeypatch.setattr(archives, "read_checked", counted(archives.read_checked, read))
     monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(storing.store_parcel, parcelled))
     monkeypatch.setattr(parcels, "MOST_BYTES", 2000)
     sent(station, centre)
@@ -235,7 +239,7 @@ def test_another_batch_of_a_sensor_is_quarantined(place, centre):
     for one in (late, early, other):
         sent(one, centre)
     assert centre.said("SELECT * FROM sensors") == early.said("SELECT * FROM sensors")
-    (entry,) = held(other.engine)
+    (entry,) = list_held(other.engine)
     assert "sensor S-1 has batch 'B7' at the centre, and 'B8' here" in entry.why
     assert len(centre.said("SELECT run FROM runs")) == 2
 
@@ -296,7 +300,7 @@ def test_runs_of_before_chains_are_compared_as_a_whole(full, centre, place):
     judged(full.store, run)
     (entry,) = sent(full, centre).quarantined
     assert entry.item == run
-    assert "loads (phase 0, load_index 0)" in held(full.engine)[0].why
+    assert "loads (phase 0, load_index 0)" in list_held(full.engine)[0].why
 
 
 @on_both
@@ -305,7 +309,7 @@ def test_a_row_that_the_centre_refuses_is_quarantined_with_its_run(station, cent
     runs = [run_of(station.store, serial) for serial in ("S-1", "S-1", "S-2")]
     done = sent(station, centre)
     assert (done.runs, [entry.item for entry in done.quarantined]) == (2, [runs[1]])
-    assert "refuses a row" in held(station.engine)[0].why
+    assert "refuses a row" in list_held(station.engine)[0].why
     centre.change("DROP INDEX only_one_run_of_a_sensor")
     send_again(station.engine, runs[1])
     sent(station, centre)
@@ -318,7 +322,7 @@ def test_a_value_too_long_for_its_column_is_quarantined(station, centre):
     run = station.store.new_id()
     journalled(station.store, short_run(run, 70 * "S"))  # SQLite has no lengths
     sent(station, centre)
-    assert "too long" in held(station.engine)[0].why
+    assert "too long" in list_held(station.engine)[0].why
 
 
 @on_both

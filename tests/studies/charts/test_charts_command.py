@@ -11,13 +11,15 @@ from filled_databases import filled
 from stored_lots import store_run
 from stored_runs import identity
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.results import Limit, Measurement
-from cbsr_qa.domain.run import StationCheck
-from cbsr_qa.report import chart_blocks, number
-from cbsr_qa.stats import Standard, cusum, ewma, individuals, means_and_ranges
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.charts.after_run import charts_after
+from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.station import StationCheck
+from cbsr_qa.report.station import chart_blocks
+from cbsr_qa.report.tables import number
+from cbsr_qa.stats.control_charts import Standard, cusum, ewma, individuals, means_and_ranges
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.charts.charting import JOINED, STANDS
 
 STATION, LIMIT = "bench-a", Limit("force_gain", "N/V", 8.0, 12.0)
@@ -34,7 +36,7 @@ def measured(value, unit="N/V"):
 
 def judged(value, unit="N/V"):
     first, second = measured(value, unit)
-    return (first.judged(LIMIT) if unit == "N/V" else first, second)
+    return (first.judge(LIMIT) if unit == "N/V" else first, second)
 
 
 def fill(path, numbers, **changes):
@@ -126,7 +128,7 @@ def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, docume
     fill(path, values(shift=0.8, count=70))
 
     def listed(*arguments):
-        assert guarded(["db", "changes", "--database", str(path), *arguments]) == 0
+        assert run_guarded(["db", "changes", "--database", str(path), *arguments]) == 0
         return capsys.readouterr().out
 
     assert "no limits of a control chart set" in listed()

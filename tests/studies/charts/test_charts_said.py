@@ -10,10 +10,10 @@ from stored_lots import store_run
 from stored_runs import identity
 from test_charts_command import NEW, STATION, fill, judged, values
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.charts.after_run import charts_after
+from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.store.opening import open_store
 
 pytestmark = pytest.mark.rest
 
@@ -88,7 +88,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
         assert (first.retired, last.retired, last.operator, last.why) == (False, True, "Ada", "one chart is enough")
         # What held before holds for what was made before.
         assert len(store.chart_references(STATION, until=store.all_chart_references(STATION)[1].reference)) == 2
-    assert guarded(["db", "changes", "--database", str(path)]) == 0
+    assert run_guarded(["db", "changes", "--database", str(path)]) == 0
     assert "retired: nothing is charted against these limits from here on" in capsys.readouterr().out
     page = tmp_path / "page.html"
     assert command(path, "--retire", "i-mr", "--operator", "Ada", "--output", page)[0] == 0

@@ -8,9 +8,12 @@ import pytest
 from compared_fleets import BATCH_MM, ERROR, STATION_MM, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunSelection, Verdict
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import Adjustment, By, Period, Policy, Quarantine
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.compare.terms import Adjustment, By, Period, Policy, Quarantine
 
 
 def test_the_batch_is_told_from_the_station(two):
@@ -81,7 +84,7 @@ def test_two_limits_that_judge_every_load_give_capability_of_both_sides(url):
     def values(ratio):
         loads = ratio - 0.1, ratio, ratio + 0.2
         return tuple(
-            Measurement("area_ratio", one, "1", None, "nine locations", f"L{k}", 0).judged(limit)
+            Measurement("area_ratio", one, "1", None, "nine locations", f"L{k}", 0).judge(limit)
             for k, one in enumerate(loads)
         )
 
@@ -187,7 +190,7 @@ def test_only_the_latest_analysis_counts(url):
     random = np.random.default_rng(9)
     with open_store(url, durable=False) as store:
         run = store_run(store, "S-1", judged(measured(random, np.zeros(3))))
-        from cbsr_qa.domain.results import RunResult
+        from cbsr_qa.domain.results.report import RunResult
 
         again = (Measurement("drift", 0.25, "%/min"),)
         result = RunResult(store.load_run(run), None, again, Verdict(Outcome.NOT_JUDGED, ""), None, "")

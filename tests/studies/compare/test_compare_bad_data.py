@@ -8,10 +8,12 @@ import pytest
 from compared_fleets import ERROR, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Measurement, RunSelection
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import By, read_amounts
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.compare.terms import By, read_amounts
 
 
 @pytest.mark.rest

@@ -6,15 +6,15 @@ import numpy as np
 from compared_fleets import BATCH_MM, ERROR, STATION_MM, compared, metric, moved
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.report import number
-from cbsr_qa.store import open_store
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.report.tables import number
+from cbsr_qa.store.opening import open_store
 
 
 def test_the_command_prints_one_document_and_writes_a_page(two, tmp_path, capsys):
     page = tmp_path / "page.html"
     arguments = ["compare", "--by", "batch", "--database", two, "--metric", ERROR, "--margin", f"{ERROR}=2"]
-    assert guarded([*arguments, "--json", "--output", str(page)]) == 0
+    assert run_guarded([*arguments, "--json", "--output", str(page)]) == 0
     printed = capsys.readouterr()
     document = json.loads(printed.out)
     assert document["by"] == "batch"
@@ -26,14 +26,14 @@ def test_the_command_prints_one_document_and_writes_a_page(two, tmp_path, capsys
     assert "42 − 41: alike within a margin?" in html
     assert "Where on the sheet" in html
     assert html.count("<svg") >= 1
-    assert guarded(arguments) == 0
+    assert run_guarded(arguments) == 0
     said = capsys.readouterr().out
     assert "42 − 41" in said
     assert max(map(len, said.splitlines())) <= 110
 
 
 def test_a_word_that_is_no_way_to_compare_is_refused(capsys):
-    assert guarded(["compare", "--by", "bach"]) == 2
+    assert run_guarded(["compare", "--by", "bach"]) == 2
     assert "did you mean 'batch'? allowed: batch, material, station, software, period" in capsys.readouterr().err
 
 

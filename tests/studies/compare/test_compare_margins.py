@@ -8,10 +8,12 @@ import pytest
 from compared_fleets import ERROR, compared, json_of
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.report import number, render_sections, terminal_lines
-from cbsr_qa.stats import power, power_of_equivalence
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import Adjustment, By
+from cbsr_qa.report.render import render_sections
+from cbsr_qa.report.tables import number
+from cbsr_qa.report.terminal import terminal_lines
+from cbsr_qa.stats.power_analysis import power, power_of_equivalence
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.compare.terms import Adjustment, By
 
 pytestmark = pytest.mark.rest
 

@@ -7,13 +7,16 @@ import pytest
 from compared_fleets import ERROR, NOW, compared, fleet, page_of, run_of, table_of
 from stored_lots import judged, store_run
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Measurement, Outcome, Verdict
-from cbsr_qa.report import terminal_lines
-from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import By, Terms, compare, compare_outcome
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.report.terminal import terminal_lines
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.compare.comparison import compare
 from cbsr_qa.studies.compare.figures import strips
+from cbsr_qa.studies.compare.report import compare_outcome
+from cbsr_qa.studies.compare.terms import By, Terms
 
 BOTH = [("41", "A"), ("42", "A"), ("41", "B"), ("42", "B")]
 APART = [("43", "C")]
@@ -39,13 +42,13 @@ def test_runs_without_any_measurement_are_counted_and_nothing_is_compared(url, t
             store_run(store, f"S-{number}", (), batch=batch, verdict=Verdict(Outcome.NOT_MEASURED, "drift"))
     page = tmp_path / "page.html"
     asked = ["compare", "--by", "batch", "--database", url]
-    assert guarded([*asked, "--output", str(page)]) == 3
+    assert run_guarded([*asked, "--output", str(page)]) == 3
     said = capsys.readouterr().out
     assert "nothing could be compared" in said
     assert "Nothing was measured: no run that counts holds a measurement." in said
     assert "not measured" in said
     assert "Nothing was measured" in page.read_text()
-    assert guarded([*asked, "--json"]) == 3
+    assert run_guarded([*asked, "--json"]) == 3
 
 
 def test_a_group_that_cannot_be_compared_is_in_the_headline_and_why_is_said_first():

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from compared_fleets import page_of, run_of as run_at, table_of
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.studies.compare import By, Period, Policy, Terms, compare, compare_outcome
-from cbsr_qa.studies.compare.groups import design_of, grouped
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.studies.compare.comparison import compare
+from cbsr_qa.studies.compare.groups import design_of, group_runs
+from cbsr_qa.studies.compare.report import compare_outcome
+from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
 
 BEGAN = datetime(2026, 1, 5, tzinfo=UTC)
 NOW = BEGAN + timedelta(days=100)
@@ -186,17 +188,17 @@ def test_runs_of_golden_sensors_that_checked_a_station_do_not_count():
 
 def test_runs_of_one_sensor_are_kept_in_their_order():
     runs = [run_of(number, "41", serial="G-1" if number % 2 else "G-2") for number in range(9)]
-    found = grouped(runs, Terms(By.BATCH))
+    found = group_runs(runs, Terms(By.BATCH))
     assert found.tests["41"] == {"G-2": (0, 2, 4, 6, 8), "G-1": (1, 3, 5, 7)}
     assert found.deciding(runs, Policy.FIRST)["41"].tolist() == [0, 1]
 
 
 def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups():
     runs, _ = fleet(11, crossed(1))
-    assert design_of(runs, grouped(runs, DAYS), DAYS).sides[0] == "A (batch 41)"
-    assert design_of(runs, grouped(runs, Terms(By.BATCH)), Terms(By.BATCH)).sides[0] == "A"
+    assert design_of(runs, group_runs(runs, DAYS), DAYS).sides[0] == "A (batch 41)"
+    assert design_of(runs, group_runs(runs, Terms(By.BATCH)), Terms(By.BATCH)).sides[0] == "A"
     nameless = [replace(run, batch="") if run.batch == "41" else run for run in runs]
-    assert design_of(nameless, grouped(nameless, DAYS), DAYS).sides[0] == "A (batch not stated)"
+    assert design_of(nameless, group_runs(nameless, DAYS), DAYS).sides[0] == "A (batch not stated)"
 
 
 def test_what_was_taken_out_of_a_difference_of_periods_is_said():

@@ -2,8 +2,8 @@
 
 import pytest
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.config import load_recipe
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.studies.frontier import study as app
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.report import alike_in, notes_of
@@ -86,9 +86,9 @@ def test_the_document_has_every_point_and_what_is_recommended(sweeps, printed):
 
 
 def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
-    assert guarded(["frontier"]) == guarded(["frontier", "--force-error", "0.2N"]) == 0
+    assert run_guarded(["frontier"]) == run_guarded(["frontier", "--force-error", "0.2N"]) == 0
     assert sweeps == ["station", "computer"]
-    assert guarded(["frontier", "--clock", "station", "--fresh"]) == 0
+    assert run_guarded(["frontier", "--clock", "station", "--fresh"]) == 0
     assert sweeps == ["station", "computer", "station"]
     assert "12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
 
@@ -109,7 +109,7 @@ def test_the_recipe_is_one_that_run_accepts(sweeps, printed, capsys, tmp_path):
     assert (recipe.name, recipe.analysis.transients) == ("short", "predicted")
     assert "Simulated: force error 0.115 ± 0.005 N over 2 sensors" in path.read_text()
     asked = ["run", "--station", "simulated", "--recipe", str(path), "--serial", "S-1", "--dry-run"]
-    assert guarded(asked) == 0
+    assert run_guarded(asked) == 0
     assert "station time" in capsys.readouterr().out
 
 
@@ -139,15 +139,15 @@ def test_files_are_refused_before_anything_is_simulated(sweeps, refusal, tmp_pat
 def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, capsys, tmp_path):
     path = tmp_path / "short.toml"
     asked = ["frontier", "--clock", "station", "--recipe", str(path)]
-    assert guarded(asked) == 0
+    assert run_guarded(asked) == 0
     assert "in place of" not in capsys.readouterr().err
-    assert guarded([*asked, "--budget", "2h"]) == 0
+    assert run_guarded([*asked, "--budget", "2h"]) == 0
     assert f"{path}, in place of the one that was there" in capsys.readouterr().err
     assert "within 120 min" in path.read_text()
 
 
 def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
-    assert guarded(["frontier", "--clock", "station"]) == 0
+    assert run_guarded(["frontier", "--clock", "station"]) == 0
     shown = capsys.readouterr().out
     assert "hold [s]" in shown  # which differs
     assert "Alike in all" not in shown  # there is no other table
@@ -179,17 +179,17 @@ def test_kept_pieces_of_somebody_else_are_refused_by_name(sweeps, capsys, tmp_pa
     kept = tmp_path / "var" / "frontier" / "station.jsonl"
     kept.parent.mkdir(parents=True)
     kept.write_text("notes\n")
-    assert guarded(["frontier", "--clock", "station"]) != 0
+    assert run_guarded(["frontier", "--clock", "station"]) != 0
     message = capsys.readouterr().err
     assert str(kept) in message
     assert "--fresh" in message
     assert sweeps == []
-    assert guarded(["frontier", "--clock", "station", "--fresh"]) == 0
+    assert run_guarded(["frontier", "--clock", "station", "--fresh"]) == 0
 
 
 def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     page, picture = tmp_path / "page.html", tmp_path / "plot.png"
-    assert guarded(["frontier", "--output", str(page), "--png", str(picture)]) == 0
+    assert run_guarded(["frontier", "--output", str(page), "--png", str(picture)]) == 0
     text = page.read_text()
     assert "What accuracy costs in time" in text
     assert "E_CoM is the distance" in text

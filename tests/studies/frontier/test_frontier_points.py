@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import NumericsError, StoreError
-from cbsr_qa.report import json_document
-from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
-from cbsr_qa.studies.frontier.recommend import compared, joint_stderr
+from cbsr_qa.domain.errors import NumericsError, StoreError
+from cbsr_qa.report.document import json_document
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.recommend import joint_stderr, mark_worth
 
 numbers = st.floats(-1e6, 1e6)
 figures = st.builds(
@@ -53,18 +53,18 @@ def _point(cost: float, figures: dict[str, tuple[float, float | None]], *, bette
 
 def _worth(points, *names):
     """Whether each of some points is worth its computing time."""
-    return tuple(point.pareto for point in compared(points, lambda point: point.compute_s, names))
+    return tuple(point.pareto for point in mark_worth(points, lambda point: point.compute_s, names))
 
 
 @given(points)
 def test_a_point_survives_its_document(point):
-    assert stored(Point, json_document(point)) == point
+    assert restore(Point, json_document(point)) == point
 
 
 def test_a_point_that_was_stored_before_it_was_compared_can_be_read():
     document = json_document(_point(1.0, {"E": (0.5, 0.1)}))
     del document["pareto"]
-    assert stored(Point, document).pareto is None
+    assert restore(Point, document).pareto is None
 
 
 @pytest.mark.parametrize(
@@ -85,9 +85,9 @@ def test_a_point_that_was_stored_before_it_was_compared_can_be_read():
 def test_a_damaged_document_is_refused(key, value):
     document = json_document(_point(1.0, {}))
     with pytest.raises(StoreError, match="stored Point"):
-        stored(Point, {**document, key: value})
+        restore(Point, {**document, key: value})
     with pytest.raises(StoreError, match=key):
-        stored(Point, {name: kept for name, kept in document.items() if name != key})
+        restore(Point, {name: kept for name, kept in document.items() if name != key})
 
 
 @pytest.mark.parametrize(("value", "stderr"), [(math.nan, None), (1.0, math.inf), (1.0, -0.1), (math.inf, 0.1)])
@@ -163,5 +163,5 @@ def test_a_setting_without_a_cost_or_an_accuracy_asked_for_is_not_worth_it():
 @pytest.mark.parametrize("across_series", [False, True])
 def test_settings_are_compared_within_their_series_unless_asked_otherwise(across_series):
     cheap, dear = _point(1, {"a": (1, None)}), replace(_point(2, {"a": (2, None)}), series="another")
-    found = compared([cheap, dear], lambda point: point.compute_s, across_series=across_series)
+    found = mark_worth([cheap, dear], lambda point: point.compute_s, across_series=across_series)
     assert [point.pareto for point in found] == [True, not across_series]

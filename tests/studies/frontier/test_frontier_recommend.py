@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import USUAL_BUDGET_S, Target, recommend
 from cbsr_qa.studies.frontier.setting import Setting

@@ -8,17 +8,19 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.config import DocumentKind, open_document, toml_document
-from cbsr_qa.plugin import discover
-from cbsr_qa.station import dry_run, plan_of
-from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, held_out_phase, sunflower_mm
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.text import toml_document
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.station.dry_runs import dry_run
+from cbsr_qa.station.setup import plan_of
+from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, sunflower_mm, test_loads_phase
 from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
     choices_of_even,
     parts_of_even,
     parts_of_paper,
-    simulated_alone,
+    ways_by_simulation,
 )
 from cbsr_qa.studies.simulated import configuration_of
 
@@ -125,7 +127,7 @@ def test_the_places_of_the_shipped_campaign_are_the_sunflower_of_thirty():
 
 def test_held_out_loads_are_drawn_by_themselves():
     document = Setting(4).recipe("tried")
-    document["phases"].append(held_out_phase(7))
+    document["phases"].append(test_loads_phase(7))
     walked = dry_run(planned(document), 2.5)
     assert walked.violations == ()
     assert walked.phases[-1].scheduled.loads == 7
@@ -141,7 +143,7 @@ def test_every_setting_of_the_sweeps_is_within_what_is_simulated_for_it():
         assert setting.hold_s <= EVEN.hold_s
         assert (setting.strains_percent, setting.rest_s) == (EVEN.strains_percent, EVEN.rest_s)
     for quick in (True, False):
-        everything = [*parts_of_paper(), *parts_of_even(quick=quick), *simulated_alone(quick=quick)]
+        everything = [*parts_of_paper(), *parts_of_even(quick=quick), *ways_by_simulation(quick=quick)]
         assert len(set(everything)) == len(everything)
         for _, setting in everything:
             assert dry(setting).violations == ()

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from cbsr_qa.studies.frontier import station
-from cbsr_qa.studies.frontier.sensors import simulated_sensor, station_seconds
+from cbsr_qa.studies.frontier.sensors import simulate_sensor, station_seconds
 from cbsr_qa.studies.frontier.setting import CHECK, GRID, Setting
-from cbsr_qa.studies.frontier.station import shortened, try_ways
+from cbsr_qa.studies.frontier.station import shorten_holds, try_ways
 from cbsr_qa.studies.frontier.trial import UNITS, true_settling_s
 
 SHORT = Setting(6, hold_s=15.0, rest_s=10.0, first_rest_s=60.0)
@@ -34,7 +34,7 @@ def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypat
 
 @pytest.fixture(scope="module")
 def few():
-    record, _ = simulated_sensor(FEW.recipe(), SEED)
+    record, _ = simulate_sensor(FEW.recipe(), SEED)
     return record
 
 
@@ -46,7 +46,7 @@ def test_the_dry_run_says_what_a_run_takes(few):
 
 
 def test_a_shortened_run_is_the_same_up_to_the_end_of_its_holds(few):
-    short = shortened(few, 12.0)
+    short = shorten_holds(few, 12.0)
     for before, after in zip(few.phases, short.phases, strict=True):
         assert after.frames is before.frames
         for one, other in zip(before.loads, after.loads, strict=True):
@@ -63,7 +63,7 @@ def test_a_shortened_run_is_the_same_up_to_the_end_of_its_holds(few):
 
 
 def test_holds_that_are_no_longer_than_asked_for_stay(few):
-    assert shortened(few, 30.0 + 1e-6).phases == few.phases
+    assert shorten_holds(few, 30.0 + 1e-6).phases == few.phases
 
 
 def test_the_true_settling_time_is_that_of_the_kernel(few):

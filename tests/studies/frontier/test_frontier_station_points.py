@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.report import json_document
-from cbsr_qa.studies.frontier.point import TimeBasis, stored
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.report.document import json_document
+from cbsr_qa.studies.frontier.point import TimeBasis, restore
 from cbsr_qa.studies.frontier.setting import FARTHEST, LEAST_SURE, SUNFLOWER, Setting
 from cbsr_qa.studies.frontier.station import Tried, station_points, worth_the_station
 from cbsr_qa.studies.frontier.trial import UNITS
@@ -45,7 +45,7 @@ def only_point(*group, seconds=600.0):
 
 @given(trials)
 def test_a_trial_survives_its_document(trial):
-    assert stored(Tried, json_document(trial)) == trial
+    assert restore(Tried, json_document(trial)) == trial
 
 
 @pytest.mark.parametrize(
@@ -63,9 +63,9 @@ def test_a_trial_survives_its_document(trial):
 def test_a_damaged_trial_is_refused(change):
     document = json_document(tried(1))
     with pytest.raises(StoreError, match="stored Tried"):
-        stored(Tried, {**document, **change})
+        restore(Tried, {**document, **change})
     with pytest.raises(StoreError, match=next(iter(change))):
-        stored(Tried, {key: value for key, value in document.items() if key not in change})
+        restore(Tried, {key: value for key, value in document.items() if key not in change})
 
 
 def test_figures_are_root_mean_squares_whatever_their_sign():

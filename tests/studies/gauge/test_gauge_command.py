@@ -8,9 +8,12 @@ import pytest
 from filled_databases import filled
 from stored_lots import store_run
 
-from cbsr_qa.domain.results import Limit, Measurement
-from cbsr_qa.stats.gauge import gauge_anova, largest_balanced, missing_runs, study
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.stats.gauge.anova import gauge_anova
+from cbsr_qa.stats.gauge.balance import largest_balanced, missing_runs
+from cbsr_qa.stats.gauge.crossed_study import study
+from cbsr_qa.store.opening import open_store
 
 STATIONS, SENSORS = ("bench-a", "bench-b", "bench-c"), tuple(f"S-{k:02d}" for k in range(1, 7))
 LIMIT = Limit("force_gain", "N/V", 8.0, 12.0)
@@ -33,7 +36,7 @@ def measured(values, *, limit=LIMIT, name="force_gain", unit="N/V"):
         Measurement(name, value, unit, None, "grid", where, 0, load=k, strain=0.2)
         for k, (where, value) in enumerate(zip(LOCATIONS, values, strict=True))
     ]
-    return tuple(m.judged(limit) if limit else m for m in made)
+    return tuple(m.judge(limit) if limit else m for m in made)
 
 
 def fill(path, rows, recipe="short", operator=None, **changes):

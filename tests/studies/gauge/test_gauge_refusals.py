@@ -10,9 +10,9 @@ from matplotlib.figure import Figure as Canvas
 from stored_lots import store_run
 from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import gauge_anova
-from cbsr_qa.store import open_store
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.stats.gauge.anova import gauge_anova
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.gauge import figures
 
 pytestmark = pytest.mark.rest

@@ -10,10 +10,10 @@ import pytest
 from stored_lots import store_run
 from test_gauge_command import LIMIT, expected, fill, measured, runs
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import gauge_anova
-from cbsr_qa.store import open_store
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.stats.gauge.anova import gauge_anova
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.gauge.references import ReferenceTable
 from cbsr_qa.studies.gauge.request import MetricTable, StudyFile, StudyTable
 
@@ -221,14 +221,14 @@ def test_a_metric_without_qualifier_is_the_one_that_has_none(tmp_path, capsys):
     found = []
     for extra in ("", 'qualifier = "mask 25 %"\n'):
         study.write_text(f'[study]\nname = "g"\nrecipe = "short"\n[[metrics]]\nname = "force_gain"\n{extra}')
-        assert guarded(["gauge", str(study), "--database", str(path), "--json"]) == 0
+        assert run_guarded(["gauge", str(study), "--database", str(path), "--json"]) == 0
         found.append([one["qualifier"] for one in json.loads(capsys.readouterr().out)["metrics"]])
     assert found == [[""], ["mask 25 %"]]
 
 
 def test_a_file_that_is_not_there_is_said(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert guarded(["gauge", "S-01"]) == 2
+    assert run_guarded(["gauge", "S-01"]) == 2
     assert "gauge study file 'S-01' does not exist" in capsys.readouterr().err
 
 

@@ -5,8 +5,9 @@ from drawn import drawn
 from hypothesis import example, given, strategies as st
 from scipy.optimize import brentq
 
-from cbsr_qa.calibration.fits import fit_relaxation, settling_time
-from cbsr_qa.eit.imaging import percentage_mask
+from cbsr_qa.calibration.fits.relaxation import fit_relaxation
+from cbsr_qa.calibration.fits.settling import settling_time
+from cbsr_qa.eit.imaging.blobs import percentage_mask
 from cbsr_qa.studies.hard_cases.cases import (
     calibration as calibration_cases,
     geometry as geometry_cases,
@@ -33,7 +34,7 @@ def within(answer):
 @drawn(15)
 @given(offset=powers(-2, 6), unit=powers(-9, 9), second=powers(-6, 6), sign=st.sampled_from([-1.0, 1.0]))
 def test_offsets_and_units_cost_a_relaxation_only_its_condition(offset, unit, second, sign):
-    within(relaxation_cases.recovered(offset, (sign * 0.3, 0.2), (5.0, 30.0), unit=unit, second=second))
+    within(relaxation_cases.fit_known_curve(offset, (sign * 0.3, 0.2), (5.0, 30.0), unit=unit, second=second))
 
 
 @drawn(20)
@@ -53,7 +54,7 @@ def test_time_constants_ever_more_alike_settle_when_their_curve_does(gap, share)
 @drawn(60)
 @given(gap=powers(-8, -2))
 def test_cancelling_exponentials_settle_to_their_condition(gap):
-    within(relaxation_cases.settled((-0.4 / gap, 0.4 / gap + 0.5), (20.0, 20.0 * (1 + gap))))
+    within(relaxation_cases.settle_known_curve((-0.4 / gap, 0.4 / gap + 0.5), (20.0, 20.0 * (1 + gap))))
 
 
 @drawn(30)

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.studies.hard_cases import stability, stability as catalogue
-from cbsr_qa.studies.hard_cases.case import Answer, Ending, HardCase, conditioned_bound, examine
+from cbsr_qa.studies.hard_cases.case import Answer, Ending, HardCase, condition_bound, examine
 from cbsr_qa.studies.hard_cases.stability import examine_cases
 
 _KEYS = {"name", "outcome", "error", "bound", "condition", "remedy"}
@@ -35,7 +35,7 @@ def _case(name, run, refuses=None, area="forward model"):
 
 
 _GOOD = (
-    _case("within", lambda: Answer(1e-12, conditioned_bound(1e4), 1e4)),
+    _case("within", lambda: Answer(1e-12, condition_bound(1e4), 1e4)),
     _case("exact", lambda: Answer(0.0, 1e-15, None, "mm", "nothing is solved")),
     _case("refused", _refuse, NumericsError, area="readings"),
 )
@@ -63,7 +63,7 @@ def catalogued(monkeypatch):
 
 def test_cases_that_end_as_they_should_are_exit_code_0(catalogued, capsys):
     catalogued(_GOOD)
-    assert guarded(["stability", "--json"]) == 0
+    assert run_guarded(["stability", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert list(document) == ["cases"]
     within, exact, refused = document["cases"]
@@ -78,7 +78,7 @@ def test_cases_that_end_as_they_should_are_exit_code_0(catalogued, capsys):
 @pytest.mark.parametrize("case", _BROKEN, ids=lambda case: case.name)
 def test_every_other_end_is_broken_and_exit_code_1(catalogued, capsys, case):
     catalogued((*_GOOD, case))
-    assert guarded(["stability", "--json"]) == 1
+    assert run_guarded(["stability", "--json"]) == 1
     found = json.loads(capsys.readouterr().out)["cases"]
     assert [one["outcome"] for one in found] == ["ok", "ok", "refused", "broken"]
     assert found[-1]["reason"]
@@ -96,7 +96,7 @@ def test_a_case_that_hangs_is_broken():
 
 def test_no_number_is_none_not_nan(catalogued, capsys):
     catalogued((_BROKEN[1], _BROKEN[2]))
-    guarded(["stability", "--json"])
+    run_guarded(["stability", "--json"])
     first, second = json.loads(capsys.readouterr().out)["cases"]
     assert (first["error"], first["bound"]) == (None, 1e-3)
     assert (second["error"], second["bound"]) == (1e-3, None)
@@ -104,7 +104,7 @@ def test_no_number_is_none_not_nan(catalogued, capsys):
 
 def test_the_terminal_says_how_many_are_broken_and_why(catalogued, capsys):
     catalogued((*_GOOD, *_BROKEN))
-    assert guarded(["stability"]) == 1
+    assert run_guarded(["stability"]) == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "an error of 0.002 where 0.001 is allowed" in said
     assert "ZeroDivisionError" in said
@@ -126,7 +126,7 @@ def test_areas_and_names_choose_cases(catalogued):
 def test_a_page_explains_itself_and_draws_every_number(catalogued, tmp_path):
     catalogued((*_GOOD, *_BROKEN))
     page = tmp_path / "page.html"
-    assert guarded(["stability", "--output", str(page)]) == 1
+    assert run_guarded(["stability", "--output", str(page)]) == 1
     text = page.read_text()
     assert text.count("<svg") == 2
     assert "What to do: mend the contacts &lt;now&gt;" in text
@@ -139,7 +139,7 @@ def test_a_page_explains_itself_and_draws_every_number(catalogued, tmp_path):
 
 def test_a_page_of_refusals_alone_draws_nothing(catalogued, tmp_path):
     catalogued(_GOOD[2:])
-    assert guarded(["stability", "--output", str(tmp_path / "page.html")]) == 0
+    assert run_guarded(["stability", "--output", str(tmp_path / "page.html")]) == 0
     assert "<svg" not in (tmp_path / "page.html").read_text()
 
 
@@ -165,7 +165,7 @@ def test_two_processes_find_what_one_finds():
     ],
 )
 def test_a_name_that_is_no_case_is_answered_by_those_near_it_and_not_by_all(capsys, asked, told):
-    assert guarded(["stability", "--only", asked]) == 2
+    assert run_guarded(["stability", "--only", asked]) == 2
     said = capsys.readouterr().err
     assert told in said
     assert len(said) < 600
@@ -173,5 +173,5 @@ def test_a_name_that_is_no_case_is_answered_by_those_near_it_and_not_by_all(caps
 
 def test_a_folder_as_the_page_is_refused_by_its_own_name(catalogued, capsys, tmp_path):
     catalogued(_GOOD)
-    assert guarded(["stability", "--output", str(tmp_path)]) == 2
+    assert run_guarded(["stability", "--output", str(tmp_path)]) == 2
     assert f"{tmp_path} cannot be written: it is a folder" in capsys.readouterr().err

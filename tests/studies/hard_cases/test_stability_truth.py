@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.calibration.fits import settling_time
-from cbsr_qa.calibration.sheet import learn_response
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.stats import count_needed, lot_limits
+from cbsr_qa.calibration.fits.settling import settling_time
+from cbsr_qa.calibration.sheet.response_map import learn_response
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.stats.golden_lots import lot_limits
+from cbsr_qa.stats.intervals import count_needed
 from cbsr_qa.studies.hard_cases.cases import relaxation as relaxation_cases, statistics as statistics_cases
 from cbsr_qa.studies.hard_cases.exact import exact_line, line_condition, map_condition
 
@@ -51,10 +52,10 @@ def _first_crossing(fit, *, window_s):
 
 def test_a_settling_time_at_another_crossing_of_the_band_is_found_out(monkeypatch):
     amplitudes, taus_s = (1.0, -0.6), (5.0, 20.0)  # into the band, out at its other side, and in again
-    right = relaxation_cases.settled(amplitudes, taus_s)
+    right = relaxation_cases.settle_known_curve(amplitudes, taus_s)
     assert right.error <= right.bound
     monkeypatch.setattr(relaxation_cases, "settling_time", _first_crossing)
-    wrong = relaxation_cases.settled(amplitudes, taus_s)
+    wrong = relaxation_cases.settle_known_curve(amplitudes, taus_s)
     assert wrong.error > 0.5
 
 

@@ -7,8 +7,11 @@ import pytest
 from proposed_lots import lot, replace_value, sensor
 from stored_lots import LIMITS, PHASE, judged
 
-from cbsr_qa.config import DocumentKind, limits_digest, load_recipe, open_document
-from cbsr_qa.domain.results import Limit, Measurement
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.limits import limits_digest
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.plan.limits import Limit
+from cbsr_qa.domain.results.measurement import Measurement
 
 pytestmark = pytest.mark.rest
 

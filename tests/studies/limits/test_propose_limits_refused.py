@@ -7,8 +7,9 @@ import pytest
 from proposed_lots import lot, replace_value, sensor
 from stored_lots import judged, measured
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain.results import Bound, EndReason
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.plan.limits import Bound
+from cbsr_qa.domain.run.states import EndReason
 
 
 def test_no_lot_or_an_empty_one_is_refused(lot_database, refused, tmp_path):
@@ -126,5 +127,5 @@ def test_a_database_without_runs_or_none_at_all_is_refused(tmp_path, database, r
     [("--serials", "/dev/zero", "it is a device, not a file"), ("--output", "x" * 300, "File name too long")],
 )
 def test_what_is_no_file_is_refused_and_not_read_for_ever(option, value, said, capsys):
-    assert guarded(["limits", "propose", "--serial", "S-1", option, value]) == 2
+    assert run_guarded(["limits", "propose", "--serial", "S-1", option, value]) == 2
     assert said in capsys.readouterr().err

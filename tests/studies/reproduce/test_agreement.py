@@ -10,11 +10,11 @@ from cbsr_qa.studies.reproduce.compare import (
     PrintedRange,
     Rule,
     ValueOrigin,
-    compared,
-    compared_table,
+    compare_value,
     deviations_agree,
+    make_table,
     mean_of_deviations,
-    not_compared,
+    show_beside,
     within_digits,
 )
 
@@ -22,7 +22,7 @@ _RANGES = Printed(ranges=(PrintedRange("abstract", 22.5, 36.0), PrintedRange("4.
 
 
 def _row(rule, printed, ours, **options):
-    return compared("8 wt%", "x", "1", ValueOrigin.OUTCOME, rule, printed, [ours], why="because", **options)
+    return compare_value("8 wt%", "x", "1", ValueOrigin.OUTCOME, rule, printed, [ours], why="because", **options)
 
 
 @pytest.mark.parametrize(("value", "agrees"), [(18.1, True), (8.3, True), (27.9, True), (8.2, False), (28.0, False)])
@@ -78,9 +78,9 @@ def test_two_deviations_of_normal_values_agree_as_often_as_two_standard_errors_s
 
 def test_what_was_not_measured_or_means_something_else_neither_agrees_nor_differs():
     missing = _row(Rule.DEVIATION, Printed(1.0, 0.1), Ours("uniform", None, uncertainty_is="no blob was seen"))
-    other = not_compared("8 wt%", "σ_n", "1", Printed(0.69), Ours("uniform", 1e-3), "a misprint")
+    other = show_beside("8 wt%", "σ_n", "1", Printed(0.69), Ours("uniform", 1e-3), "a misprint")
     assert missing.agrees is other.agrees is None
     assert missing.reason == "not measured: no blob was seen"
     good, bad = (_row(Rule.DEVIATION, Printed(1.0, 0.1), Ours("uniform", value)) for value in (1.05, 1.2))
-    table = compared_table("t", (), (missing, other, good, bad))
+    table = make_table("t", (), (missing, other, good, bad))
     assert (table.agreeing, table.compared) == (1, 2)

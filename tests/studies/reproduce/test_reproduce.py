@@ -11,13 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import NotReproducedError
-from cbsr_qa.report import json_document, render_sections
-from cbsr_qa.studies.reproduce import reproduce, reproduction_outcome, runs as reproduce_runs
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import NotReproducedError
+from cbsr_qa.report.document import json_document
+from cbsr_qa.report.render import render_sections
+from cbsr_qa.studies.reproduce import reproduce, runs as reproduce_runs
 from cbsr_qa.studies.reproduce.compare import Ours, Rule, ValueOrigin
-from cbsr_qa.studies.reproduce.reproduce import published, reproduction
-from cbsr_qa.studies.reproduce.runs import all_jobs, configuration_of, not_reproduced
+from cbsr_qa.studies.reproduce.report import reproduction_outcome
+from cbsr_qa.studies.reproduce.reproduce import read_published, reproduction
+from cbsr_qa.studies.reproduce.runs import all_jobs, configuration_of, reproduction_error
 from cbsr_qa.studies.reproduce.values import ForcePress, SettlingOf, SheetValues, StripValues
 
 _KEYS = ["table1", "table2", "table3", "table4", "table5", "tableF6", "settling", "force"]
@@ -79,7 +81,7 @@ def _figures(paper, change=lambda sheet: sheet):
 
 @pytest.fixture(scope="module")
 def paper():
-    return published()
+    return read_published()
 
 
 @pytest.fixture(scope="module")
@@ -160,11 +162,11 @@ def test_the_documented_command_writes_its_page_and_prints_tables_or_one_documen
         figures = _figures(paper)
         return {job: figures[replace(job, quick=False)] for job in jobs}
 
-    monkeypatch.setattr(reproduce, "_simulated", by_hand)
-    assert guarded(shlex.split(command)) == 0
+    monkeypatch.setattr(reproduce, "_simulate_all", by_hand)
+    assert run_guarded(shlex.split(command)) == 0
     assert "Table F.6: SD of ten random loads, and our simulation" in capsys.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["paper.html"]
-    assert guarded(["reproduce", "paper", "--json"]) == 0
+    assert run_guarded(["reproduce", "paper", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert list(document)[:9] == ["about", *_KEYS]
     assert document["about"]["quick"] is False
@@ -176,7 +178,7 @@ def test_a_run_that_stops_ends_the_command_with_the_sensor_and_the_rule(as_json,
     """An electrode that is open from the beginning stops the first run at its first frame."""
     monkeypatch.setattr(reproduce, "cpu_count", lambda: 1)
     monkeypatch.setitem(reproduce_runs._SETTINGS, "uniform", ("simulated", "paper", "faulty-electrode"))
-    assert guarded(["reproduce", "paper", "--quick", *(["--json"] if as_json else [])]) == 3
+    assert run_guarded(["reproduce", "paper", "--quick", *(["--json"] if as_json else [])]) == 3
     said = capsys.readouterr()
     assert (
         "the simulated 8 wt% uniform sheet (station simulated, recipe paper, scene faulty-electrode, seed 1)"
@@ -202,7 +204,7 @@ def test_a_process_that_is_killed_is_said_to_be(monkeypatch):
 
 
 def test_the_reason_of_a_worker_reaches_its_parent_whole():
-    error = not_reproduced(all_jobs(quick=True)[0], "the run was aborted")
+    error = reproduction_error(all_jobs(quick=True)[0], "the run was aborted")
     there = pickle.loads(pickle.dumps(error))
     assert (str(there), there.document()) == (str(error), error.document())
 

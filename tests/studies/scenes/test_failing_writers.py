@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from written_scenes import made_up
 
-from cbsr_qa.domain import PluginError, RefusedError
-from cbsr_qa.plugin import discover
-from cbsr_qa.simulate import RecordedScene
-from cbsr_qa.studies.scenes.files import Target, checked_targets, write_all
+from cbsr_qa.domain.errors import PluginError, RefusedError
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.simulate.recording import RecordedScene
+from cbsr_qa.studies.scenes.files import Target, check_targets, write_all
 
 RECORDED = RecordedScene(*made_up(3), ())
 
@@ -50,10 +50,10 @@ def test_a_file_that_came_while_the_scene_was_simulated_is_kept(tmp_path):
 @pytest.mark.parametrize("name", ["mine.csv", "mine.CSV", "mine.mat"])
 def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name):
     with pytest.raises(RefusedError, match="must be an HDF5 file") as refused:
-        checked_targets("mine", 7, tmp_path / name, (), discover())
+        check_targets("mine", 7, tmp_path / name, (), discover())
     assert str(tmp_path / "mine.h5") in refused.value.remedy
     for allowed in ("mine.h5", "mine.hdf5", "mine"):
-        (one,) = checked_targets("mine", 7, tmp_path / allowed, (), discover())
+        (one,) = check_targets("mine", 7, tmp_path / allowed, (), discover())
         assert one.path.name == allowed
 
 
@@ -85,4 +85,4 @@ def test_of_a_writer_that_fails_no_file_is_left(tmp_path, write, error, why):
 @pytest.mark.parametrize("name", ["", "a/../b", "..", "\0", "x" * 300])
 def test_a_format_that_is_no_part_of_a_files_name_is_unknown(tmp_path, name):
     with pytest.raises(PluginError, match="no recording plugin named"):
-        checked_targets("mine", 7, tmp_path / "x.h5", (name,), discover())
+        check_targets("mine", 7, tmp_path / "x.h5", (name,), discover())

@@ -7,8 +7,8 @@ import pytest
 from scene_samples import HEAD, PIEZORESISTIVE, load_table, written
 from simulated_setting import installed, scene, world
 
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.studies.scenes.costs import Watched, _clear, measured_costs, recorded_plan
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.studies.scenes.costs import Watched, _clear, measure_costs, plan_recording
 from cbsr_qa.studies.scenes.setting import set_up
 
 pytestmark = pytest.mark.rest
@@ -40,7 +40,7 @@ def _effects(*names):
 
 def _costs(tmp_path, text, **made):
     setup = set_up(str(written(tmp_path, text)), recorded=False)
-    return setup, measured_costs(setup, lambda name: made[name] if name in made else installed(name))
+    return setup, measure_costs(setup, lambda name: made[name] if name in made else installed(name))
 
 
 def test_the_time_within_an_effect_is_its_cost(tmp_path):
@@ -105,11 +105,11 @@ def test_readings_one_after_the_other_cost_the_further_solutions_they_ask_for(tm
 
 def test_a_scene_for_a_station_is_measured_with_one_load(tmp_path):
     setup = set_up(str(written(tmp_path, HEAD.split("[sensor]")[0])), recorded=False)
-    plan = recorded_plan(setup)
+    plan = plan_recording(setup)
     assert [load.place_mm for load in plan.loads] == [(0.0, 0.0)]
     assert plan.frame_count > 20
     recorded = set_up(str(written(tmp_path, HEAD)), recorded=False)
-    assert recorded_plan(recorded) is recorded.plan
+    assert plan_recording(recorded) is recorded.plan
 
 
 def test_a_frame_that_cannot_be_taken_is_refused_with_the_scenes_file(tmp_path):

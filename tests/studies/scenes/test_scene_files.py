@@ -5,23 +5,22 @@ import re
 import pytest
 from scene_samples import HEAD, PIEZORESISTIVE, checked, load_table, written
 
-from cbsr_qa.config import (
-    DocumentKind,
-    edge_remarks,
+from cbsr_qa.config.documents import DocumentKind, list_shipped
+from cbsr_qa.config.loader import (
     load_material,
     load_recipe,
     load_scene,
     load_scene_plan,
     load_sensor_type,
     load_station,
-    merge,
-    restore,
-    shipped_names,
 )
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import CLEARANCE_MM
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.studies.scenes.setting import made_world, set_up
+from cbsr_qa.config.merging import merge, restore
+from cbsr_qa.config.scene_checks import edge_remarks
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.steps import CLEARANCE_MM
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.studies.scenes.setting import make_world, set_up
 
 
 def test_a_scene_says_what_is_recorded(tmp_path):
@@ -200,12 +199,12 @@ def test_a_wrong_effect_is_refused_with_the_scenes_file(tmp_path, effects, reaso
     setup = set_up(str(path), recorded=True)
     plugins = discover()
     with pytest.raises(ConfigError, match=re.escape(reason)) as refused:
-        made_world(setup, lambda name: plugins.factory(Kind.EFFECT, name), seed=7)
+        make_world(setup, lambda name: plugins.factory(Kind.EFFECT, name), seed=7)
     assert refused.value.reason.startswith(f"{path}: ")
     assert remedy in refused.value.remedy
 
 
-@pytest.mark.parametrize("name", shipped_names(DocumentKind.SCENE))
+@pytest.mark.parametrize("name", list_shipped(DocumentKind.SCENE))
 def test_every_shipped_scene_can_be_recorded_and_used_by_a_station(name):
     setup = set_up(name, recorded=True)
     assert setup.plan.seed == 7

@@ -4,11 +4,11 @@ from datetime import date, datetime, time
 
 import pytest
 
-from cbsr_qa.config import DocumentKind, shipped_names
-from cbsr_qa.report import json_document, terminal_lines
-from cbsr_qa.studies.scenes import Explained, explain_scene, explained_outcome
-from cbsr_qa.studies.scenes.explain import ExplainedEffect
-from cbsr_qa.studies.scenes.report import plainly
+from cbsr_qa.config.documents import DocumentKind, list_shipped
+from cbsr_qa.report.document import json_document
+from cbsr_qa.report.terminal import terminal_lines
+from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect, explain_scene
+from cbsr_qa.studies.scenes.report import explain_outcome, plainly
 
 
 def _effect(name, perturbs, *, on=True, needs=(), each_ms=0.0, once_ms=0.0, does="It does something.", **parameters):
@@ -21,7 +21,7 @@ def _explained(*effects, frame_ms=4.0):
 
 
 def _printed(explained):
-    outcome = explained_outcome(explained)
+    outcome = explain_outcome(explained)
     return list(terminal_lines(outcome.page, outcome.sections))
 
 
@@ -92,7 +92,7 @@ def test_parameters_of_any_kind_that_toml_has_are_json():
     }
 
 
-@pytest.mark.parametrize("name", shipped_names(DocumentKind.SCENE))
+@pytest.mark.parametrize("name", list_shipped(DocumentKind.SCENE))
 def test_shipped_scenes_fit_a_hundred_columns(name):
     assert max(map(len, _printed(explain_scene(name, measure=False)))) <= 100
 

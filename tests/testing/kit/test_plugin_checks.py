@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from cbsr_qa.cli import main
-from cbsr_qa.domain import PluginError
-from cbsr_qa.plugin import Kind, Plugins, discover
+from cbsr_qa.plugin import Kind, PluginError
+from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.testing import assert_conforms, sinks
-from cbsr_qa.testing.kit.conformance import CheckOutcome, check_plugins, documentation_checks, made
+from cbsr_qa.testing.kit.conformance import CheckOutcome, carry_out, check_plugins, documentation_checks
 from cbsr_qa.testing.kit.new import make_package
 from cbsr_qa.testing.kit.package import targets_of
 
@@ -108,7 +108,7 @@ def test_the_test_of_a_package_lists_found_allowed_and_remedy(tmp_path):
 @pytest.mark.parametrize("registration", PLUGINS.registrations(), ids=lambda r: f"{r.kind} {r.name}")
 def test_every_built_in_plugin_is_documented(registration):
     for check in documentation_checks(PLUGINS, registration.kind, registration.name):
-        (line,) = made(registration.kind, registration.name, check)
+        (line,) = carry_out(registration.kind, registration.name, check)
         assert line.outcome is CheckOutcome.PASSED, line
 
 
@@ -119,16 +119,16 @@ def test_a_built_in_plugin_is_checked_by_name(name):
 
 def test_the_command_prints_checks_and_ends_with_1_if_one_failed(tmp_path, capsys):
     package = _package(tmp_path, "sequence", "shown-sequence")
-    assert main.guarded(["plugins", "check", str(package.folder)]) == 0
+    assert main.run_guarded(["plugins", "check", str(package.folder)]) == 0
     assert "✓ 8 checks passed" in capsys.readouterr().out
     broken = _package(tmp_path, "sequence", "broken-sequence")
     path = broken.folder / broken.module / "sequence.py"
     path.write_text(path.read_text().replace("strain_percent / 100", "strain_percent"))
-    assert main.guarded(["plugins", "check", str(broken.folder), "--json"]) == 1
+    assert main.run_guarded(["plugins", "check", str(broken.folder), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert (document["passed"], document["failed"]) == (7, 1)
     assert {"kind", "name", "check", "outcome", "found", "allowed", "remedy"} == set(document["checks"][0])
-    assert main.guarded(["plugins", "check", str(broken.folder)]) == 1
+    assert main.run_guarded(["plugins", "check", str(broken.folder)]) == 1
     out = capsys.readouterr().out
     for words in ("1 of 8 checks failed", "What to change", "found: ", "allowed: ", "remedy: stay within"):
         assert words in out
@@ -145,7 +145,7 @@ def test_without_a_name_the_plugins_of_other_packages_are_checked(monkeypatch):
 
 
 def test_what_cannot_be_checked_is_refused(tmp_path, capsys):
-    assert main.guarded(["plugins", "check", "applied-farce"]) == 2
+    assert main.run_guarded(["plugins", "check", "applied-farce"]) == 2
     assert "did you mean 'applied-force'?" in capsys.readouterr().err
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "mine"\n')
     with pytest.raises(PluginError, match=r"no table .project.entry-points.cbsr_qa."):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.cli import main
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin import Kind, RefusedError
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.testing import assert_conforms
 from cbsr_qa.testing.kit.new import make_package
 
@@ -110,5 +110,5 @@ def test_a_folder_is_not_overwritten(tmp_path):
 
 
 def test_new_names_the_kinds_there_are(capsys):
-    assert main.guarded(["plugins", "new", "metrik", "peak"]) == 2
+    assert main.run_guarded(["plugins", "new", "metrik", "peak"]) == 2
     assert "did you mean 'metric'?" in capsys.readouterr().err

@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.eit.inverse.dual import check_hyperparameter
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, Targets, make_targets, neighbours
 from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
@@ -97,7 +98,7 @@ class GreitRows:
         edge = cKDTree(mesh.nodes_mm[np.unique(mesh.outline)])
         whole = np.flatnonzero(targets.of_head & (np.asarray(edge.query(targets.centres_mm)[0]) >= head_mm))
         rows = combine_widths(self._solve_rows(_USUAL, nodes), np.ones(len(nodes)))
-        error = np.abs(rows @ targets.signals[:, whole] - targets.desired_images(mesh.nodes_mm[nodes], targets=whole))
+        error = np.abs(rows @ targets.signals[:, whole] - targets.target_images(mesh.nodes_mm[nodes], targets=whole))
         away = mesh.nodes_mm[nodes][:, None] - targets.centres_mm[whole]
         far = (away**2).sum(axis=2) > (_NEAR * head_mm) ** 2
         loudest: Array = np.where(far, error, 0).max(axis=1, initial=0) * 2 * np.pi * self.design.head_variance_mm2
@@ -141,8 +142,8 @@ class _Fit:
             weight = _weight(np.hypot(*(targets.centres_mm[around] - node).T) / near_mm)
             here = signals[:, around] * weight
             self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
-            self._far_right[row] = _FAR**2 * targets.desired_images(node[None])[0] @ signals.T
-            near_right = here @ targets.desired_images(node[None], WIDTHS, around)[0]
+            self._far_right[row] = _FAR**2 * targets.target_images(node[None])[0] @ signals.T
+            near_right = here @ targets.target_images(node[None], WIDTHS, around)[0]
             self.normal[row] = (here @ signals[:, around].T + self._far_normal) * self._share[row]
             self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
         self._raised = np.ones(len(nodes))

@@ -15,9 +15,10 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combine_widths
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, neighbours, node_areas_mm2
 

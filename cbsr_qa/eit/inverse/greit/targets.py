@@ -9,11 +9,12 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.domain.geometry import circle_overlap_mm2
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward import reaches_mm
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.polygons import circle_overlap_mm2
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.forward.elements import reaches_mm
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
@@ -107,7 +108,7 @@ class Targets:
         integral: Array = (mass @ np.exp(-square / (2 * places[:, 2])))[number.ravel()]
         return integral
 
-    def desired_images(
+    def target_images(
         self, places_mm: Array, widths: tuple[float, ...] = (1.0,), targets: Indices | slice = _ALL
     ) -> Array:
         """Images of some targets at places (k, 2): Gaussians, each with an integral of one over the sheet.

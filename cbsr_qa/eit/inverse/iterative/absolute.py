@@ -17,10 +17,12 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.spatial.distance import cdist
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward import ForwardModel, ValueRangeError
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward.value_range import ValueRangeError
 from cbsr_qa.eit.inverse.overlap import overlap_fractions
 from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.inverse.readings import ReadingFold
@@ -76,7 +78,7 @@ class SheetModel:
             np.zeros(len(problem.mesh.elements)), np.full(sensor.electrodes.count, np.log(NOMINAL_CONTACT_MM))
         )
 
-    def at(self, state: SheetState) -> "SolvedSheet":
+    def solve(self, state: SheetState) -> "SolvedSheet":
         conductance = self._share @ np.exp(state.log_conductance)
         model = self._even.with_values(conductance=conductance, contact_impedance=np.exp(state.log_contact))
         return SolvedSheet(state, model, self._share, self._drive, self._measure)
@@ -250,7 +252,7 @@ def most_probable_state(
         for _ in range(_HALVINGS):
             tried = place.step(step, weights, length)
             try:
-                solved = model.at(origin.step(tried.away))
+                solved = model.solve(origin.step(tried.away))
             except ValueRangeError:  # states this far out have no readings
                 lower = np.inf
             else:

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem, ParameterChoice, check_readings
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.iterative.absolute import (
     FoundState,
     Linearised,
@@ -65,7 +66,7 @@ class Expected:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsoluteImages:
-    """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
+    """A prepared method, see :class:`~cbsr_qa.domain.imaging.PreparedReconstruction`.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ class AbsoluteImages:
 
     def states(self, changes: Array) -> list[FoundState]:
         """State of each frame, with contacts estimated again; raises as :meth:`images` does."""
-        folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
+        folded = self.model.fold.fold(check_readings(changes, self.problem)) / self.scale
         solved = [
             most_probable_state(
                 self.model,
@@ -167,11 +168,11 @@ def _reference_state(
         level=1.0,
         contact=expected.contact_spread,
     )
-    nominal = Linearised(model.at(model.nominal), prior, variance)
+    nominal = Linearised(model.solve(model.nominal), prior, variance)
     if problem.measured is None:
         state = most_probable_state(model, nominal, nominal.readings, prior)
         return state, 1.0
-    wanted = model.fold.fold(checked_readings(problem.measured[None], problem))[0]
+    wanted = model.fold.fold(check_readings(problem.measured[None], problem))[0]
     scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
     if not scale > 0:
         raise NumericsError(

@@ -20,8 +20,9 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.inverse.priors import neighbour_differences
 
 #: Relative duality gap at which an image is accepted as the minimiser.

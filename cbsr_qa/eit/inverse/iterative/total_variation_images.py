@@ -11,9 +11,10 @@ from typing import Final
 import numpy as np
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem, ParameterChoice, check_readings
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation, TvImage
 from cbsr_qa.eit.inverse.noise_figures import (
     CONTRAST,
@@ -57,7 +58,7 @@ class WhiteReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TotalVariationImages:
-    """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
+    """A prepared method, see :class:`~cbsr_qa.domain.imaging.PreparedReconstruction`.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class TotalVariationImages:
 
     def minimisers(self, changes: Array) -> list[TvImage]:
         """Images with their residual, duality gap and number of steps."""
-        white = self.readings.white(checked_readings(changes, self.problem))
+        white = self.readings.white(check_readings(changes, self.problem))
         images = [self.minimise.image(frame, self.choice.value) for frame in white]
         if self.variance is not None:
             left = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])

@@ -14,14 +14,20 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, SensorType
-from cbsr_qa.eit.forward import ConcentricSheet, FiniteElements, ForwardModel, arc_transfer_impedance, cover
-from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.elements import FiniteElements
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 
 T = TypeVar("T")
@@ -42,7 +48,7 @@ _LEAST_S: Final = 2e-3  # shorter bursts are below the clock's resolution on som
 REPEATS: Final = 7
 
 
-def timed(run: Callable[[], T]) -> tuple[T, float]:
+def time_call(run: Callable[[], T]) -> tuple[T, float]:
     """Run once and return the result and the processor time [s]; with several threads, the sum over them."""
     before = time.process_time()
     result = run()
@@ -78,7 +84,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     sensor, contact_mm = _disc(), _PIN_CONTACT_MM
     if electrodes == "arc":
         sensor, contact_mm = replace(sensor, electrodes=_arcs()), _ARC_CONTACT_MM
-    model, setup_s = timed(partial(_model, sensor, contact_mm, order, size_mm))
+    model, setup_s = time_call(partial(_model, sensor, contact_mm, order, size_mm))
     accuracy = _arc_errors(model) if electrodes == "arc" else _pin_errors(model)
     return Point(
         TimeBasis.COMPUTER,

@@ -12,13 +12,17 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, CbsrError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction, linear
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.inverse import image_jacobian, imaging_problem, nominal_model
-from cbsr_qa.eit.mesh import image_mesh
-from cbsr_qa.plugin import Kind, Reconstruction, discover, options_of
-from cbsr_qa.studies.frontier.computer.forward import REPEATS, fastest_s, timed
+from cbsr_qa.domain.errors import CbsrError, NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, PreparedReconstruction, linear
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.inverse.problem import image_jacobian, imaging_problem, nominal_model
+from cbsr_qa.eit.mesh.sheet import image_mesh
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.plugin.options import options_of
+from cbsr_qa.studies.frontier.computer.forward import REPEATS, fastest_s, time_call
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 
@@ -62,7 +66,7 @@ RECIPES_METHOD: Final = MethodSetting(
 )
 
 
-def registered_methods() -> Iterator[MethodSetting]:
+def list_methods() -> Iterator[MethodSetting]:
     """Registered reconstructions that image single frames as differences, with their option for λ.
 
     Those that need neighbouring frames or a sensor's own readings, or are not installed, are left out. λ is varied
@@ -93,18 +97,18 @@ def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
     seeds : simulated sensors; methods that are not one matrix get two.
     """
     knobs = method.knobs(smoothing_over_own=factor)
-    return _imaged(SERIES_METHODS, knobs, _problem(seeds=seeds), partial(_prepare, method, factor), seeds)
+    return _measure_method(SERIES_METHODS, knobs, _problem(seeds=seeds), partial(_prepare, method, factor), seeds)
 
 
 def mesh_point(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
     """Measure one density of the image's mesh; ``setup_s`` is mesh, Jacobian, and the method with its own λ."""
     problem = _problem(image_size_mm, seeds)
-    _, jacobian_s = timed(partial(_linearise, base_scene_readings(seeds).sensor_type, image_size_mm))
+    _, jacobian_s = time_call(partial(_linearise, base_scene_readings(seeds).sensor_type, image_size_mm))
     series, knobs = f"{SERIES_MESHES}, {method.name}", method.knobs(image_size_mm=image_size_mm)
-    return _imaged(series, knobs, problem, partial(_prepare, method, 1.0), seeds, jacobian_s)
+    return _measure_method(series, knobs, problem, partial(_prepare, method, 1.0), seeds, jacobian_s)
 
 
-def _imaged(
+def _measure_method(
     series: str,
     knobs: Mapping[str, Knob],
     problem: ImagingProblem,
@@ -115,7 +119,7 @@ def _imaged(
     """Measure a method on a problem; the time to set that up counts only if given [s]."""
     costs = {"unknowns": float(len(problem.mesh.elements))}
     try:
-        prepared, setup_s = timed(partial(method(), _unseen(problem, knobs)))
+        prepared, setup_s = time_call(partial(method(), _unseen(problem, knobs)))
         matrix = prepared.matrix if isinstance(prepared, LinearReconstruction) else None
         seeds = min(seeds, _SLOW_SEEDS) if matrix is None else seeds
         readings = base_scene_readings(seeds)
@@ -150,7 +154,7 @@ def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
     image_jacobian(nominal_model(sensor_type), mesh, drive, measure)
 
 
-def made(method: MethodSetting, **instead: float) -> Reconstruction:
+def make_method(method: MethodSetting, **instead: float) -> Reconstruction:
     """The method with its options; a given option replaces those by which λ is chosen."""
     options = {name: value for name, value in method.options if not (instead and name in _CHOOSING)}
     made: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
@@ -163,24 +167,28 @@ def _problem(image_size_mm: float = USUAL_IMAGE_SIZE_MM, seeds: int = 1) -> Imag
 
 def _prepare(method: MethodSetting, factor: float) -> Prepare:
     """What prepares the method with its own λ, or a multiple of it."""
-    return made(method).prepare if factor == 1.0 else partial(_smoothed, method, _own_choice(method) * factor)
+    return (
+        make_method(method).prepare
+        if factor == 1.0
+        else partial(_prepare_smoothed, method, _own_choice(method) * factor)
+    )
 
 
 @cache
 def _own_choice(method: MethodSetting) -> float:
     """λ, or its equivalent, chosen by a method on the sensor type's nominal problem."""
-    return made(method).prepare(_problem()).choice.value
+    return make_method(method).prepare(_problem()).choice.value
 
 
-def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> PreparedReconstruction:
+def _prepare_smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> PreparedReconstruction:
     """The method with a given λ, or number of components."""
     if method.smoothing != "components":
-        return made(method, **{method.smoothing: value}).prepare(problem)
+        return make_method(method, **{method.smoothing: value}).prepare(problem)
     whole = max(1, round(value))
     try:
-        return made(method, components=whole).prepare(problem)
+        return make_method(method, components=whole).prepare(problem)
     except NumericsError:  # a pair of components: an adjacent count splits no pair
-        return made(method, components=whole + 1).prepare(problem)
+        return make_method(method, components=whole + 1).prepare(problem)
 
 
 def precision_point(precision: str, batch: int) -> Point:
@@ -191,7 +199,7 @@ def precision_point(precision: str, batch: int) -> Point:
     """
     matrix, changes = _recipes_matrix()
     block = np.resize(changes, (batch, changes.shape[1]))
-    apply = applied(matrix, precision)
+    apply = make_imager(matrix, precision)
     exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
     parts = [changes[first : first + batch] for first in range(0, len(changes), batch)]
     images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in parts]
@@ -210,7 +218,7 @@ def precision_point(precision: str, batch: int) -> Point:
     )
 
 
-def applied(matrix: Array, precision: str) -> Callable[[Array], Floats]:
+def make_imager(matrix: Array, precision: str) -> Callable[[Array], Floats]:
     """Return what images blocks of changes (n, m) in a precision: (n, e)."""
     kept = np.ascontiguousarray(matrix.T, dtype=precision)
 
@@ -230,5 +238,5 @@ def relative_error(images: Floats, exact: Floats) -> float:
 @cache
 def _recipes_matrix() -> tuple[Array, Array]:
     """Matrix (e, m) of the shipped recipes, and changes of a simulated sensor for the nine loads (9, m)."""
-    prepared = linear(made(RECIPES_METHOD).prepare(_problem()))
+    prepared = linear(make_method(RECIPES_METHOD).prepare(_problem()))
     return prepared.matrix, sensor_changes(base_scene_readings(1), 0, prepared)[1]

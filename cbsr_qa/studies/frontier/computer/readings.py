@@ -8,22 +8,21 @@ from typing import Final
 import numpy as np
 from scipy.stats import sem
 
-from cbsr_qa.config import load_material, load_scene_plan, load_sensor_type
-from cbsr_qa.domain import Array, ConfigError
-from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.results import Image, PreparedReconstruction
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.imaging import (
-    SpatialFigures,
-    contour_regions,
-    nearest_blob,
-    noise_floor,
-    spatial_figures,
-    subtract_noise_floor,
-)
-from cbsr_qa.eit.inverse import changes, scale_of
-from cbsr_qa.plugin import Kind, discover
-from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, press_loads
+from cbsr_qa.config.loader import load_material, load_scene_plan, load_sensor_type
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.geometry.footprints import Footprint
+from cbsr_qa.domain.imaging import Image, PreparedReconstruction
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.imaging.blobs import nearest_blob, noise_floor, subtract_noise_floor
+from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.shape import SpatialFigures, spatial_figures
+from cbsr_qa.eit.inverse.scaling import changes, scale_of
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.simulate.recording import press_loads
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.studies.frontier.point import Accuracy, Better
 
 NOISE_FRAMES: Final = 8  # as in the recipes: frames of the noise floor
@@ -84,7 +83,7 @@ def base_scene_readings(seeds: int) -> SimulatedReadings:
             last = int(pressed.record.release_start_s / world.setting.frame_period_s)
             steady.append(_frames(world, last - STEADY_FRAMES, last).mean(axis=0))
         loaded.append(steady)
-    heads = tuple(plan.indenter.at(*load.place_mm) for load in plan.loads)
+    heads = tuple(plan.indenter.footprint_at(*load.place_mm) for load in plan.loads)
     return SimulatedReadings(sensor_type, heads, np.array(unloaded), np.array(loaded))
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import scipy
 
 import cbsr_qa
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.studies.frontier.computer.forward import SERIES_FORWARD, forward_point
 from cbsr_qa.studies.frontier.computer.imaging import (
     FACTORS,
@@ -17,13 +18,13 @@ from cbsr_qa.studies.frontier.computer.imaging import (
     SERIES_METHODS,
     SERIES_PRECISION,
     MethodSetting,
+    list_methods,
     mesh_point,
     method_point,
     precision_point,
-    registered_methods,
 )
 from cbsr_qa.studies.frontier.point import Knob, Point
-from cbsr_qa.studies.frontier.recommend import compared
+from cbsr_qa.studies.frontier.recommend import mark_worth
 from cbsr_qa.studies.sweep import Work
 
 # Of the whole sweep (False) and of the quick one (True).
@@ -64,11 +65,11 @@ def computer_work(*, quick: bool = False) -> Iterator[Work]:
     seeds = _SEEDS[quick]
     for method, factor in _QUICK_METHODS if quick else _methods():
         run = partial(method_point, method, factor, seeds)
-        yield _of_method(SERIES_METHODS, method, run, seeds, smoothing_over_own=factor)
+        yield _method_work(SERIES_METHODS, method, run, seeds, smoothing_over_own=factor)
     for method, sizes_mm in _IMAGE_SIZES_MM[quick].items():
         for size_mm in sizes_mm:
             run = partial(mesh_point, method, size_mm, seeds)
-            yield _of_method(f"{SERIES_MESHES}, {method.name}", method, run, seeds, image_size_mm=size_mm)
+            yield _method_work(f"{SERIES_MESHES}, {method.name}", method, run, seeds, image_size_mm=size_mm)
 
 
 def worth_their_time(points: Sequence[Point]) -> list[Point]:
@@ -83,20 +84,20 @@ def worth_their_time(points: Sequence[Point]) -> list[Point]:
         size = _matrix_bytes(point)
         least[size] = min(least.get(size, np.inf), point.compute_s or 0.0)
 
-    def shared_s(point: Point) -> float | None:
+    def common_cost_s(point: Point) -> float | None:
         shared = least.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
         return shared if point.accuracy else None
 
-    return compared(points, shared_s)
+    return mark_worth(points, common_cost_s)
 
 
 def _methods() -> Iterator[tuple[MethodSetting, float]]:
-    for method in (*registered_methods(), RECIPES_METHOD):
+    for method in (*list_methods(), RECIPES_METHOD):
         for factor in sorted((1.0, *FACTORS.get(method.smoothing, ()))):
             yield method, factor
 
 
-def _of_method(series: str, method: MethodSetting, run: Callable[[], Point], seeds: int, **knob: float) -> Work:
+def _method_work(series: str, method: MethodSetting, run: Callable[[], Point], seeds: int, **knob: float) -> Work:
     registered = (plugin for plugin in discover().registrations(Kind.RECONSTRUCTION) if plugin.name == method.name)
     distribution = next((f"{plugin.distribution} {plugin.version}" for plugin in registered), "")
     return _work(series, method.knobs(**knob), run, seeds=seeds, plugin=distribution)
@@ -106,10 +107,10 @@ def _work(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **mo
     setting = ", ".join(f"{name}={value}" for name, value in knobs.items())
     versions = {"cbsr-qa": cbsr_qa.__version__, "numpy": np.__version__, "scipy": scipy.__version__}
     known = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
-    return Work(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", partial(_measured, run))
+    return Work(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", partial(_measure, run))
 
 
-def _measured(run: Callable[[], Point]) -> list[Point]:
+def _measure(run: Callable[[], Point]) -> list[Point]:
     return [run()]
 
 

@@ -6,7 +6,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw import BLUE, FAINT, INK, VERMILION, canvas, dots, drawn, plain_ticks, plot
+from cbsr_qa.report.draw.style import BLUE, FAINT, INK, VERMILION, canvas, dots, draw_svg, plain_ticks, plot
 from cbsr_qa.studies.frontier.point import Point
 from cbsr_qa.studies.frontier.presses.needed import PLACE
 
@@ -14,7 +14,7 @@ _COLOURS: Final = (BLUE, VERMILION, INK)
 _TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 5) for digit in (1, 2, 5))
 
 
-@drawn
+@draw_svg
 def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], target_mm: float | None = None) -> Canvas:
     """Draw error of place and coverage against presses, each with standard errors.
 

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from cbsr_qa.domain import Array
-from cbsr_qa.report import with_uncertainty
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.report.tables import with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.recommend import Needed, Recommendation, joint_stderr
 
@@ -25,7 +25,7 @@ _CLEARLY: Final = 2.0
 _FURTHEST: Final = 8.0
 
 
-def recommended_presses(points: Sequence[Point], target_mm: float | None) -> Recommendation:
+def recommend_presses(points: Sequence[Point], target_mm: float | None) -> Recommendation:
     """Choose the smallest number of presses whose error plus its standard error meets the target.
 
     Without a target, the smallest that no larger number beats by more than their joint standard error.
@@ -46,9 +46,11 @@ def recommended_presses(points: Sequence[Point], target_mm: float | None) -> Rec
         why = f"the fewest of {len(points)} numbers that were tried {asked}"
     if enough:
         loose = loose_regions(enough[0].accuracy)
-        return Recommendation.of(enough[0], f"{why}; but {loose}, so errors are stated too small" if loose else why)
+        return Recommendation.from_point(
+            enough[0], f"{why}; but {loose}, so errors are stated too small" if loose else why
+        )
     assert target_mm is not None  # without a target the best itself is enough
-    needed, words = needed_presses(points, target_mm)
+    needed, words = extrapolate_presses(points, target_mm)
     left = f"{_number(best)} of them leave {error.value:.2f} ± {error.stderr or 0.0:.2f} mm"
     why = f"these presses do not reach {target_mm:g} mm: {left}; {words}"
     return Recommendation(None, None, None, why, needed=needed)
@@ -64,7 +66,7 @@ def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
     )
 
 
-def needed_presses(points: Sequence[Point], target_mm: float) -> tuple[Needed | None, str]:
+def extrapolate_presses(points: Sequence[Point], target_mm: float) -> tuple[Needed | None, str]:
     """Extrapolate errors to a target, and describe it; None if no power law fits, or the target is too far away.
 
     A law error = a n^(−b) is fitted to logarithms with their standard errors, from the smallest number from which it

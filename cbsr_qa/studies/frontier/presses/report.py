@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
-from cbsr_qa.report import duration, text_table, with_uncertainty
+from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report.tables import duration, text_table, with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE
 from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER
@@ -51,7 +51,7 @@ def _page(frontier: Frontier, name: str) -> Page:
     chosen = frontier.recommended
     banner = Banner("plain", "–", "No number of presses recommended", chosen.why)
     if chosen.setting is not None and chosen.accuracy is not None:
-        headline = f"{chosen.setting['presses']} presses: {_shown(chosen.accuracy[PLACE])} mm"
+        headline = f"{chosen.setting['presses']} presses: {_format_accuracy(chosen.accuracy[PLACE])} mm"
         banner = Banner("pass", "✓", headline, chosen.why)
     facts = [("Recording", name)]
     if chosen.station_s is not None:
@@ -67,8 +67,8 @@ def _blocks(points: Sequence[Point]) -> list[Block]:
         (
             str(point.knobs["presses"]),
             str(point.seeds),
-            _shown(point.accuracy[PLACE]),
-            *(_shown(point.accuracy[name], 100) for name in (*COVERED.values(), "in_model")),
+            _format_accuracy(point.accuracy[PLACE]),
+            *(_format_accuracy(point.accuracy[name], 100) for name in (*COVERED.values(), "in_model")),
             duration(point.costs["learning_s"]),
             f"{1e3 * (point.compute_s or 0.0):.1f} ms",
             "•" if point.pareto else "",
@@ -79,5 +79,5 @@ def _blocks(points: Sequence[Point]) -> list[Block]:
     return [table, *(Paragraph(f"{note}.", "note") for note in notes_of(points))]
 
 
-def _shown(accuracy: Accuracy, scale: float = 1) -> str:
+def _format_accuracy(accuracy: Accuracy, scale: float = 1) -> str:
     return with_uncertainty(scale * accuracy.value, scale * (accuracy.stderr or 0.0))

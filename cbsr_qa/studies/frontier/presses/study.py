@@ -11,14 +11,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import FEWEST_PRESSES, visits_of
-from cbsr_qa.calibration.presses import LabelledPresses
-from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
-from cbsr_qa.report import plural
+from cbsr_qa.calibration.place.held_out import visits_of
+from cbsr_qa.calibration.place.learning import FEWEST_PRESSES
+from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.domain.errors import CalibrationError, RecordingError, RefusedError
+from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.report.tables import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, loose_regions, recommended_presses
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, loose_regions, recommend_presses
 from cbsr_qa.studies.frontier.presses.trial import Trial, try_presses
-from cbsr_qa.studies.frontier.recommend import compared
+from cbsr_qa.studies.frontier.recommend import mark_worth
 from cbsr_qa.studies.frontier.study import Frontier
 from cbsr_qa.studies.sweep import Tell
 
@@ -72,16 +74,16 @@ def press_frontier(
     tried: dict[tuple[str, int], list[Trial | str]] = {}
     for done, (series, presses, learned, located) in enumerate(draws):
         tell(done, len(draws), f"{len(learned)} presses, {series}")
-        tried.setdefault((series, len(learned)), []).append(_tried(presses, learned, located))
+        tried.setdefault((series, len(learned)), []).append(_try_draw(presses, learned, located))
     tell(len(draws), len(draws), "")
     pace_s = _pace_s(labelled.presses.time_s)
     unchanged = int((~changed).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
     found = [_point(*key, trials, pace_s, note) for key, trials in tried.items()]
-    points = compared([each for each in found if isinstance(each, Point)], _presses, [PLACE])
+    points = mark_worth([each for each in found if isinstance(each, Point)], _presses, [PLACE])
     if not points:
         raise RefusedError(f"nothing can be learned from any draw of these presses: {found[0]}")
-    chosen = recommended_presses([point for point in points if point.series == AT_RANDOM], target_mm)
+    chosen = recommend_presses([point for point in points if point.series == AT_RANDOM], target_mm)
     return Frontier(quick, tuple(points), chosen)
 
 
@@ -90,7 +92,7 @@ def numbers_of(total: int) -> list[int]:
 
     RefusedError if there are too few to learn from some and locate others.
     """
-    most = min(_MOST, total - _left_out(total))
+    most = min(_MOST, total - _holdout_count(total))
     if most < FEWEST_PRESSES:
         raise RefusedError(
             f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_FEWEST_LOCATED} to"
@@ -112,25 +114,25 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
     for number in numbers:
         for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
             random = np.random.default_rng([*b"presses", number, split])
-            located = _at_some_places(visits, _left_out(total), random)
+            located = _draw_places(visits, _holdout_count(total), random)
             others = random.permutation(np.setdiff1d(np.arange(total), located))
             yield AT_RANDOM, timeless, others[:number], located[:_MOST_LOCATED]
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
     early = [number for number in numbers if number <= total / 2]
     for number in early[-1:] if quick else early:
-        learned, last = session[:number], session[-_left_out(total) :][-_MOST_LOCATED:]
+        learned, last = session[:number], session[-_holdout_count(total) :][-_MOST_LOCATED:]
         last = last[~np.isin(visits[last], visits[learned])]
         if len(last) >= _FEWEST_LOCATED:
             yield IN_ORDER, labelled, learned, last
 
 
-def _left_out(total: int) -> int:
+def _holdout_count(total: int) -> int:
     """How many presses are left out at least."""
     return max(_FEWEST_LOCATED, round(_LEFT_OUT * total))
 
 
-def _at_some_places(visits: Indices, count: int, random: np.random.Generator) -> Indices:
+def _draw_places(visits: Indices, count: int, random: np.random.Generator) -> Indices:
     """All presses at places drawn at random, of which there are ``count`` or, where places repeat, a few more."""
     places, repeats = np.unique(visits, return_counts=True)
     order = random.permutation(len(places))
@@ -138,7 +140,7 @@ def _at_some_places(visits: Indices, count: int, random: np.random.Generator) ->
     return random.permutation(np.flatnonzero(np.isin(visits, places[order[:drawn]])))
 
 
-def _tried(presses: LabelledPresses, learned: Indices, located: Indices) -> Trial | str:
+def _try_draw(presses: LabelledPresses, learned: Indices, located: Indices) -> Trial | str:
     """Result of a draw, or why nothing could be learned from it."""
     try:
         return try_presses(presses, learned, located)

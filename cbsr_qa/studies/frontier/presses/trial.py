@@ -6,9 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
-from cbsr_qa.calibration.presses import LabelledPresses, learn_presses
-from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.mixture import mahalanobis
+from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Frames located one by one to measure the time.
 _TIMED: Final = 20

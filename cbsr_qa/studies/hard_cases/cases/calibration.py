@@ -5,14 +5,19 @@ from typing import Final
 import mpmath
 import numpy as np
 
-from cbsr_qa.calibration.fits import fit_quasi_static, learn_kernel
-from cbsr_qa.calibration.runtime import Matches
-from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predict_change, sheet_gauge_factor, sheet_pose_of
-from cbsr_qa.domain import Array, CalibrationError, NumericsError
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.eit.imaging import register
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.calibration.force.sheet_pose import sheet_pose_of
+from cbsr_qa.calibration.force.template_matching import Matches
+from cbsr_qa.calibration.sheet.baseline import predict_change
+from cbsr_qa.calibration.sheet.characteristic import sheet_gauge_factor
+from cbsr_qa.calibration.sheet.response_map import ResponseMap, learn_response
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
+from cbsr_qa.eit.imaging.registration import register
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import (
     exact_line,
     exact_map,
@@ -39,7 +44,7 @@ def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
     given = None if stderr is None else stderr.tolist()
     fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), given)
     weighted = x, change, np.ones_like(x) if stderr is None else stderr
-    return conditioned(relative_error(fit.slope, exact_line(*weighted)[0]), line_condition(*weighted))
+    return answer_from_condition(relative_error(fit.slope, exact_line(*weighted)[0]), line_condition(*weighted))
 
 
 def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
@@ -53,7 +58,7 @@ def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     exact_mean, exact_spread = exact_map(partly, places_mm, log_response, variance, wanted)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
     condition = map_condition(partly, places_mm, variance)
-    return conditioned(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
+    return answer_from_condition(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
 
 
 def _wavy(places_mm: Array, variance: Array) -> Answer:
@@ -78,7 +83,7 @@ def sheet_pose(seen_mm: Array, shift_mm: float) -> Answer:
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
     pose = sheet_pose_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
     moved = float(np.abs(pose.places_mm(NINE) - NINE - shift_mm).max())
-    return conditioned(moved if np.isfinite(pose.shift_stderr_mm) else 1.0, 60.0, unit="mm")
+    return answer_from_condition(moved if np.isfinite(pose.shift_stderr_mm) else 1.0, 60.0, unit="mm")
 
 
 @AREA.against(_SQUARES)
@@ -109,22 +114,22 @@ def error_of_a_line_far_from_zero() -> Answer:
     fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), (0.001 * x).tolist(), [0.01] * 6)
     _, error = predict_change(fit.as_parameters("case"), middle)
     condition = 2 * (middle / spread) ** 2  # of the terms that cancel to their sum
-    return conditioned(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), condition)
+    return answer_from_condition(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), condition)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def one_strain() -> None:
     """Loads at a single strain determine a slope or an intercept, not both."""
     fit_quasi_static([0.1] * 3, [10.0, 10.1, 9.9], [0.06, 0.061, 0.059])
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def collinear_design() -> None:
     """Six strains, all at one stress: the two columns of the line are parallel."""
     fit_quasi_static(_STRAINS.tolist(), [0.1 * 3] * 6, _STRAINS.tolist())
 
 
-@AREA.refused(CalibrationError)
+@AREA.refuses(CalibrationError)
 def line_at_its_zero() -> None:
     """α ε + β is zero at the loads: their response is a division by zero."""
     nothing = QuasiStatic(Parameter(0.6, 0.01, "case"), Parameter(-0.06, 0.01, "case"), 0.0)
@@ -156,10 +161,10 @@ def a_hundred_loads_in_a_nanometre() -> Answer:
     places = 1e-6 * np.random.default_rng(_SEED).standard_normal((100, 2))
     mean, variance = learn_response(places, np.full(100, 0.3), np.zeros(100), radius_mm=50.0).predict(places[:3])
     error = largest_relative_error(mean, [mpmath.mpf(0.3)] * 3) if (variance >= 0).all() else 1.0
-    return conditioned(error, 1 / _LEAST_VARIANCE)
+    return answer_from_condition(error, 1 / _LEAST_VARIANCE)
 
 
-@AREA.refused(CalibrationError)
+@AREA.refuses(CalibrationError)
 def map_with_nan() -> None:
     """A load whose response is NaN."""
     learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0)
@@ -177,7 +182,7 @@ def registration_far_from_the_origin() -> Answer:
     registered = register(near, far)
     error = max(relative_error(registered.scale, mpmath.mpf("1.02")), abs(np.radians(registered.rotation_deg) - 0.1))
     condition = 3 * first / float(np.abs(p).max())
-    return conditioned(float(error), condition)
+    return answer_from_condition(float(error), condition)
 
 
 @AREA.against(_TURN)
@@ -186,7 +191,7 @@ def registration_of_places_in_a_line() -> Answer:
     row = NINE[[0, 1, 2]]
     registered = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
     error = max(relative_error(registered.scale, mpmath.mpf("0.9")), abs(registered.rotation_deg / 90 - 1))
-    return conditioned(float(error), 1.0)
+    return answer_from_condition(float(error), 1.0)
 
 
 @AREA.against("the sheet's pose is unchanged")
@@ -201,13 +206,13 @@ def seat_without_scatter() -> Answer:
     return sheet_pose(NINE + 1.0, 1.0)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def registration_of_one_place() -> None:
     """Nine loads at one place, which rounds to places that differ."""
     register(np.full((9, 2), 1e9 + 0.1), NINE)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def registration_of_a_mirror_image() -> None:
     """An upside-down sheet: least squares find a scale near zero, and no place where it was pressed."""
     register(NINE, NINE * [1.0, -1.0])

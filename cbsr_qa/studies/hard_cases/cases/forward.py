@@ -4,10 +4,12 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError, RefusedError
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward import REFINED_ABOVE, UNREFINED_ERROR, ForwardModel, ValueRangeError
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned, conditioned_bound
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward.value_range import REFINED_ABOVE, UNREFINED_ERROR, ValueRangeError
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition, condition_bound
 from cbsr_qa.studies.hard_cases.exact import apart
 from cbsr_qa.studies.hard_cases.sheets import (
     ELECTRODES,
@@ -18,7 +20,7 @@ from cbsr_qa.studies.hard_cases.sheets import (
     islands,
     reading_condition,
     relative_error,
-    scattered,
+    scatter_conductance,
     small_mesh,
     small_model,
 )
@@ -53,10 +55,10 @@ def against_fifty_digits(
     """
     exact = exact_readings(model.mesh, model.pattern, model.conductance, model.contact_impedance)
     error = relative_error(model.voltages() if computed is None else computed, exact, model.pattern)
-    return conditioned(error, reading_condition(model) if condition is None else condition)
+    return answer_from_condition(error, reading_condition(model) if condition is None else condition)
 
 
-def _in_other_units(length: float, conductance: float) -> Answer:
+def _change_units(length: float, conductance: float) -> Answer:
     """V(s x, c γ, s z/c) = V/c: the same sheet in units in which its numbers are tiny or huge."""
     usual = small_model()
     mesh = Mesh(length * usual.mesh.nodes_mm, usual.mesh.elements, usual.mesh.electrode_edges)
@@ -64,7 +66,7 @@ def _in_other_units(length: float, conductance: float) -> Answer:
         mesh, usual.pattern, conductance * usual.conductance, length / conductance * usual.contact_impedance
     )
     error = relative_error(conductance * model.voltages(), usual.voltages(), usual.pattern)
-    return conditioned(error, reading_condition(model))
+    return answer_from_condition(error, reading_condition(model))
 
 
 def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answer:
@@ -78,7 +80,7 @@ def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answe
     )
     error = float((np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
-    bound = conditioned_bound(condition, _leak(model.conductance, model.prepared.contacts.lengths_mm / contacts))
+    bound = condition_bound(condition, _leak(model.conductance, model.prepared.contacts.lengths_mm / contacts))
     return Answer(error, bound, condition, note="the worst of all columns")
 
 
@@ -121,7 +123,7 @@ def electrodes_parted_by_1e8() -> Answer:
 @AREA.against(FIFTY)
 def conductance_scattered_over_8_decades() -> Answer:
     """Every element of the mesh has a conductance of its own, over eight decades."""
-    return readings_of(scattered(8.0))
+    return readings_of(scatter_conductance(8.0))
 
 
 @AREA.against(FIFTY)
@@ -150,25 +152,25 @@ def slivers_of_a_millionth() -> Answer:
 @AREA.against(_LENGTHS)
 def sheet_of_a_nanometre() -> Answer:
     """Lengths of 1e-8 mm: areas of 1e-16 mm², as if metres were taken for millimetres three times."""
-    return _in_other_units(1e-8, 1.0)
+    return _change_units(1e-8, 1.0)
 
 
 @AREA.against(_LENGTHS)
 def sheet_of_ten_kilometres() -> Answer:
     """Lengths of 1e7 mm."""
-    return _in_other_units(2e5, 1.0)
+    return _change_units(2e5, 1.0)
 
 
 @AREA.against(_CONDUCTANCES)
 def conductance_of_1e_14_siemens() -> Answer:
     """A sheet that hardly conducts: only absolute values are extreme, not ratios."""
-    return _in_other_units(1.0, 1e-14)
+    return _change_units(1.0, 1e-14)
 
 
 @AREA.against(_CONDUCTANCES)
 def conductance_of_1e14_siemens() -> Answer:
     """A sheet with a conductance beyond any material's."""
-    return _in_other_units(1.0, 1e14)
+    return _change_units(1.0, 1e14)
 
 
 @AREA.against("V_kl = V_lk, exactly")
@@ -176,9 +178,9 @@ def reciprocity_when_all_is_hard() -> Answer:
     """Conductances over five decades and contacts over eight, at once."""
     lengths = small_model().prepared.contacts.lengths_mm
     contacts = lengths * np.geomspace(1e-4, 1e4, ELECTRODES)
-    model = small_model().with_values(conductance=scattered(5.0), contact_impedance=contacts)
+    model = small_model().with_values(conductance=scatter_conductance(5.0), contact_impedance=contacts)
     readings = model.voltages()
-    return conditioned(relative_error(readings.T, readings, model.pattern), reading_condition(model))
+    return answer_from_condition(relative_error(readings.T, readings, model.pattern), reading_condition(model))
 
 
 @AREA.against(FIFTY)
@@ -196,32 +198,32 @@ def sensitivity_to_perfect_contacts() -> Answer:
 @AREA.against("Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V, exactly")
 def derivatives_over_8_decades() -> Answer:
     """Sensitivities of elements whose conductances lie eight decades apart."""
-    model = small_model().with_values(conductance=scattered(8.0))
+    model = small_model().with_values(conductance=scatter_conductance(8.0))
     used = model.pattern.usable()
     voltages = model.voltages()[used]
     whole = model.jacobian()[used] @ model.conductance - model.contact_jacobian()[used] @ model.contact_impedance
-    return conditioned(apart(-whole, voltages), reading_condition(model))
+    return answer_from_condition(apart(-whole, voltages), reading_condition(model))
 
 
-@AREA.refused(ValueRangeError, "the refusal, by the elements and their conductances")
+@AREA.refuses(ValueRangeError, "the refusal, by the elements and their conductances")
 def contrast_beyond_1e8() -> None:
     """A contrast of 1e9, as by a typing error in a material."""
     readings_of(inclusion(1e9))
 
 
-@AREA.refused(NumericsError, "the refusal, by the electrode")
+@AREA.refuses(NumericsError, "the refusal, by the electrode")
 def contact_without_impedance() -> None:
     """A contact impedance of exactly zero, which the equations divide by."""
     readings_of(ratio=0.0)
 
 
-@AREA.refused(ValueRangeError, "the refusal, by the electrode and its ratio")
+@AREA.refuses(ValueRangeError, "the refusal, by the electrode and its ratio")
 def contact_open() -> None:
     """A lead has come off: a contact impedance of 1e15 sheets."""
     readings_of(ratio=1e15)
 
 
-@AREA.refused(RefusedError, "the refusal, by the element")
+@AREA.refuses(RefusedError, "the refusal, by the element")
 def triangle_without_area() -> None:
     """Two rings of corners closer than their places can be written: triangles without area."""
     gap = 1e-17 * RADIUS_MM  # below a rounding of the places

@@ -6,9 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array
-from cbsr_qa.domain.sensor import CircleArcs, Mesh, adjacent_pattern
-from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, arc_transfer_impedance
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.mesh import CircleArcs, Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.studies.hard_cases.case import Answer, Area
 from cbsr_qa.studies.hard_cases.sheets import reading_condition, relative_error, ring_mesh
 

@@ -5,10 +5,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.eit.forward import disc_coverage, point_model
-from cbsr_qa.eit.loads import LocalUpdate
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.forward.model import point_model
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.cases.forward import FIFTY, against_fifty_digits
 from cbsr_qa.studies.hard_cases.sheets import (
     inclusion,
@@ -27,7 +29,7 @@ def _under_a_head() -> NDArray[np.int64]:
     return np.flatnonzero(away < 12.0).astype(np.int64)
 
 
-def loaded(before: Array, factor: float) -> Answer:
+def compare_load(before: Array, factor: float) -> Answer:
     """A load that leaves a factor of the sheet's conductances (e,) [S], by local update, against fifty digits."""
     model, elements = small_model().with_values(conductance=before), _under_a_head()
     change = (factor - 1) * before[elements]
@@ -40,13 +42,13 @@ def loaded(before: Array, factor: float) -> Answer:
 @AREA.against(FIFTY)
 def load_of_1e8_by_local_update() -> Answer:
     """A load that conducts a hundred million times better, solved for without factorising the sheet again."""
-    return loaded(inclusion(1.0), 1e8)
+    return compare_load(inclusion(1.0), 1e8)
 
 
 @AREA.against(FIFTY)
 def load_of_1e_7_by_local_update() -> Answer:
     """A load that leaves a ten millionth of the conductance, stated as its change."""
-    return loaded(inclusion(1.0), 1e-7)
+    return compare_load(inclusion(1.0), 1e-7)
 
 
 @AREA.against(FIFTY)
@@ -54,13 +56,13 @@ def load_where_the_mesh_begins_in_an_insulator() -> Answer:
     """A load on a sheet whose first element is an insulator, at which potentials would be held."""
     conductance = np.ones(len(small_model().mesh.elements))
     conductance[0] = 2e-8
-    return loaded(conductance, 2.0)
+    return compare_load(conductance, 2.0)
 
 
 @AREA.against(FIFTY)
 def load_between_electrodes_parted_by_1e8() -> Answer:
     """A load on a sheet whose electrodes sit on good conductors, parted by one a hundred million times worse."""
-    return loaded(islands(1e-8), 2.0)
+    return compare_load(islands(1e-8), 2.0)
 
 
 @AREA.against(FIFTY)
@@ -99,7 +101,7 @@ def load_of_1e6_taken_off_again() -> Answer:
     pressed = model.with_change_on(elements, change)
     released = LocalUpdate(pressed).voltages(elements, -change)
     error = relative_error(released, model.voltages(), model.pattern)
-    return conditioned(error, reading_condition(model, pressed.conductance))
+    return answer_from_condition(error, reading_condition(model, pressed.conductance))
 
 
 @AREA.against("V(c γ) = V/c, exactly")
@@ -114,10 +116,10 @@ def point_electrodes_in_other_units() -> Answer:
     felt = np.linalg.norm(np.abs(points.jacobian()[used]) @ conductance)
     condition = float(felt / np.linalg.norm(points.voltages()[used]))
     error = relative_error(1e-6 * scaled.voltages(), points.voltages(), model.pattern)
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
-@AREA.refused(NumericsError, "the refusal, by the element")
+@AREA.refuses(NumericsError, "the refusal, by the element")
 def load_that_leaves_nothing() -> None:
     """A load that removes all conductance."""
     elements = _under_a_head()

@@ -5,12 +5,14 @@ from typing import Final
 import mpmath
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint, circle_overlap_mm2, overlap_mm2
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.imaging import Raster, find_regions
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import PolygonFootprint, RoundFootprint, overlap_mm2
+from cbsr_qa.domain.geometry.polygons import circle_overlap_mm2
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.eit.imaging.rasters import Raster, find_regions
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.cases.imaging import outline_error
 from cbsr_qa.studies.hard_cases.exact import (
     DIGITS,
@@ -35,7 +37,7 @@ def needle(width_mm: float, first_mm: float) -> Answer:
     # Of the rounding of places, over the width.
     condition = float(np.abs(corners).max() / (2 * exact / 100))
     error = max(relative_error(head.area_mm2, exact), largest_relative_error(head.centre_mm, middle.tolist()))
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
 def circle(corners: Array, centre: tuple[float, float]) -> Answer:
@@ -49,7 +51,7 @@ def circle(corners: Array, centre: tuple[float, float]) -> Answer:
         outline = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum()
         reach = float(np.abs(corners - np.array(centre)).max())
         condition = float(min(outline, 2 * np.pi * _RADIUS_MM) * reach / smaller)
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
 def rim_of(corners: int) -> Answer:
@@ -57,7 +59,7 @@ def rim_of(corners: int) -> Answer:
     half = np.pi / corners
     angle = 2 * half * np.arange(corners)
     rim = _RADIUS_MM * np.column_stack([np.cos(angle), np.sin(angle)])
-    computed = RoundFootprint(0.0, 0.0, _RADIUS_MM).squared_distance_mm3(rim, np.roll(rim, -1, axis=0)).sum()
+    computed = RoundFootprint(0.0, 0.0, _RADIUS_MM).integrate_distance2_mm3(rim, np.roll(rim, -1, axis=0)).sum()
     with mpmath.workdps(DIGITS):
         r, turn = mpmath.mpf(_RADIUS_MM), mpmath.pi / corners
         height, reach = r * mpmath.cos(turn), r * mpmath.sin(turn)
@@ -65,7 +67,7 @@ def rim_of(corners: int) -> Answer:
         bent = reach * r + height**2 * mpmath.asinh(reach / height)
         truth = corners * 2 * (reach**3 / 3 + (height**2 + r**2) * reach - r * bent)
         condition = float(2 * r / (r - height))  # of the distance from the circle
-    return conditioned(relative_error(float(computed), truth), condition)
+    return answer_from_condition(relative_error(float(computed), truth), condition)
 
 
 def _triangle(x: float, y: float = 0.0, *, long: float = 3.0) -> Array:
@@ -139,7 +141,7 @@ def contour_over_needles() -> Answer:
     )
     mesh = Mesh(nodes, elements)
     error, _ = outline_error(Image(mesh, mesh.centroids_mm[:, 0] + 0.25))
-    return conditioned(error, 1 / width)
+    return answer_from_condition(error, 1 / width)
 
 
 @AREA.against("area of the diamond round one pixel, wherever it is")
@@ -150,10 +152,10 @@ def pixels_in_the_corners() -> Answer:
         values = np.zeros((9, 9))
         values[row, column] = 1.0
         areas += [region.area_mm2 for region in find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85)]
-    return conditioned(largest_relative_error(areas, [mpmath.mpf("0.045")] * 5), 8 / 0.15)
+    return answer_from_condition(largest_relative_error(areas, [mpmath.mpf("0.045")] * 5), 8 / 0.15)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def head_without_area() -> None:
     """A head whose corners lie in a line."""
     overlap_mm2(PolygonFootprint(np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.2], [1.0, 0.1]])), np.zeros((1, 3, 2)))

@@ -4,22 +4,15 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Image
-from cbsr_qa.eit.imaging import (
-    Raster,
-    contour_regions,
-    find_blobs_by_mask,
-    find_regions,
-    greit_figures,
-    noise_floor,
-    percentage_mask,
-    pixel_image,
-    split_touching,
-    subtract_noise_floor,
-)
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.imaging.blobs import find_blobs_by_mask, noise_floor, percentage_mask, subtract_noise_floor
+from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.rasters import Raster, find_regions, pixel_image, split_touching
+from cbsr_qa.eit.imaging.shape import greit_figures
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import largest_relative_error, relative_error
 
 AREA: Final = Area("imaging")
@@ -36,7 +29,7 @@ def single_element(scale: float) -> Answer:
     values = [blob.area_mm2, blob.weight / scale, *blob.centre_mm().tolist()]
     digits = max(1.0, float(np.finfo(np.float64).tiny) / scale)  # a subnormal number has fewer digits
     error = largest_relative_error(values, [0.5, 0.5, corners[:, 0].mean(), corners[:, 1].mean()])
-    return conditioned(error, digits)
+    return answer_from_condition(error, digits)
 
 
 def empty_image(value: float) -> Answer:
@@ -81,7 +74,7 @@ def values_on_the_quarter_of_greit() -> Answer:
     values[3:-3, 3:-3] = 0.1 * 3
     figures = greit_figures(_mesh_image(values), RoundFootprint(5.5, 5.5, 3.0))
     resolution = 0.0 if figures is None else figures.resolution
-    return conditioned(abs(resolution - 1.0), 1.0)
+    return answer_from_condition(abs(resolution - 1.0), 1.0)
 
 
 @AREA.against("one region of all pixels")
@@ -98,7 +91,7 @@ def flat_image_contour() -> Answer:
     regions = contour_regions(_mesh_image(np.full((_SIDE, _SIDE), 0.3)), 0.85)
     figures = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
     middle = (_SIDE - 1) / 2
-    return conditioned(largest_relative_error(figures, [1, _SIDE**2, middle, middle]), 1.0)
+    return answer_from_condition(largest_relative_error(figures, [1, _SIDE**2, middle, middle]), 1.0)
 
 
 @AREA.against(_TRIANGLE)
@@ -124,7 +117,7 @@ def blob_on_the_rim() -> Answer:
     """A contour that meets the sheet's edge must be closed along it."""
     y, x = np.mgrid[:_SIDE, :_SIDE]
     image = _mesh_image(np.exp(-(x**2 + (y - 4.3) ** 2) / 12.0))
-    return conditioned(*outline_error(image))
+    return answer_from_condition(*outline_error(image))
 
 
 @AREA.against("two loads, mirror images of each other")
@@ -138,7 +131,7 @@ def touching_blobs() -> Answer:
     raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
     parts = split_touching(raster, 0.25, 6.0)
     apart = abs(sum(float(part.centre_mm()[0]) for part in parts) / 2 - 19.5) if len(parts) == 2 else 40.0
-    return conditioned(abs(corners - 2) + abs(len(parts) - 2) + apart, 20.0, unit="loads and pixels")
+    return answer_from_condition(abs(corners - 2) + abs(len(parts) - 2) + apart, 20.0, unit="loads and pixels")
 
 
 @AREA.against("no region")
@@ -153,7 +146,7 @@ def all_negative_image() -> Answer:
     return empty_image(-1e-300)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def nan_image() -> None:
     """Every comparison with NaN is false: such an image looks empty."""
     percentage_mask(np.full(_SIDE**2, np.nan), 0.85)
@@ -167,7 +160,7 @@ def outline_far_from_the_origin() -> Answer:
     first = 1e6
     (region,) = find_regions(Raster(values, 1.0, (first, first)), 0.85)
     condition = first / 0.15  # of the outline's place to its extent
-    return conditioned(relative_error(region.area_mm2, 0.045), condition)
+    return answer_from_condition(relative_error(region.area_mm2, 0.045), condition)
 
 
 @AREA.against("the same image at the origin")
@@ -179,7 +172,7 @@ def centre_of_mass_far_from_the_origin() -> Answer:
     near = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
     far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
     condition = first / float(near.min())
-    return conditioned(largest_relative_error(far - first, near.tolist()), condition)
+    return answer_from_condition(largest_relative_error(far - first, near.tolist()), condition)
 
 
 @AREA.against("no element above it")

@@ -6,14 +6,18 @@ from typing import Any, Final
 import mpmath
 import numpy as np
 
-from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import Array, CalibrationError, NumericsError
-from cbsr_qa.domain.results import ForceModel, Lattice, LoadEstimate
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merge_reciprocal
-from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
+from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.load_estimates import LoadEstimate
+from cbsr_qa.domain.results.calibration import ForceModel, Lattice
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
+from cbsr_qa.eit.estimate.load_estimate import LoadEstimator
+from cbsr_qa.eit.estimate.readings import MergedReadings, load_model, merge_reciprocal
+from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 AREA: Final = Area("calibration")
@@ -42,27 +46,27 @@ def changes_of(x_mm: float, y_mm: float, contrast: float = 0.1) -> Array:
     return model.readings(load).change[:, readings.used]
 
 
-def estimated(changes: Array) -> LoadEstimate:
+def estimate_load(changes: Array) -> LoadEstimate:
     """Estimate one load of known size."""
     return LoadEstimator(*disc(), expected_radius_mm=_RADIUS_MM, known=True).estimate(changes)[0]
 
 
-def located(x_mm: float) -> Answer:
+def locate_head(x_mm: float) -> Answer:
     """Where a head without noise is found, on the sheet's axis."""
     changes = changes_of(x_mm, 0.0)
-    estimate = estimated(changes)
+    estimate = estimate_load(changes)
     if estimate.place_mm is None or estimate.place_covariance_mm2 is None:
         return Answer(float("inf"), 0.0)
     error = float(np.hypot(estimate.place_mm[0] - x_mm, estimate.place_mm[1]))
     # The place moves by its standard error per unit of a row, and rows round by their size.
     rows = disc()[1].merge_changes(changes)
     condition = float(np.sqrt(np.trace(estimate.place_covariance_mm2)) * np.linalg.norm(rows))
-    return conditioned(error, condition, unit="mm")
+    return answer_from_condition(error, condition, unit="mm")
 
 
 def nothing_found(changes: Array, why: str) -> Answer:
     """Loads found in a frame that holds none, or another reason given than there is."""
-    estimate = estimated(changes)
+    estimate = estimate_load(changes)
     right = estimate.place_mm is None and why in estimate.why
     return Answer(0.0 if right else 1.0, 0.0, unit="wrong statements", note=estimate.why)
 
@@ -115,10 +119,10 @@ def force_of(strength: float, log_response: float) -> Answer:
         truth = (seen - beta) / alpha * area
         condition = float((abs(seen) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(seen - beta))
     error = relative_error(force, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
-def scaled_matches(size: float) -> Answer:
+def match_scaled_templates(size: float) -> Answer:
     """Place and strength from templates scaled by a factor, against unscaled ones."""
     model = force_model(0.0)
     finder = TemplateFilter(model)
@@ -127,31 +131,31 @@ def scaled_matches(size: float) -> Answer:
     usual, other = finder.search(rows), finder.search(size * rows)
     away = np.abs(usual.place_mm - other.place_mm).max() / 8
     error = max(float(away), largest_relative_error(other.strength / size, usual.strength.tolist()))
-    return conditioned(error, 1.0)
+    return answer_from_condition(error, 1.0)
 
 
-def sized_templates(log_size: float) -> Answer:
+def match_sized_templates(log_size: float) -> Answer:
     """Strength of a head whose templates are this large."""
     finder = TemplateFilter(force_model(0.0, log_size))
     place = np.array([2.0, -1.0])
     match = finder.match_at(0.1 * finder.template(place[None]), place)
     condition = 1 + abs(log_size)
-    return conditioned(relative_error(float(match.strength[0]), mpmath.mpf(0.1)), condition)
+    return answer_from_condition(relative_error(float(match.strength[0]), mpmath.mpf(0.1)), condition)
 
 
 @AREA.against(_PLACE)
 def load_at_the_exact_centre() -> Answer:
     """A head in the middle of the sheet, where all mirror images fall together."""
-    return located(0.0)
+    return locate_head(0.0)
 
 
 @AREA.against(_PLACE)
 def load_a_picometre_off_the_centre() -> Answer:
     """A head 1e-9 mm off the middle."""
-    return located(1e-9)
+    return locate_head(1e-9)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def load_on_an_electrode() -> None:
     """A head whose centre is on a pin, where the field has a pole instead of a power series."""
     changes_of(47.9, 0.0)
@@ -176,34 +180,34 @@ def noise_twelve_powers_of_ten_apart() -> Answer:
     variance = 10.0 ** np.linspace(-24.0, 0, pattern.shape[0] * pattern.shape[1]).reshape(pattern.shape)
     readings = merge_reciprocal(pattern, pattern.usable(), variance)
     merged = (readings.merging**2 * variance[readings.used]).sum(axis=1)
-    return conditioned(largest_relative_error(merged, [mpmath.mpf(1)] * len(merged)), 1.0)
+    return answer_from_condition(largest_relative_error(merged, [mpmath.mpf(1)] * len(merged)), 1.0)
 
 
 @AREA.against(_USUAL)
 def frames_of_1e_12_standard_errors() -> Answer:
     """Frames of a head at 1e-12 of their noise."""
-    return scaled_matches(2.0**-40)
+    return match_scaled_templates(2.0**-40)
 
 
 @AREA.against(_USUAL)
 def frames_of_1e12_standard_errors() -> Answer:
     """Frames of a head at 1e12 times their noise."""
-    return scaled_matches(2.0**40)
+    return match_scaled_templates(2.0**40)
 
 
 @AREA.against(_STRENGTH)
 def templates_of_1e_12() -> Answer:
     """A sensor that responds with 1e-12 of a standard error."""
-    return sized_templates(-12 * float(np.log(10)))
+    return match_sized_templates(-12 * float(np.log(10)))
 
 
 @AREA.against(_STRENGTH)
 def templates_of_1e12() -> Answer:
     """A sensor that responds with 1e12 standard errors."""
-    return sized_templates(12 * float(np.log(10)))
+    return match_sized_templates(12 * float(np.log(10)))
 
 
-@AREA.refused(CalibrationError)
+@AREA.refuses(CalibrationError)
 def nowhere_to_press() -> None:
     """A sheet on which the head fits nowhere: no place to search."""
     model: Any = force_model(0.0)

@@ -7,14 +7,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import find_faults
-from cbsr_qa.domain import Array, NumericsError, RefusedError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import ReadingFold, changes, imaging_problem, reading_noise, scale_doubts, scale_of
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.analysis.defects.channels import find_faults
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.readings import ReadingFold, reading_noise
+from cbsr_qa.eit.inverse.scaling import changes, scale_doubts, scale_of
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import apart
-from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor, without_electrodes
+from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, mask_electrodes, prepare_method, usual_problem, usual_sensor
 
 AREA: Final = Area("readings")
 _SEED: Final = 20261123
@@ -56,18 +59,18 @@ def _offset(times: float) -> Answer:
     scale = scale_of(reference, problem)
     computed = changes((changed + offset)[None], reference + offset, problem, scale)[0]
     exact = _change(problem, changed, reference, scale)
-    return conditioned(apart(computed, exact), _change_condition(problem, changed, reference, offset))
+    return answer_from_condition(apart(computed, exact), _change_condition(problem, changed, reference, offset))
 
 
-def _in_units(factor: float) -> Answer:
+def _image_in_units(factor: float) -> Answer:
     """Image of frames in another unit: the scale of the sensor takes it out."""
     problem, reference, changed = _frames()
-    method = prepared(_METHOD, problem, {})
+    method = prepare_method(_METHOD, problem, {})
     images = []
     for unit in (1.0, factor):
         scale = scale_of(unit * reference, problem)
         images.append(method.images(changes((unit * changed)[None], unit * reference, problem, scale))[0])
-    return conditioned(apart(images[1], images[0]), _change_condition(problem, changed, reference))
+    return answer_from_condition(apart(images[1], images[0]), _change_condition(problem, changed, reference))
 
 
 def _noise(offset: float, beginning_s: float) -> Answer:
@@ -81,7 +84,7 @@ def _noise(offset: float, beginning_s: float) -> Answer:
     plain = reading_noise(noise, time_s).variance
     computed = reading_noise(noise + offset, time_s + beginning_s).variance
     condition = offset / float(noise.std()) + beginning_s / 7.5
-    return conditioned(apart(computed, plain), condition)
+    return answer_from_condition(apart(computed, plain), condition)
 
 
 _WHOLE: Final = "the same numbers, as whole fractions"
@@ -124,13 +127,13 @@ def noise_fifty_years_after_zero() -> Answer:
 @AREA.against("the image of the same frames in volts")
 def volts_of_1e_12() -> Answer:
     """Frames whose readings are 1e-12 of the usual ones."""
-    return _in_units(1e-12)
+    return _image_in_units(1e-12)
 
 
 @AREA.against("the image of the same frames in volts")
 def volts_of_1e12() -> Answer:
     """Frames whose readings are 1e12 of the usual ones."""
-    return _in_units(1e12)
+    return _image_in_units(1e12)
 
 
 @AREA.against(_WHOLE)
@@ -144,7 +147,7 @@ def single_precision_frames() -> Answer:
     exact = _change(problem, single.astype(np.float64), single_reference.astype(np.float64), scale)
     lost = apart(computed, _change(problem, changed, reference, scale))
     note = f"what the format itself has lost of the change is {lost:.1e}"
-    return conditioned(apart(computed, exact), 1.0, note=note)
+    return answer_from_condition(apart(computed, exact), 1.0, note=note)
 
 
 @AREA.against("the difference of whole numbers")
@@ -166,16 +169,16 @@ def frame_of_zeros() -> Answer:
     scale = scale_of(reference, problem)
     computed = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
     exact = _change(problem, np.zeros_like(reference), reference, scale)
-    return conditioned(apart(computed, exact), 1.0)
+    return answer_from_condition(apart(computed, exact), 1.0)
 
 
 @AREA.against("the image with zeros in these channels")
 def nonsense_in_masked_channels() -> Answer:
     """The channels of an open electrode hold NaN, infinity and 1e300, and are masked."""
     sensor = usual_sensor()
-    used = without_electrodes(sensor, (5,))
+    used = mask_electrodes(sensor, (5,))
     problem = imaging_problem(sensor, used=used, image_size_mm=IMAGE_MM)
-    method = prepared(_METHOD, problem, {})
+    method = prepare_method(_METHOD, problem, {})
     _, reference, changed = _frames()
     images = []
     for nonsense in (np.zeros(3), np.array([np.nan, np.inf, 1e300])):
@@ -207,7 +210,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
     exact = np.array([float(one / other) for one, other in zip(above, below, strict=True)])
     condition = max(float(all_ / abs(one)) for all_, one in zip(size, above, strict=True))
     error = float(np.abs(computed / exact - 1).max())
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
 @AREA.against("the channels that were made so")
@@ -228,14 +231,14 @@ def saturated_stuck_and_missing() -> Answer:
     return Answer(float((faults.bad != made).sum()), 0.0, unit="channels", note="the bound is zero")
 
 
-@AREA.refused(NumericsError, "the refusal, with what to check")
+@AREA.refuses(NumericsError, "the refusal, with what to check")
 def reference_of_zeros() -> None:
     """The unloaded frame is all zero: there is no scale to take changes over."""
     problem, reference, _ = _frames()
     scale_of(np.zeros_like(reference), problem)
 
 
-@AREA.refused(NumericsError, "the refusal, by the reading")
+@AREA.refuses(NumericsError, "the refusal, by the reading")
 def reference_with_nan() -> None:
     """A reading in use is NaN."""
     problem, reference, _ = _frames()
@@ -243,7 +246,7 @@ def reference_with_nan() -> None:
     scale_of(reference, problem)
 
 
-@AREA.refused(NumericsError, "the refusal, by the type")
+@AREA.refuses(NumericsError, "the refusal, by the type")
 def complex_voltages() -> None:
     """Phasors where magnitudes are needed: a cast would drop the imaginary part."""
     problem, reference, _ = _frames()
@@ -251,7 +254,7 @@ def complex_voltages() -> None:
     scale_of(phasors, problem)
 
 
-@AREA.refused(RefusedError, "the refusal, before it is stored")
+@AREA.refuses(RefusedError, "the refusal, before it is stored")
 def frame_with_nan() -> None:
     """A driver hands over NaN."""
     voltages = np.ones((2, 16, 16))
@@ -259,7 +262,7 @@ def frame_with_nan() -> None:
     FrameBlock(np.arange(2.0), voltages, np.zeros(voltages.shape, dtype=np.uint8), VoltageUnit.VOLT, 1e-3)
 
 
-@AREA.refused(NumericsError, "the refusal, by how many are left and needed")
+@AREA.refuses(NumericsError, "the refusal, by how many are left and needed")
 def seven_readings_left() -> None:
     """So many channels are masked that seven independent readings are left for two thousand elements."""
     used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
@@ -267,14 +270,14 @@ def seven_readings_left() -> None:
     imaging_problem(usual_sensor(), used=used, image_size_mm=IMAGE_MM)
 
 
-@AREA.refused(NumericsError, "the refusal, by the readings left")
+@AREA.refuses(NumericsError, "the refusal, by the readings left")
 def eleven_electrodes_off() -> None:
     """Eleven electrodes have come off: three independent readings are left, and any image would be guessed."""
     sensor = usual_sensor()
-    imaging_problem(sensor, used=without_electrodes(sensor, tuple(range(11))), image_size_mm=IMAGE_MM)
+    imaging_problem(sensor, used=mask_electrodes(sensor, tuple(range(11))), image_size_mm=IMAGE_MM)
 
 
-@AREA.refused(NumericsError, "the refusal, with what to do instead")
+@AREA.refuses(NumericsError, "the refusal, with what to do instead")
 def no_noise_at_all() -> None:
     """Every reading is the same in all frames."""
     reading_noise(np.ones((30, 40)), np.arange(30.0))

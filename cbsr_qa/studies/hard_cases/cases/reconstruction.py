@@ -7,12 +7,17 @@ import numpy as np
 from mpmath import mp
 from scipy import linalg
 
-from cbsr_qa.domain import Array, ConfigError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smooth
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.inverse.one_step import RidgeCurves
+from cbsr_qa.eit.inverse.priors import noser
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.readings import ReadingFold
+from cbsr_qa.eit.inverse.temporal import Correlation, smooth
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
-from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor
+from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepare_method, usual_problem, usual_sensor
 
 AREA: Final = Area("reconstruction")
 FIFTY: Final = "the normal equations, solved in fifty digits"
@@ -43,11 +48,11 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     value = relative * float(sizes[0])
     given = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
     readings = _changes(problem)
-    computed = prepared(name, problem, given).images(readings[None])[0]
+    computed = prepare_method(name, problem, given).images(readings[None])[0]
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
-    return conditioned(apart(computed, exact), condition)
+    return answer_from_condition(apart(computed, exact), condition)
 
 
 def _weights(name: str, problem: ImagingProblem) -> Array:
@@ -84,7 +89,7 @@ def _l_curve(relative: float) -> Answer:
             for computed, truth in ((curves.size(s), size), (curves.residual(s), residual))
         ]
     condition = max(1.0, abs(s))  # of e^s
-    return conditioned(float(max(errors)), condition)
+    return answer_from_condition(float(max(errors)), condition)
 
 
 def _lasting(frames: float) -> Answer:
@@ -109,7 +114,7 @@ def _lasting(frames: float) -> Answer:
             conditions.append(np.linalg.norm(felt) / np.linalg.norm(exact[:, column]))
     condition = float(max(conditions))
     error = np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)
-    return conditioned(float(error.max()), condition)
+    return answer_from_condition(float(error.max()), condition)
 
 
 @AREA.against(FIFTY)
@@ -155,11 +160,13 @@ def nothing_but_regularisation() -> Answer:
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)
     value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
-    computed = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
+    computed = (
+        value**2 * prepare_method("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
+    )
     fold = ReadingFold.from_problem(problem)
     limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
     condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
-    return conditioned(apart(computed, limit), condition)
+    return answer_from_condition(apart(computed, limit), condition)
 
 
 @AREA.against("the image at λ = 10²⁰: the limit")
@@ -167,10 +174,11 @@ def greit_of_nothing_but_regularisation() -> Answer:
     """GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude."""
     problem, readings = usual_problem(), _changes(usual_problem())
     large, larger = (
-        prepared("greit", problem, {"hyperparameter": value}).images(readings[None])[0] for value in (1e10, 1e20)
+        prepare_method("greit", problem, {"hyperparameter": value}).images(readings[None])[0]
+        for value in (1e10, 1e20)
     )
     condition = float(np.linalg.norm(readings) * np.sqrt(len(large)) / np.linalg.norm(large))
-    return conditioned(apart(large, larger), max(condition, 1.0))
+    return answer_from_condition(apart(large, larger), max(condition, 1.0))
 
 
 @AREA.against("the constant that explains the readings best, in fifty digits")
@@ -178,12 +186,12 @@ def total_variation_of_nothing_but_smoothness() -> Answer:
     """Total variation with α = 10²⁰⁰: no jump is worth its price."""
     problem = usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
-    image = prepared("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
+    image = prepare_method("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
     with mp.workdps(DIGITS):
         ones = [mp.fsum(row) for row in problem.jacobian.tolist()]
         exact = float(mp.fdot(ones, readings.tolist()) / mp.fdot(ones, ones))
     condition = float(np.abs(problem.jacobian).sum() / np.abs(problem.jacobian.sum(axis=1)).sum())
-    return conditioned(float(np.abs(image / exact - 1).max()), condition)
+    return answer_from_condition(float(np.abs(image / exact - 1).max()), condition)
 
 
 @AREA.against("R(cJ, cλ) = R(J, λ)/c, exactly")
@@ -193,10 +201,10 @@ def sensor_in_picovolts() -> Answer:
     other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
     readings = _changes(problem)
     name, value = "gauss-newton-tikhonov", 1e-4
-    usual = prepared(name, problem, {"hyperparameter": value}).images(readings[None])[0]
-    scaled = prepared(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
+    usual = prepare_method(name, problem, {"hyperparameter": value}).images(readings[None])[0]
+    scaled = prepare_method(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
     condition = ridge_condition(linalg.svdvals(problem.jacobian), value)
-    return conditioned(apart(scaled, usual), condition)
+    return answer_from_condition(apart(scaled, usual), condition)
 
 
 @AREA.against("an image of zeros, exactly")
@@ -207,8 +215,8 @@ def frame_equal_to_its_reference() -> Answer:
         "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",
         "gauss-newton-high-pass", "temporal", "total-variation",
     )  # fmt: skip
-    methods = [prepared(name, problem, {"hyperparameter": 1e-3}) for name in names]
-    methods += [prepared("truncated-svd", problem, {}), prepared("linear-back-projection", problem, {})]
+    methods = [prepare_method(name, problem, {"hyperparameter": 1e-3}) for name in names]
+    methods += [prepare_method("truncated-svd", problem, {}), prepare_method("linear-back-projection", problem, {})]
     none = np.zeros((2, len(problem.reference)))
     largest = max(float(np.abs(method.images(none)).max()) for method in methods)
     return Answer(largest, 0.0, note=f"{len(methods)} methods; the bound is zero")
@@ -238,33 +246,33 @@ def frames_alike_for_one() -> Answer:
     return _lasting(0.05)
 
 
-@AREA.refused(ConfigError, "the refusal, by λ and its range")
+@AREA.refuses(ConfigError, "the refusal, by λ and its range")
 def parameter_beyond_doubles() -> None:
     """λ = 1e60, whose square leaves an image of rounding errors only."""
-    prepared("gauss-newton-noser", usual_problem(), {"hyperparameter": 1e60})
+    prepare_method("gauss-newton-noser", usual_problem(), {"hyperparameter": 1e60})
 
 
-@AREA.refused(NumericsError, "the refusal, by λ and the least that is allowed")
+@AREA.refuses(NumericsError, "the refusal, by λ and the least that is allowed")
 def greit_without_regularisation() -> None:
     """GREIT with λ = 0: more training targets than readings can tell apart."""
-    prepared("greit", usual_problem(), {"hyperparameter": 0.0})
+    prepare_method("greit", usual_problem(), {"hyperparameter": 0.0})
 
 
-@AREA.refused(NumericsError, "the refusal, by what the image lacks")
+@AREA.refuses(NumericsError, "the refusal, by what the image lacks")
 def total_variation_next_to_none() -> None:
     """Total variation with α = 10⁻³⁰, below a rounding of what it is added to."""
     problem = usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
-    prepared("total-variation", problem, {"hyperparameter": 1e-30}).images(readings[None])
+    prepare_method("total-variation", problem, {"hyperparameter": 1e-30}).images(readings[None])
 
 
-@AREA.refused(NumericsError, "the refusal, by the counts that split no pair")
+@AREA.refuses(NumericsError, "the refusal, by the counts that split no pair")
 def half_a_pair_of_singular_values() -> None:
     """Truncation between two equal singular values, which would prefer a direction."""
-    prepared("truncated-svd", usual_problem(), {"components": 2})
+    prepare_method("truncated-svd", usual_problem(), {"components": 2})
 
 
-@AREA.refused(NumericsError, "the refusal, by the reading")
+@AREA.refuses(NumericsError, "the refusal, by the reading")
 def noise_beyond_twelve_decades() -> None:
     """One reading is stated to be 1e13 times noisier than the others."""
     sensor = usual_sensor()
@@ -273,9 +281,9 @@ def noise_beyond_twelve_decades() -> None:
     imaging_problem(sensor, noise_variance=variance, image_size_mm=IMAGE_MM)
 
 
-@AREA.refused(NumericsError, "the refusal, with what to choose by instead")
+@AREA.refuses(NumericsError, "the refusal, with what to choose by instead")
 def parameter_from_frames_without_change() -> None:
     """λ is to be chosen by cross-validation, on frames that equal their reference."""
     problem = usual_problem()
     sampled = imaging_problem(usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=IMAGE_MM)
-    prepared("gauss-newton-noser", sampled, {"choose": "gcv"})
+    prepare_method("gauss-newton-noser", sampled, {"choose": "gcv"})

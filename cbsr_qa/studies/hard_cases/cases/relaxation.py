@@ -5,16 +5,14 @@ from typing import Any, Final
 import mpmath
 import numpy as np
 
-from cbsr_qa.calibration.fits import (
-    estimate_restricted_mean,
-    fit_common_relaxation,
-    fit_relaxation,
-    predict_steady,
-    settling_time,
-)
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationKernel
-from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, Area, conditioned, conditioned_bound
+from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.fits.relaxation import fit_relaxation
+from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, settling_time
+from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, RelaxationKernel
+from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, Area, answer_from_condition, condition_bound
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 AREA: Final = Area("relaxation")
@@ -39,7 +37,7 @@ def fit_condition(offset: float, amplitudes: tuple[float, ...], taus_s: tuple[fl
     return float(rows.max() * np.linalg.norm(curve(offset, amplitudes, taus_s)))
 
 
-def recovered(
+def fit_known_curve(
     offset: float,
     amplitudes: tuple[float, ...],
     taus_s: tuple[float, ...],
@@ -63,10 +61,10 @@ def recovered(
     error = largest_relative_error(computed, truth) if len(computed) == len(truth) else 1.0
     condition = fit_condition(offset, amplitudes, taus_s)
     rounding = float(np.finfo(np.float32).eps) / EPSILON if single else 1.0
-    return Answer(error, conditioned_bound(condition * rounding), condition, note=str(fit.status))
+    return Answer(error, condition_bound(condition * rounding), condition, note=str(fit.status))
 
 
-def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Answer:
+def settle_known_curve(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Answer:
     """Settling time of a known curve, against the root of the same curve in fifty digits."""
     fit = RelaxationFit(FitStatus.TWO, 1.0, amplitudes, taus_s, 0.0, (0.0, 0.0), 1.0, "")
     settled_s = settling_time(fit, window_s=_WINDOW_S).value_s or 0.0
@@ -83,7 +81,7 @@ def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Ans
             abs(a) * mpmath.exp(-truth / tau) * (1 + truth / tau) for a, tau in zip(amplitudes, taus_s, strict=True)
         )
         condition = float(of_parts / (slope * truth))
-    return conditioned(relative_error(settled_s, truth), condition)
+    return answer_from_condition(relative_error(settled_s, truth), condition)
 
 
 def steady_without_noise(noise: float) -> Answer:
@@ -95,7 +93,7 @@ def steady_without_noise(noise: float) -> Answer:
     parts = np.exp(-time_s[:, None] / taus_s)
     design = np.column_stack([1 + parts @ weights, 0.01 * parts, 0.01 * weights * parts * time_s[:, None] / taus_s])
     condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
-    return conditioned(relative_error(float(steady.values[0]), _mp(1)), condition)
+    return answer_from_condition(relative_error(float(steady.values[0]), _mp(1)), condition)
 
 
 def _deviation(amplitudes: tuple[float, float], taus_s: tuple[float, float], time_s: Any) -> Any:
@@ -112,55 +110,55 @@ def _mp(value: float | str) -> Any:
 @AREA.against(_PARAMETERS)
 def time_constants_a_factor_apart() -> Answer:
     """Two exponentials of 8 and 20 s in 25 frames look like one: their sum hardly says how it is shared."""
-    return recovered(1.0, (0.3, 0.2), (8.0, 20.0))
+    return fit_known_curve(1.0, (0.3, 0.2), (8.0, 20.0))
 
 
 @AREA.against(_PARAMETERS)
 def small_exponential_beside_a_large_one() -> Answer:
     """An exponential of a two-thousandth of the other's size has to be found beside it."""
-    return recovered(1.0, (1e-4, 0.2), (5.0, 30.0))
+    return fit_known_curve(1.0, (1e-4, 0.2), (5.0, 30.0))
 
 
 @AREA.against(_PARAMETERS)
 def zero_amplitude() -> Answer:
     """An absent second exponential leaves its time constant undetermined."""
-    return recovered(1.0, (0.3,), (9.0,))
+    return fit_known_curve(1.0, (0.3,), (9.0,))
 
 
 @AREA.against(_PARAMETERS)
 def non_monotone_relaxation() -> Answer:
     """Two exponentials of opposite signs overshoot."""
-    return recovered(1.0, (-0.3, 0.2), (5.0, 30.0))
+    return fit_known_curve(1.0, (-0.3, 0.2), (5.0, 30.0))
 
 
 @AREA.against(_PARAMETERS)
 def relaxation_on_an_offset_of_1e6() -> Answer:
     """A relaxation that is a millionth of the level it happens on: six digits are gone before the fit begins."""
-    return recovered(1e6, (0.3, 0.2), (5.0, 30.0))
+    return fit_known_curve(1e6, (0.3, 0.2), (5.0, 30.0))
 
 
 @AREA.against(_PARAMETERS)
 def values_of_1e_9() -> Answer:
     """A trace in a unit that makes its numbers tiny: absolute tolerances would call it flat."""
-    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9)
+    return fit_known_curve(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9)
 
 
 @AREA.against(_PARAMETERS)
 def values_of_1e9() -> Answer:
     """A trace in a unit that makes its numbers huge."""
-    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e9)
+    return fit_known_curve(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e9)
 
 
 @AREA.against(_PARAMETERS)
 def times_in_milliseconds() -> Answer:
     """A time axis in milliseconds: time constants of thousands."""
-    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), second=1e3)
+    return fit_known_curve(1.0, (0.3, 0.2), (5.0, 30.0), second=1e3)
 
 
 @AREA.against(_PARAMETERS)
 def single_precision_trace() -> Answer:
     """A trace of 24-bit numbers; the bound is condition number times single-precision rounding."""
-    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), single=True)
+    return fit_known_curve(1.0, (0.3, 0.2), (5.0, 30.0), single=True)
 
 
 @AREA.against("the exponential of their mean, settled where 0.5 e^(−t/τ) = 0.15")
@@ -173,7 +171,7 @@ def time_constants_alike() -> Answer:
     truth = _mp(20) * (1 + _mp("0.4e-8")) * mpmath.log(_mp(1) / _mp("0.3"))
     condition = fit_condition(1.0, (0.5,), (20.0,))
     error = max(relative_error(fit.offset, _mp(1)), relative_error(settled or 0.0, truth))
-    return conditioned(error, condition, note=fit.why)
+    return answer_from_condition(error, condition, note=fit.why)
 
 
 @AREA.against("it settles later than the trace")
@@ -190,19 +188,19 @@ def constant_trace() -> Answer:
     """A trace without any variance to explain, at a level that rounds."""
     fit = fit_relaxation(_TIME_S, np.full(len(_TIME_S), 0.1))
     flat = fit.status is FitStatus.FLAT and settling_time(fit, window_s=_WINDOW_S).value_s == 0.0
-    return conditioned(relative_error(fit.offset, _mp(0.1)) + (not flat), 1.0)
+    return answer_from_condition(relative_error(fit.offset, _mp(0.1)) + (not flat), 1.0)
 
 
 @AREA.against(_ROOT)
 def settling_of_equal_time_constants() -> Answer:
     """Opposite exponentials with the same time constant: where they cancel is a division by zero."""
-    return settled((1.0, -0.5), (20.0, 20.0))
+    return settle_known_curve((1.0, -0.5), (20.0, 20.0))
 
 
 @AREA.against(_ROOT)
 def settling_of_cancelling_exponentials() -> Answer:
     """Amplitudes of ±400 000 whose time constants differ by a millionth leave a curve of size 1."""
-    return settled((-4e5, 4e5 + 0.5), (20.0, 20.0 * (1 + 1e-6)))
+    return settle_known_curve((-4e5, 4e5 + 0.5), (20.0, 20.0 * (1 + 1e-6)))
 
 
 @AREA.against("it settles later than the trace")
@@ -228,7 +226,7 @@ def settling_times_that_agree() -> Answer:
         mean = mpmath.fsum(exact) / 4
         truth = mpmath.sqrt(mpmath.fsum((time - mean) ** 2 for time in exact) / 4)
     condition = 30.0 / float(truth)
-    return conditioned(relative_error(deviation, truth), condition)
+    return answer_from_condition(relative_error(deviation, truth), condition)
 
 
 @AREA.against("the parameters the traces were made from")
@@ -239,7 +237,7 @@ def loads_of_sizes_a_million_apart() -> Answer:
     computed = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
     error = largest_relative_error(computed, [5, 30, 1, 1, 1]) if len(computed) == 5 else 1.0
     condition = fit_condition(1.0, (0.3, 0.2), (5.0, 30.0))
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
 @AREA.against("the steady state of the curve, which the kernel describes exactly")
@@ -248,19 +246,19 @@ def steady_state_without_noise() -> Answer:
     return steady_without_noise(1e-12)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def epoch_times() -> None:
     """A time axis in seconds since 1970 leaves nothing of any exponential from the end of the ramp."""
     fit_relaxation(_TIME_S + 1.7e9, curve(1.0, (0.3, 0.2), (5.0, 30.0)))
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def values_whose_squares_underflow() -> None:
     """Sums of squares of values of 1e-200 are zero."""
     fit_relaxation(_TIME_S, 1e-200 * curve(1.0, (0.3, 0.2), (5.0, 30.0)))
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def trace_with_nan() -> None:
     """A NaN spoils every sum it is in."""
     fit_relaxation(_TIME_S, np.where(_TIME_S == 10, np.nan, 1.0))

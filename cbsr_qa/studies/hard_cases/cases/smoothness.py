@@ -7,14 +7,17 @@ import numpy as np
 from mpmath import mp
 from scipy import linalg
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import dual_matrix, laplace
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.sensor.mesh import Mesh
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.inverse.dual import dual_matrix
+from cbsr_qa.eit.inverse.priors import laplace
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.cases.reconstruction import FIFTY, ridge_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
-from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepared, ring_mesh, usual_problem
+from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepare_method, ring_mesh, usual_problem
 
 AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122
@@ -44,7 +47,7 @@ def smooth(relative: float) -> Answer:
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
     computed = dual_matrix(jacobian, laplace(mesh), value) @ readings
     exact = _exact(jacobian, differences, value, readings)
-    return conditioned(apart(computed, exact), ridge_condition(sizes, value))
+    return answer_from_condition(apart(computed, exact), ridge_condition(sizes, value))
 
 
 def _differences(mesh: Mesh) -> Array:
@@ -86,7 +89,7 @@ def smooth_image_of_next_to_no_parameter() -> Answer:
     return smooth(1e-9)
 
 
-@AREA.refused(NumericsError, "a refusal by λ")
+@AREA.refuses(NumericsError, "a refusal by λ")
 def no_regularisation_of_a_squared_system() -> None:
     """λ = 0 with the indenter's prior, which is solved for by normal equations."""
-    prepared("gauss-newton-indenter", usual_problem(), {"hyperparameter": 0.0})
+    prepare_method("gauss-newton-indenter", usual_problem(), {"hyperparameter": 0.0})

@@ -5,12 +5,16 @@ from typing import Any, Final
 import mpmath
 import numpy as np
 
-from cbsr_qa.calibration.fits import Agreement, MeasuredRelaxation, compare_relaxations, fit_common_relaxation
-from cbsr_qa.calibration.sheet import best_straight_line, slope
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.eit.inverse import reading_noise
-from cbsr_qa.stats import Ask, Distribution, components, count_needed, lot_limits, one_sided_factor, two_sided_factor
-from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.calibration.fits.agreement import Agreement, MeasuredRelaxation, compare_relaxations
+from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.fits.estimates import best_straight_line, slope
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.eit.inverse.readings import reading_noise
+from cbsr_qa.stats.golden_lots import Ask, Distribution, lot_limits
+from cbsr_qa.stats.intervals import count_needed, one_sided_factor, two_sided_factor
+from cbsr_qa.stats.variance_components import components
+from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 AREA: Final = Area("statistics")
@@ -44,13 +48,13 @@ def two_sided(coverage: float, confidence: float, count: int) -> Answer:
     with mpmath.workdps(20):
         usual = mpmath.sqrt(2) * mpmath.erfinv(mpmath.mpf(coverage))
 
-        def held(z: Any) -> Any:
+        def share_held(z: Any) -> Any:
             away = z / mpmath.sqrt(count)
             reach = mpmath.findroot(lambda r: mpmath.ncdf(away + r) - mpmath.ncdf(away - r) - coverage, usual)
             least = mpmath.mpf(freedom) * reach**2 / mpmath.mpf(factor) ** 2
             return 2 * mpmath.npdf(z) * mpmath.gammainc(mpmath.mpf(freedom) / 2, least / 2, regularized=True)
 
-        reached = mpmath.quad(held, [0, 2, 4, 9], maxdegree=4)
+        reached = mpmath.quad(share_held, [0, 2, 4, 9], maxdegree=4)
         shortfall = float(abs(reached - mpmath.mpf(confidence)) / (1 - mpmath.mpf(confidence)))
     return Answer(shortfall, 1e-7, note=f"k = {factor:.10g}")
 
@@ -84,7 +88,7 @@ def variance_of_huge_values() -> Answer:
     # Sensors' means are numbers of 1e9 themselves, and carry their rounding.
     condition = 2 * 1e9 / float(mpmath.sqrt(within))
     error = largest_relative_error([variance.between, variance.within or 0.0], [between, within])
-    return conditioned(error, condition)
+    return answer_from_condition(error, condition)
 
 
 @AREA.against(_CONFIDENCE)
@@ -119,7 +123,7 @@ def sensors_for_rare_failures() -> Answer:
 
         truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
     # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
-    return conditioned(relative_error(needed, truth), 1.0)
+    return answer_from_condition(relative_error(needed, truth), 1.0)
 
 
 @AREA.against("mean and deviation in fifty digits")
@@ -128,13 +132,13 @@ def limits_of_a_narrow_lot() -> Answer:
     return limits_of([1e9 + 0.01 * k for k in range(8)])
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def limits_of_identical_sensors() -> None:
     """A lot without any spread has no distribution."""
     limits_of([0.1 * 3] * 8)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def limits_of_values_that_underflow() -> None:
     """Variances of values of 1e-300 are zero: such a lot looks as if it had no spread."""
     limits_of([1e-300 * k for k in range(1, 9)])
@@ -146,7 +150,7 @@ def slope_on_a_huge_offset() -> Answer:
     x, y = 1e6 + np.arange(5.0), 1e9 + np.array([0.0, 1.0, 2.0, 3.0, 4.5])
     condition = 1e9 / 4.5 + 1e6 / 4
     truth = mpmath.mpf(11) / 10
-    return conditioned(relative_error(slope(x.tolist(), y.tolist()).value, truth), condition)
+    return answer_from_condition(relative_error(slope(x.tolist(), y.tolist()).value, truth), condition)
 
 
 @AREA.against("half the sagitta of a parabola")
@@ -155,7 +159,7 @@ def nonlinearity_far_from_zero() -> Answer:
     x = np.arange(5.0)
     line = best_straight_line((1e6 + x).tolist(), (4e6 + x**2 / 1024).tolist())
     condition = 4e6 / (2 / 1024)
-    return conditioned(relative_error(line.largest, mpmath.mpf(2) / 1024), condition)
+    return answer_from_condition(relative_error(line.largest, mpmath.mpf(2) / 1024), condition)
 
 
 @AREA.against("the same readings without offset, over times from zero")
@@ -167,10 +171,10 @@ def noise_on_an_offset_of_a_million() -> Answer:
     plain = reading_noise(readings, time_s).variance
     far = reading_noise(offset + readings, 1.7e9 + time_s).variance
     condition = 2 * offset / float(np.sqrt(plain.min()))
-    return conditioned(largest_relative_error(far, plain.tolist()), condition)
+    return answer_from_condition(largest_relative_error(far, plain.tolist()), condition)
 
 
-@AREA.refused(NumericsError)
+@AREA.refuses(NumericsError)
 def readings_without_noise() -> None:
     """Readings that never change would have infinite weight."""
     reading_noise(np.full((10, 20), 0.1), np.arange(10.0))

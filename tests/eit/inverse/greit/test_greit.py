@@ -5,19 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
-from cbsr_qa.domain.results import Image
-from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward import ForwardModel, cover
-from cbsr_qa.eit.imaging import contour_regions, nearest_blob, spatial_figures
-from cbsr_qa.eit.inverse import central_signal
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.geometry.footprints import RoundFootprint
+from cbsr_qa.domain.imaging import Image
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.imaging.blobs import nearest_blob
+from cbsr_qa.eit.imaging.contours import contour_regions
+from cbsr_qa.eit.imaging.shape import spatial_figures
 from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, make_targets, node_areas_mm2
+from cbsr_qa.eit.inverse.noise_figures import central_signal
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold
-from cbsr_qa.eit.loads import LocalUpdate
-from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
 from cbsr_qa_plugins.reconstruction.direct import Greit
 
 HEAD_MM = 6.5
@@ -107,7 +110,7 @@ def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
         share = 1 / weight.sum()
         system = np.vstack([(targets.signals * np.sqrt(weight * share)).T, at * level * np.eye(len(targets.signals))])
         for column, width in enumerate(WIDTHS):
-            wide = targets.desired_images(nodes[node][None], (width, 1.0))[0]
+            wide = targets.target_images(nodes[node][None], (width, 1.0))[0]
             aim = near * wide[:, 0] + 0.01 * wide[:, 1]
             right = np.concatenate([np.sqrt(share / weight) * aim, np.zeros(len(targets.signals))])
             expected = np.linalg.lstsq(system, right)[0]
@@ -118,11 +121,11 @@ def test_rows_are_the_weighted_fits_they_claim_to_be(problem):
 def test_desired_images_are_as_large_as_their_targets(problem):
     design = TargetDesign.for_problem(problem, None, None)
     targets = make_targets(problem, ReadingFold.from_problem(problem), design)
-    integral = node_areas_mm2(problem.mesh) @ targets.desired_images(problem.mesh.nodes_mm)
+    integral = node_areas_mm2(problem.mesh) @ targets.target_images(problem.mesh.nodes_mm)
     assert np.allclose(integral, 1, rtol=1e-12)
     at = np.flatnonzero(targets.of_head)[0]
     x, y = targets.centres_mm[at]
-    peak, outline = targets.desired_images(np.array([[x, y], [x + design.head_mm, y]]))[:, at]
+    peak, outline = targets.target_images(np.array([[x, y], [x + design.head_mm, y]]))[:, at]
     assert outline / peak == pytest.approx(0.85, rel=1e-12)
 
 

@@ -6,15 +6,15 @@ import pytest
 from disc_meshes import square_mesh
 from pages import TOP
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.imaging import ImagingProblem
+from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.inverse.iterative.absolute import Linearised, SheetModel, matern
 from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
 from cbsr_qa.eit.inverse.scaling import scale_of
-from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.eit.mesh.sheet import sheet_mesh
+from cbsr_qa.testing.numerics import assert_expected_order
 from cbsr_qa_plugins.reconstruction.iterative import AbsoluteGaussNewton
 
 _EVERY = np.ones((16, 16), dtype=bool)
@@ -121,10 +121,10 @@ def test_derivatives_are_those_of_the_readings(problem):
     random = np.random.default_rng(2)
     state = model.nominal.step(0.3 * random.standard_normal(len(model.nominal.unknowns)))
     direction = random.standard_normal(len(state.unknowns))
-    slope = model.at(state).jacobian() @ direction
+    slope = model.solve(state).jacobian() @ direction
     steps, errors = (0.1, 0.05, 0.025), []
     for step in steps:
-        ahead, behind = (model.at(state.step(sign * step * direction)).readings() for sign in (1, -1))
+        ahead, behind = (model.solve(state.step(sign * step * direction)).readings() for sign in (1, -1))
         errors.append(float(np.linalg.norm((ahead - behind) / (2 * step) - slope)))
     assert_expected_order(errors, steps, 2.0, 0.05)
 

@@ -6,11 +6,11 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import ConfigError, NumericsError
-from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse import central_signal
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation as Minimise, jump_matrix
 from cbsr_qa.eit.inverse.iterative.total_variation_images import TotalVariationImages, WhiteReadings, choose_alpha
+from cbsr_qa.eit.inverse.noise_figures import central_signal
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa_plugins.reconstruction.iterative import TotalVariation
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser

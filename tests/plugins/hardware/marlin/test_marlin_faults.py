@@ -8,9 +8,9 @@ import pytest
 from marlin_printer import SPEED, linked, until_it_moves
 from simulated_setting import MOTION
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
-from cbsr_qa.simulate.instruments import Fault, PtyPort
+from cbsr_qa.simulate.instruments.streams import Fault, PtyPort
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 # --- faults of the line ---
@@ -19,7 +19,7 @@ from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 def fault_at(station, fault, at):
     """Let a fault meet the exchange of this number from now on; what counts them."""
     faults, count = station.emulation.ports["applicator"].faults, iter(range(10**6))
-    met = faults.met
+    met = faults.take
     faults.met = lambda: fault if next(count) == at else met()
     return count
 
@@ -77,7 +77,7 @@ class KeptWaiting:
                 left_s -= 2.0
                 if left_s > 0:
                     self.send(b"echo:busy: processing\n")
-        return self.printer.received(data)
+        return self.printer.receive(data)
 
     def misbehave(self, fault):
         raise AssertionError(fault)

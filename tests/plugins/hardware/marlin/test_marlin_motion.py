@@ -5,10 +5,10 @@ import pytest
 from marlin_printer import SPEED, linked, took
 from simulated_setting import MOTION, base_scene, world
 
-from cbsr_qa.domain import InstrumentError, SafetyError
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
 from cbsr_qa.domain.plan import steps as kinematics
-from cbsr_qa.simulate import SimulatedHead
-from cbsr_qa.system import VirtualClock
+from cbsr_qa.simulate.head import SimulatedHead
+from cbsr_qa.system.clock import VirtualClock
 
 # --- motion ---
 

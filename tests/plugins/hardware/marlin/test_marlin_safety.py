@@ -10,8 +10,8 @@ from emulated_bench import SAFETY
 from marlin_printer import SPEED, linked, took, until_it_moves
 from simulated_setting import MOTION
 
-from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
-from cbsr_qa.simulate.instruments import Fault
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
+from cbsr_qa.simulate.instruments.streams import Fault
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 # --- force ---

@@ -8,8 +8,8 @@ from line_samplers import skipped
 from simulated_setting import context
 from terminal import Terminal
 
-from cbsr_qa.domain import InstrumentError
-from cbsr_qa.system import RealClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.system.clock import RealClock
 from cbsr_qa_plugins.hardware._line_sampler import DeviceTime, LineSampler
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell
 

@@ -7,9 +7,9 @@ import pytest
 from line_samplers import skipped, skipped_lines, true_N
 from simulated_setting import held
 
-from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.plugin.links import serial_link
-from cbsr_qa.simulate.instruments import Fault
+from cbsr_qa.simulate.instruments.streams import Fault
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell, open_thermometer
 
 # --- faults ---
@@ -132,6 +132,6 @@ def test_nobody_at_the_address_is_said(station):
 
 def test_another_instrument_at_the_address_is_said(station):
     """A thermometer where the load cell should be."""
-    there = station.emulation.addressed(station.specs["thermometer"]).options["address"]
+    there = station.emulation.fill_address(station.specs["thermometer"]).options["address"]
     with pytest.raises(InstrumentError, match=r"'2\d\.\d+' was found .*'<milliseconds>,<value>' was expected"):
         station.open("cell", open_load_cell, address=there)

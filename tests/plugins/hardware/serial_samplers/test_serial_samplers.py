@@ -8,8 +8,8 @@ from emulated_bench import EmulatedStation
 from line_samplers import CELL, skipped, true_N
 from simulated_setting import base_scene, held, world
 
-from cbsr_qa.domain import InstrumentError, SafetyError
-from cbsr_qa.domain.run import CheckOutcome
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
+from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa_plugins.hardware import _line_sampler
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell, open_thermometer
 

@@ -1,6 +1,6 @@
 """A room thermometer, a metric that needs it, and an effect for scenes."""
 
-from cbsr_qa.plugin import Kind, hookimpl
+from cbsr_qa.plugin.hooks import Kind, hookimpl
 
 
 @hookimpl

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cbsr_qa.plugin import PluginOptions
-from cbsr_qa.simulate import SceneEffect
+from cbsr_qa.plugin.options import PluginOptions
+from cbsr_qa.simulate.effect import SceneEffect
 
 
 class RoomDraught(SceneEffect):

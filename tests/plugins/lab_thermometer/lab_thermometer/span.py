@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cbsr_qa.domain.results import Measurement
+from cbsr_qa.domain.results.measurement import Measurement
 
 
 class TemperatureSpan:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import PluginOptions, driver
+from cbsr_qa.domain.readings.frames import SampleBlock
+from cbsr_qa.domain.run.run import InstrumentIdentity
+from cbsr_qa.plugin.options import PluginOptions, driver
 
 
 class Thermometer:

@@ -10,18 +10,18 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from cbsr_qa.config import load_recipe
-from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice, linear
-from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.report import json_document
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, ParameterChoice, linear
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.report.document import json_document
 from cbsr_qa.studies.frontier.computer import forward as computer_forward, imaging as computer_imaging
-from cbsr_qa.studies.frontier.computer.forward import fastest_s, forward_point, timed
+from cbsr_qa.studies.frontier.computer.forward import fastest_s, forward_point, time_call
 from cbsr_qa.studies.frontier.computer.imaging import (
     RECIPES_METHOD,
     MethodSetting,
-    applied,
-    made,
+    make_imager,
+    make_method,
     mesh_point,
     method_point,
     precision_point,
@@ -29,9 +29,9 @@ from cbsr_qa.studies.frontier.computer.imaging import (
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
-from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
-from cbsr_qa.studies.frontier.station import choices_of_even, parts_of_even, parts_of_paper, simulated_alone
-from cbsr_qa.testing import assert_expected_order
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.station import choices_of_even, parts_of_even, parts_of_paper, ways_by_simulation
+from cbsr_qa.testing.numerics import assert_expected_order
 
 
 @pytest.fixture(autouse=True)
@@ -209,10 +209,10 @@ def test_the_method_of_the_recipes_is_the_one_that_is_looked_at():
 
 
 def test_every_method_of_single_frames_is_tried_and_no_other():
-    names = {method.name for method in computer_imaging.registered_methods()}
+    names = {method.name for method in computer_imaging.list_methods()}
     assert {"gauss-newton-noser", "greit", "truncated-svd", "linear-back-projection", "total-variation"} <= names
     assert not {"temporal", "absolute-gauss-newton"} & names
-    smoothing = {method.name: method.smoothing for method in computer_imaging.registered_methods()}
+    smoothing = {method.name: method.smoothing for method in computer_imaging.list_methods()}
     assert smoothing["truncated-svd"] == "components"
     assert smoothing["gauss-newton-laplace"] == "hyperparameter"
     assert smoothing["linear-back-projection"] == smoothing["total-variation"] == ""
@@ -234,7 +234,7 @@ def error_bound(matrix, changes, precision):
 
 def test_rounding_stays_within_its_bound_in_both_precisions():
     readings = base_scene_readings(1)
-    prepared = linear(made(RECIPES_METHOD).prepare(imaging_problem(readings.sensor_type)))
+    prepared = linear(make_method(RECIPES_METHOD).prepare(imaging_problem(readings.sensor_type)))
     changes = sensor_changes(readings, 0, prepared)[1]
     bound = {precision: error_bound(prepared.matrix, changes, precision) for precision in ("float32", "float64")}
     for batch in (1, 16):
@@ -248,7 +248,7 @@ def test_the_bound_holds_for_the_matrix_that_cancels_most():
     matrix = random.standard_normal((20, 208)) * 10.0 ** random.uniform(-4, 4, (20, 208))
     changes = random.standard_normal((5, 208))
     exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
-    found = relative_error(applied(matrix, "float32")(changes), exact)
+    found = relative_error(make_imager(matrix, "float32")(changes), exact)
     assert 0 < found <= error_bound(matrix, changes, "float32")
 
 
@@ -264,7 +264,7 @@ def test_the_page_has_a_table_of_every_series():
     page = Path(__file__).parents[4] / "docs" / "explanation" / "what-accuracy-costs.md"
     tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
     computer = {work.what.split(": ")[0] for work in computer_work()}
-    ways = (*parts_of_paper(), *parts_of_even(quick=False), *choices_of_even(), *simulated_alone(quick=False))
+    ways = (*parts_of_paper(), *parts_of_even(quick=False), *choices_of_even(), *ways_by_simulation(quick=False))
     station = {series for series, _ in ways}
     assert {name for name, _ in tables} == computer | station
     assert all(len(table.splitlines()) > 4 for _, table in tables)
@@ -287,7 +287,7 @@ def test_a_task_is_the_same_point_in_another_process_and_out_of_a_file():
     (here,), (there,) = work.run(), pickle.loads(pickle.dumps(work)).run()
     assert there.accuracy == here.accuracy
     assert there.knobs == here.knobs
-    assert stored(Point, json_document(here)) == here
+    assert restore(Point, json_document(here)) == here
 
 
 def test_settings_of_the_same_arithmetic_are_not_told_apart_by_the_clock():
@@ -309,6 +309,6 @@ def test_a_burst_is_timed_as_a_whole_and_what_comes_of_it_kept():
     calls = []
     assert fastest_s(lambda: calls.append(sum(range(2000))), 2) > 0
     assert len(calls) > 2
-    found, seconds = timed(lambda: 7)
+    found, seconds = time_call(lambda: 7)
     assert found == 7
     assert seconds >= 0

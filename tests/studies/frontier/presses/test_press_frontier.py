@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from pressed_sheets import SKIN_TOML, pressed_sheet
 
-from cbsr_qa.cli import guarded
-from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses import Trial, press_frontier, study
-from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, needed_presses, recommended_presses
-from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER, numbers_of
+from cbsr_qa.studies.frontier.presses import study
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, extrapolate_presses, recommend_presses
+from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER, numbers_of, press_frontier
+from cbsr_qa.studies.frontier.presses.trial import Trial
 
 NUMBERS = (9, 18, 36, 72, 144, 288)
 
@@ -145,11 +146,11 @@ def test_draws_that_teach_nothing_are_noted_and_none_at_all_is_refused(labelled,
 @pytest.mark.parametrize(("target_mm", "presses"), [(3.2, 18), (2.9, 36), (None, 288)])
 def test_the_fewest_presses_that_reach_a_target_are_recommended(target_mm, presses):
     """Errors are 12.9/√n; 3.04 ± 0.09 mm of 18 presses reaches 3.2 mm but not 2.9 mm."""
-    assert recommended_presses(points(lambda n: 12.9 / np.sqrt(n)), target_mm).setting == {"presses": presses}
+    assert recommend_presses(points(lambda n: 12.9 / np.sqrt(n)), target_mm).setting == {"presses": presses}
 
 
 def test_without_a_target_presses_that_buy_nothing_are_not_recommended():
-    assert recommended_presses(points(lambda n: 2 + 30 * (n < 30)), None).setting == {"presses": 36}
+    assert recommend_presses(points(lambda n: 2 + 30 * (n < 30)), None).setting == {"presses": 36}
 
 
 def test_regions_that_do_not_hold_are_named_with_the_number_that_is_recommended():
@@ -158,8 +159,8 @@ def test_regions_that_do_not_hold_are_named_with_the_number_that_is_recommended(
         replace(point, accuracy={**point.accuracy, COVERED["68"]: Accuracy(0.57, 0.02, "1", "stated")})
         for point in tried
     ]
-    assert "regions of 68 % hold 57.0 ± 2.0 %, so errors" in recommended_presses(tight, 3.2).why
-    assert "regions" not in recommended_presses(tried, 3.2).why
+    assert "regions of 68 % hold 57.0 ± 2.0 %, so errors" in recommend_presses(tight, 3.2).why
+    assert "regions" not in recommend_presses(tried, 3.2).why
 
 
 def test_a_power_law_is_extrapolated_within_its_error():
@@ -168,10 +169,10 @@ def test_a_power_law_is_extrapolated_within_its_error():
     def law(n):
         return (n / 1000) ** -0.4
 
-    exact, words = needed_presses(points(law), 1.0)
+    exact, words = extrapolate_presses(points(law), 1.0)
     assert exact.presses == 1000
     assert "0.40 ± " in words
-    found = [needed_presses(points(law, seed=seed), 1.0)[0] for seed in range(60)]
+    found = [extrapolate_presses(points(law, seed=seed), 1.0)[0] for seed in range(60)]
     held = [each.low <= 1000 <= each.high for each in found if each is not None]
     assert len(held) > 50
     assert 0.5 < np.mean(held) < 0.85
@@ -186,7 +187,7 @@ def test_a_power_law_is_extrapolated_within_its_error():
     ],
 )
 def test_what_follows_no_law_or_is_too_far_is_not_extrapolated(error_mm, target_mm, why):
-    recommended = recommended_presses(points(error_mm, 0.01), target_mm)
+    recommended = recommend_presses(points(error_mm, 0.01), target_mm)
     assert recommended.setting is None
     assert recommended.needed is None
     assert why in recommended.why
@@ -205,7 +206,7 @@ def test_presses_of_ones_own_are_learned_from_and_recommended(tmp_path, capsys):
     pressed_sheet(12, seed=3, noise=0.02).write(tmp_path)
     (tmp_path / "T.toml").write_text(SKIN_TOML)
     page = tmp_path / "page.html"
-    assert guarded(asked(tmp_path, "--quick", "--place-error", "40mm", "--json", "--output", str(page))) == 0
+    assert run_guarded(asked(tmp_path, "--quick", "--place-error", "40mm", "--json", "--output", str(page))) == 0
     document = json.loads(capsys.readouterr().out)
     (point,) = document["points"]
     assert (point["clock"], point["knobs"], point["seeds"]) == ("presses", {"presses": 7}, 3)

@@ -8,12 +8,12 @@ from drawn import drawn
 from hypothesis import event, example, given, strategies as st
 from scipy import linalg
 
-from cbsr_qa.eit.forward import ValueRangeError
-from cbsr_qa.eit.inverse import dual_matrix, dual_spectrum
-from cbsr_qa.studies.hard_cases.case import Answer, conditioned_bound
+from cbsr_qa.eit.forward.value_range import ValueRangeError
+from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
+from cbsr_qa.studies.hard_cases.case import Answer, condition_bound
 from cbsr_qa.studies.hard_cases.cases.forward import _sensitivities, against_fifty_digits
-from cbsr_qa.studies.hard_cases.cases.forward_loads import loaded
-from cbsr_qa.studies.hard_cases.cases.readings import _in_units, _noise, _offset
+from cbsr_qa.studies.hard_cases.cases.forward_loads import compare_load
+from cbsr_qa.studies.hard_cases.cases.readings import _image_in_units, _noise, _offset
 from cbsr_qa.studies.hard_cases.cases.reconstruction import _lasting, ridge_condition
 from cbsr_qa.studies.hard_cases.exact import exact_image
 from cbsr_qa.studies.hard_cases.sheets import (
@@ -21,7 +21,7 @@ from cbsr_qa.studies.hard_cases.sheets import (
     inclusion,
     islands,
     relative_error,
-    scattered,
+    scatter_conductance,
     small_model,
 )
 
@@ -65,14 +65,14 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
 @example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
 @_FEW
 def test_any_scatter_of_conductances_is_right(seed, decades):
-    answer = against_fifty_digits(small_model().with_values(conductance=scattered(decades, seed)))
+    answer = against_fifty_digits(small_model().with_values(conductance=scatter_conductance(decades, seed)))
     check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, _SCATTERED)))
 
 
 @given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))
 @_FEW
 def test_any_load_on_any_sheet_is_right_by_local_update(base, log_factor):
-    check(loaded(islands(10**base), 10**log_factor))
+    check(compare_load(islands(10**base), 10**log_factor))
 
 
 @given(offset=st.floats(-3, 12))
@@ -84,7 +84,7 @@ def test_any_offset_costs_the_digits_it_takes_and_no_more(offset):
 @given(unit=st.floats(-30, 30))
 @_FEW
 def test_any_unit_of_voltages_gives_the_same_image(unit):
-    check(_in_units(10**unit))
+    check(_image_in_units(10**unit))
 
 
 @given(offset=st.integers(0, 20), beginning=st.floats(0, 2e9))
@@ -116,7 +116,7 @@ def test_any_regularisation_of_any_problem_is_right(seed, decades, relative):
     sizes = linalg.svdvals(jacobian / np.sqrt(variance)[:, None] / np.sqrt(weights))
     value = 10**relative * float(sizes[0])
     exact = exact_image(jacobian, weights, value, variance, readings)
-    bound = conditioned_bound(ridge_condition(sizes, value))
+    bound = condition_bound(ridge_condition(sizes, value))
     for matrix in (
         dual_matrix(jacobian, weights, value, variance),
         dual_spectrum(jacobian, weights, variance).matrix(value),
@@ -132,7 +132,7 @@ def test_no_regularisation_is_the_image_of_least_norm(seed, decades):
     exact = exact_image(jacobian, np.ones(30), 0.0, np.ones(12), readings)
     sizes = linalg.svdvals(jacobian)
     found = dual_matrix(jacobian, np.ones(30), 0.0) @ readings
-    assert np.linalg.norm(found - exact) <= conditioned_bound(sizes[0] / sizes[-1]) * np.linalg.norm(exact)
+    assert np.linalg.norm(found - exact) <= condition_bound(sizes[0] / sizes[-1]) * np.linalg.norm(exact)
 
 
 def test_truths_agree_where_nothing_is_hard():

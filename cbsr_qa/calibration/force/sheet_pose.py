@@ -1,0 +1,110 @@
+"""Pose of a sheet on the station: loads are mapped to the sheet before learning."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.force.template_matching import Matches
+from cbsr_qa.domain.numbers import Array
+
+#: A place with a larger error does not determine the pose [mm].
+_SURE_MM: Final = 1.5
+#: Fewest places for a pose, and standard errors by which it must differ from none.
+_FEWEST: Final = 3
+_CLEAR: Final = 4.0
+#: A pose that moves no place by more than this is ignored [mm].
+_SMALLEST_MM: Final = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class SheetPose:
+    """Rigid motion from places of the station to places on the sheet: q = b + R(θ) p.
+
+    Parameters
+    ----------
+    shift_mm : b.
+    rotation_deg : θ, counterclockwise.
+    shift_stderr_mm, rotation_stderr_deg : standard errors, equal for both components of the shift.
+    moved : whether it differs clearly from none; otherwise places are unchanged.
+    """
+
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    rotation_deg: float = 0.0
+    shift_stderr_mm: float = 0.0
+    rotation_stderr_deg: float = 0.0
+    moved: bool = False
+
+    def places_mm(self, nominal_mm: Array) -> Array:
+        """Places (n, 2) on the sheet of places on the station."""
+        if not self.moved:
+            return nominal_mm
+        angle = np.radians(self.rotation_deg)
+        x, y = nominal_mm.T
+        cos, sin = np.cos(angle), np.sin(angle)
+        # Elementwise, unlike a product of matrices, so that equal places stay equal to the last bit.
+        places: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
+        return places
+
+
+#: A sheet at its nominal pose.
+AS_PLACED: Final = SheetPose()
+
+
+def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPose:
+    """Estimate the pose of a sheet from the found places of its loads.
+
+    Rigid least squares, weighted by the noise of each place; without a scale, since an uneven sheet seems scaled but
+    none is.
+
+    Parameters
+    ----------
+    nominal_mm : (n, 2) pressed places.
+    matches : of the same loads.
+    noise : (n,) variance of their rows.
+
+    Returns
+    -------
+    The pose, or no motion if fewer than 3 different places are known to 1.5 mm, or if it differs from none by less
+    than 4 standard errors, estimated from the residuals.
+    """
+    variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
+    sure = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
+    if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
+        return AS_PLACED
+    # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
+    weight = 1 / (variance[sure] + float(np.median(variance[sure])))
+    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
+    weight = _drop_strays(p, q, weight)
+    return _fit_pose(p, q, weight)
+
+
+def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
+    apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
+    return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
+
+
+def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
+    total = float(weight.sum())
+    middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
+    size = float(weight @ np.abs(p - middle) ** 2)
+    if not size > 0:
+        return AS_PLACED
+    turn = complex(weight @ ((p - middle).conj() * (q - seen)))
+    angle = float(np.angle(turn))
+    shift = seen - np.exp(1j * angle) * middle
+    left = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
+    count = int((weight > 0).sum())
+    variance = float(weight @ left) / (2 * count - 3)  # of one coordinate, of weight one
+    of_angle = float(np.sqrt(variance / size))
+    of_shift = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
+    clear = abs(shift) > _CLEAR * of_shift or abs(angle) > _CLEAR * of_angle
+    furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
+    return SheetPose(
+        (shift.real, shift.imag),
+        float(np.degrees(angle)),
+        of_shift,
+        float(np.degrees(of_angle)),
+        clear and furthest > _SMALLEST_MM,
+    )
