@@ -4,8 +4,10 @@
 
 No run is in progress: the time is that of the page, without the run's own. Strangers are a process of their own. Each
 of their connections sends a whole request, reads the answer, sends the next request letter by letter, and opens again
-as soon as it is closed. With ``--stalled`` they begin a handshake of TLS instead and go no further; with ``--hello``
-their hello is whole, so that the server works on each.
+as soon as it is closed. With ``--much`` it sends 250 kB at once and opens again after a second without an answer: the
+beginning of a head (``head``), many requests (``requests``), or requests with many short headers (``headers``). With
+``--look`` the page is shown to anyone, and each asks for the given paths in turn. With ``--stalled`` they begin a
+handshake of TLS instead and go no further; with ``--hello`` their hello is whole, so that the server works on each.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import cycle
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +40,9 @@ _CERTIFY: Final = (
 _DRIP_S: Final = 0.5
 _AGAIN_S: Final = 0.05
 _GOAL_S: Final = 1.0
+#: What a stranger sends at once, and how long it waits for an answer.
+_MUCH: Final = 250_000
+_PATIENCE_S: Final = 1.0
 _HELLO: Final = bytes.fromhex("16030102000100")  # the beginning of a handshake of TLS
 
 
@@ -46,11 +52,12 @@ class Line:
     Parameters
     ----------
     files : most files that it may have open; None as here.
+    options : of ``serve``, besides.
     """
 
-    def __init__(self, folder: Path, *, tls: bool, files: int | None) -> None:
+    def __init__(self, folder: Path, *, tls: bool, files: int | None, options: Sequence[str] = ()) -> None:
         (folder / "line-1.toml").write_text(_STATION.read_text(encoding="utf-8"), encoding="utf-8")
-        arguments = ["serve", "--station=line-1.toml", "--port=0"]
+        arguments = ["serve", "--station=line-1.toml", "--port=0", *options]
         if tls:
             subprocess.run(_CERTIFY.split(), cwd=folder, check=True, capture_output=True)
             arguments += ["--certificate=line.pem", "--key=line.key"]
@@ -125,6 +132,42 @@ async def _drip(port: int) -> None:
         await asyncio.sleep(0)
 
 
+def _requests(port: int, much: str) -> bytes:
+    """Return what a stranger sends at once."""
+    request = f"GET /static/line.css HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
+    if much == "head":
+        return f"{request}A: {'b' * _MUCH}".encode()
+    if much == "headers":
+        request += "a:b\r\n" * 3_000
+    return f"{request}\r\n".encode() * max(1, _MUCH // len(request))
+
+
+async def _send_much(port: int, sent: bytes, context: ssl.SSLContext | None) -> None:
+    """Send much on one connection, read what is answered, and open it again after a second without an answer."""
+    while True:
+        with suppress(OSError):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=context)
+            writer.write(sent)
+            with suppress(OSError, TimeoutError):
+                while await asyncio.wait_for(reader.read(2**16), _PATIENCE_S):
+                    pass
+            writer.close()
+        await asyncio.sleep(0)
+
+
+async def _look(port: int, paths: Sequence[str]) -> None:
+    """Ask for pages, one after another, each on a connection of its own."""
+    for path in cycle(paths):
+        with suppress(OSError):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+            with suppress(OSError):
+                while await reader.read(2**16):
+                    pass
+            writer.close()
+        await asyncio.sleep(_AGAIN_S)
+
+
 def _whole_hello() -> bytes:
     sent = ssl.MemoryBIO()
     with suppress(ssl.SSLWantReadError):
@@ -149,7 +192,13 @@ async def _attack(chosen: argparse.Namespace) -> None:
     port, hello = chosen.attack, _whole_hello() if chosen.hello else _HELLO
     if chosen.stalled:
         await asyncio.gather(*(_stall(port, hello) for _ in range(chosen.stalled)))
-    await asyncio.gather(*(_drip(port) for _ in range(chosen.connections)))
+    count = range(chosen.connections)
+    if chosen.much:
+        sent, context = _requests(port, chosen.much), ssl._create_unverified_context() if chosen.tls else None
+        await asyncio.gather(*(_send_much(port, sent, context) for _ in count))
+    if chosen.look:
+        await asyncio.gather(*(_look(port, [*chosen.look[n % len(chosen.look) :], *chosen.look]) for n in count))
+    await asyncio.gather(*(_drip(port) for _ in count))
 
 
 @contextmanager
@@ -164,11 +213,15 @@ def _process(arguments: Sequence[str]) -> Iterator[None]:
 
 def _measure(chosen: argparse.Namespace) -> list[float | None]:
     with tempfile.TemporaryDirectory() as folder, ExitStack() as open_:
-        line = Line(Path(folder), tls=bool(chosen.stalled), files=chosen.files)
+        options = [f"--database={chosen.database}"] if chosen.database else []
+        options += ["--anyone-may-look"] if chosen.look else []
+        line = Line(Path(folder), tls=chosen.tls or bool(chosen.stalled), files=chosen.files, options=options)
         open_.callback(line.close)
         for _ in range(chosen.busy):
             open_.enter_context(_process(["-c", "while True: pass"]))
         how = [f"--stalled={chosen.stalled}", f"--connections={chosen.connections}", *["--hello"] * chosen.hello]
+        how += [f"--much={chosen.much}"] * bool(chosen.much) + ["--look", *chosen.look] * bool(chosen.look)
+        how += ["--tls"] * chosen.tls
         open_.enter_context(_process(["-m", "benchmarks.emergency_stops", f"--attack={line.port}", *how]))
         time.sleep(chosen.settle)
         taken: list[float | None] = []
@@ -176,6 +229,12 @@ def _measure(chosen: argparse.Namespace) -> list[float | None]:
             taken.append(line.stop_s())
             time.sleep(chosen.between)
         return taken
+
+
+def _doing(chosen: argparse.Namespace) -> str:
+    if chosen.much:
+        return f"that send 250 kB ({chosen.much}){' by TLS' * chosen.tls}"
+    return f"that ask for {' and '.join(chosen.look)}" if chosen.look else "that drip"
 
 
 def row(chosen: argparse.Namespace, taken: Sequence[float | None]) -> Row:
@@ -186,7 +245,7 @@ def row(chosen: argparse.Namespace, taken: Sequence[float | None]) -> Row:
         f"{chosen.stalled} handshakes of TLS stalled {'after' if chosen.hello else 'within'} their hello,"
         f" {chosen.files or 'any number of'} files"
         if chosen.stalled
-        else f"{chosen.connections} dripping connections"
+        else f"{chosen.connections} connections {_doing(chosen)}"
     )
     times = (
         f"median {statistics.median(answered):.2f} s, maximum {answered[-1]:.2f} s" if answered else "none answered"
@@ -204,6 +263,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Attack a line, and print a row."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.emergency_stops", description=__doc__)
     parser.add_argument("--connections", type=int, default=400, help="of strangers, that drip")
+    parser.add_argument("--much", choices=("head", "requests", "headers"), help="that they send instead")
+    parser.add_argument("--look", nargs="+", default=[], metavar="PATH", help="pages that they ask for instead")
+    parser.add_argument("--database", help="whose runs are shown then")
+    parser.add_argument("--tls", action="store_true", help="with --stalled always; strangers with --much as well")
     parser.add_argument("--stalled", type=int, default=0, help="handshakes of TLS instead of them")
     parser.add_argument("--hello", action="store_true", help="of stalled handshakes is whole")
     parser.add_argument("--files", type=int, help="most files that the server may have open")

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final, cast
 
+from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cbsr_qa.web.guard import Right
@@ -23,13 +24,25 @@ HEAD_S: Final = 10.0
 SLOW_S: Final = 30.0
 #: Largest head of a request [B].
 MOST_HEAD: Final = 16_384
-#: What a stranger sends before its turn; more is not taken from the system until then [B].
-_MOST_UNREAD: Final = 4 * MOST_HEAD
+#: What is read of a stranger in a turn, so that a turn is short whatever it sent [B].
+_PIECE: Final = 4_096
+#: What is looked at again for a token that arrived in two parts, which is hardly longer [B].
+_OVERLAP: Final = 256
 #: Connections that are accepted before others are read from.
 _ACCEPTED_AT_ONCE: Final = 64
 #: Connections that may control, beside their open pages. More are answered with 503, as are all above the sum.
 _MOST_CONTROL: Final = 128
 MOST_CONNECTIONS: Final = MOST_NEW + PLACES[Right.LOOK] + MOST_VIEWERS + _MOST_CONTROL
+
+
+class HeldFlow(FlowControl):
+    """The flow of a connection from which nothing is taken while it is held, whoever asks for more."""
+
+    holds = False
+
+    def resume_reading(self) -> None:
+        if not self.holds:
+            super().resume_reading()
 
 
 class Connection(H11Protocol):
@@ -40,6 +53,8 @@ class Connection(H11Protocol):
         self._strangers = strangers
         self._has_shown_token = False
         self._unread = bytearray()
+        self._waits_for_turn = False
+        self._has_turn = False
         self._right_before = Right.NONE
         self._late: asyncio.TimerHandle | None = None
         self._slow: asyncio.TimerHandle | None = None
@@ -48,6 +63,9 @@ class Connection(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         self.opened_s = self.loop.time()
         super().connection_made(transport)
+        self._flow = self.flow = HeldFlow(transport)
+        if self.scheme == "https":
+            transport.set_read_buffer_limits(MOST_HEAD)
         self.client_name = client_network(self.client[0]) if self.client else ""
         self._await_head()
         self._strangers.look_after(cast("set[Stranger]", self.connections))
@@ -62,30 +80,61 @@ class Connection(H11Protocol):
         if self._has_shown_token:
             self._read(data)
             return
-        waits = bool(self._unread)
+        begin = max(len(self._unread) - _OVERLAP, 0)
         self._unread += data
-        if self._strangers.shows_token(bytes(self._unread)):
+        if begin < MOST_HEAD and self._strangers.shows_token(bytes(self._unread[begin:MOST_HEAD])):
             self._has_shown_token = True
             self.take_turn()
-        elif not waits:
+        else:
+            self._wait_for_turn()
+            self._limit_unread()
+
+    def _limit_unread(self) -> None:
+        """Leave to the system what a client sends beyond the largest head."""
+        self._flow.holds = len(self._unread) > MOST_HEAD
+        if self._flow.holds:
+            self._flow.read_paused = True
+            self.transport.pause_reading()
+        else:
+            self._flow.resume_reading()
+
+    def _wait_for_turn(self) -> None:
+        if not self._waits_for_turn:
+            self._waits_for_turn = True
             self._strangers.queue(self)
-        elif len(self._unread) > _MOST_UNREAD:
-            self.flow.pause_reading()
 
     def take_turn(self) -> None:
-        """Read what has arrived so far."""
-        if not self._unread or self.transport.is_closing():
+        """Read what has arrived so far: of a stranger a piece, and no more than one request."""
+        self._waits_for_turn = False
+        if self.transport.is_closing() or not (self._has_shown_token or self._awaits_data):
             return
-        data = bytes(self._unread)
-        self._unread.clear()
-        self.flow.resume_reading()
-        self._read(data)
+        size = len(self._unread) if self._has_shown_token else _PIECE
+        piece = bytes(self._unread[:size])
+        del self._unread[:size]
+        self._limit_unread()
+        self._has_turn = True
+        try:
+            self._read(piece)
+        finally:
+            self._has_turn = False
+        if self._unread and self._awaits_data:
+            self._wait_for_turn()
 
     def _read(self, data: bytes) -> None:
         answered = self.cycle
-        super().data_received(data)
+        if data:
+            super().data_received(data)
+        else:
+            self.handle_events()
         if self.cycle is not answered and self.is_answering:
             self._stop_waiting()
+
+    def handle_events(self) -> None:
+        """Have a request answered; one that a stranger sent before the answer to another waits for its turn."""
+        if self._has_turn or self._has_shown_token:
+            super().handle_events()
+        else:
+            self._wait_for_turn()
 
     def on_response_complete(self) -> None:
         answered = self.cycle
@@ -114,6 +163,11 @@ class Connection(H11Protocol):
     def is_answering(self) -> bool:
         """Whether a request has arrived whose answer is not complete."""
         return self.cycle is not None and not self.cycle.response_complete
+
+    @property
+    def _awaits_data(self) -> bool:
+        """Whether more can be read: after a whole request its answer comes first."""
+        return not self.is_answering or self.cycle.more_body
 
     def leave(self) -> None:
         """Close without waiting for a client that does not read."""

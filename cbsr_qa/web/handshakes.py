@@ -16,6 +16,8 @@ from cbsr_qa.web.connections import HEAD_S
 
 #: Connections that wait for the system to accept them.
 _BACKLOG: Final = 2048
+#: What the system keeps of a connection before it is read, as the system counts: it doubles this [B].
+_KEPT: Final = 32_768
 #: Connections whose hello is not complete: at most, and beside other files.
 _MOST_WAITING: Final = 512
 _OTHER_FILES: Final = 64
@@ -189,7 +191,8 @@ class ServerLoop(asyncio.SelectorEventLoop):
 
 
 class ListeningSocket(socket.socket):
-    """A socket that lets many connections wait, whatever is asked for when it listens."""
+    """A socket that lets many connections wait, whatever is asked for when it listens, and little of each."""
 
     def listen(self, backlog: int = _BACKLOG) -> None:
+        self.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _KEPT)  # its connections inherit it
         super().listen(max(backlog, _BACKLOG))

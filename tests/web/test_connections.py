@@ -19,9 +19,9 @@ async def _endless(scope, receive, send):
         await asyncio.sleep(0)
 
 
-async def _served(app, client):
+async def _served(app, client, shows_token=lambda sent: False):
     listening = socket.create_server(("127.0.0.1", 0))
-    settings = connections.connection_settings(lambda sent: False)
+    settings = connections.connection_settings(shows_token)
     config = uvicorn.Config(app, lifespan="off", log_config=None, **settings)
     server = uvicorn.Server(config)
     serving = asyncio.create_task(server._serve([listening]))
@@ -48,3 +48,57 @@ def test_a_client_that_does_not_read_is_left(monkeypatch, right):
         writer.close()
 
     asyncio.run(_served(_endless, deaf))
+
+
+async def _short(scope, receive, send):
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"0")]})
+    await send({"type": "http.response.body", "body": b""})
+
+
+def test_of_what_a_stranger_sends_a_head_is_searched_and_little_is_kept(monkeypatch):
+    looks, kept = [], []
+    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: kept.append(len(self._unread)))
+
+    async def loud(server, port):
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        for _ in range(50):
+            writer.write(b"x" * 10_000)
+            await asyncio.sleep(0.01)
+        (connection,) = server.server_state.connections
+        kept.append(len(connection._unread))
+        writer.transport.abort()
+
+    asyncio.run(_served(_short, loud, lambda sent: looks.append(len(sent))))
+    assert sum(looks) <= 2 * connections.MOST_HEAD
+    assert kept[-1] <= connections.MOST_HEAD + 2**18  # what one call of the system brings
+
+
+def test_a_token_is_seen_that_arrives_in_two_parts_while_the_connection_waits(monkeypatch):
+    turns = []
+    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: turns.append(self._has_shown_token))
+
+    async def late(server, port):
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        for part in (b"GET / HTTP/1.1\r\nA: " + b"b" * 5_000 + b"\r\nAuthorization: Bearer to", b"ken\r\n"):
+            writer.write(part)
+            await asyncio.sleep(0.1)
+        writer.transport.abort()
+
+    asyncio.run(_served(_short, late, lambda sent: b"Bearer token" in sent))
+    assert turns == [False, True]
+
+
+def test_requests_that_a_stranger_sends_at_once_are_answered_a_turn_each(monkeypatch):
+    turns = []
+    take_turn = connections.Connection.take_turn
+    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: (turns.append(self), take_turn(self)))
+
+    async def hasty(server, port):
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"GET / HTTP/1.1\r\nHost: here\r\n\r\n" * 500)
+        for _ in range(500):
+            assert b"200" in await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
+        writer.close()
+
+    asyncio.run(_served(_short, hasty))
+    assert len(turns) >= 500
