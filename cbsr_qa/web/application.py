@@ -5,11 +5,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Final
+from typing import Final, TypeVar
 from urllib.parse import parse_qsl
 
+from anyio import CapacityLimiter, to_thread
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
@@ -29,7 +29,12 @@ from cbsr_qa.web.texts import refusal_words, text
 _KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
 #: Files of the package that are served, read once.
 _STATIC: Final = ("line.css", "line.js", "icon.svg", "none.png")
+T = TypeVar("T")
 _RUN: Final = re.compile(r"[0-9a-f-]{36}")
+
+#: Pages that are made at once for those who may only look, and such requests that wait for it.
+_LOOKER_THREADS: Final = 1
+_MOST_WAITING: Final = 16
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
@@ -86,6 +91,7 @@ class Site:
 
     def __init__(self, line: Line, pages: Pages, access: Access) -> None:
         self._line, self._pages, self._access = line, pages, access
+        self._looker_threads = CapacityLimiter(_LOOKER_THREADS)
         folder = files(__package__).joinpath("static")
         self._static = {name: folder.joinpath(name).read_bytes() for name in _STATIC}
 
@@ -143,23 +149,35 @@ class Site:
 
     async def prompt(self, request: Request) -> Response:
         channel = self._line.stations[self._check_station(request)].channel
-        return await run_in_threadpool(prompt_picture, channel, request.path_params["number"])
+        return await self._run_in_thread(request, prompt_picture, channel, request.path_params["number"])
 
     async def report(self, request: Request) -> Response:
-        return await run_in_threadpool(report_response, self._line.database, _run(request))
+        return await self._run_in_thread(request, report_response, self._line.database, _run(request))
 
     async def calibration(self, request: Request) -> Response:
-        return await run_in_threadpool(calibration_response, self._line.database, _run(request))
+        return await self._run_in_thread(request, calibration_response, self._line.database, _run(request))
 
     async def shift(self, request: Request) -> Response:
         names = tuple(self._line.stations)
-        found = await run_in_threadpool(shift_page, self._line.database, names)
+        found = await self._run_in_thread(request, shift_page, self._line.database, names)
         page = self._pages.page("shift", control=_controls(request), here="shift", **found)
         return HTMLResponse(page, headers={"content-security-policy": DRAWINGS_POLICY})
 
     async def sensor(self, request: Request) -> Response:
-        found = await run_in_threadpool(sensor_page, self._line.database, request.path_params["serial"])
+        found = await self._run_in_thread(request, sensor_page, self._line.database, request.path_params["serial"])
         return HTMLResponse(self._pages.page("sensor", control=_controls(request), **found))
+
+    async def _run_in_thread(self, request: Request, make: Callable[..., T], *arguments: object) -> T:
+        """Return what a function returns that would keep the others waiting.
+
+        Those who may only look have a thread of their own, so that they take none of those who control, and little of
+        the computer. HTTPException if too many of them wait for it.
+        """
+        if _controls(request):
+            return await to_thread.run_sync(make, *arguments)
+        if self._looker_threads.statistics().tasks_waiting >= _MOST_WAITING:
+            raise HTTPException(HTTPStatus.SERVICE_UNAVAILABLE, text("refused.looks"))
+        return await to_thread.run_sync(make, *arguments, limiter=self._looker_threads)
 
     async def static(self, request: Request) -> Response:
         name = request.path_params["name"]
