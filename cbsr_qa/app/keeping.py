@@ -1,6 +1,6 @@
 """Keeping a database: backups, restoring one, and a check of everything that is stored."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -14,9 +14,10 @@ from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
 from cbsr_qa.report.page import answer
 from cbsr_qa.report.tables import plural, text_table
 from cbsr_qa.store.copies import copy_database, put_back
-from cbsr_qa.store.damage import address
+from cbsr_qa.store.damage import OddCellError, address
 from cbsr_qa.store.engine import open_engine, parse_url, sqlite_file
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.schema import HEAD, Age, read_version
 from cbsr_qa.system.clock import RealClock
 
@@ -158,10 +159,12 @@ def check_database(
     checked = unchained = unsigned = 0
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
-        problems += [FoundProblem(None, what) for what in store.file_problems()]
-        problems += [FoundProblem(None, what) for what in store.find_misplaced_rows()]
-        missing, notes = store.order_problems()
-        problems += [FoundProblem(gap.after or None, gap.words) for gap in missing]
+        problems += _list_problems(store.file_problems)
+        problems += _list_problems(store.find_odd_rows)
+        problems += _list_problems(store.name_unread_entries)
+        problems += _list_problems(store.find_misplaced_rows)
+        missing, notes = _order_problems(store)
+        problems += missing
         runs = store.run_names(RunSelection(since=since))
         for run in runs:
             count("checking runs", checked, len(runs))
@@ -171,13 +174,31 @@ def check_database(
             except StoreError as error:
                 problems.append(FoundProblem(run, error.reason.removeprefix(f"run {run}: ")))
             checked += 1
-        problems += [FoundProblem(None, what) for what in store.seal_problems()]
+        problems += _list_problems(store.seal_problems)
         if not quick:
-            problems += [FoundProblem(None, what) for what in store.ring_problems()]
+            problems += _list_problems(store.ring_problems)
         without_key = unsigned if store.key_id else None
         done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
     of_file = sqlite_file(parse_url(database_url(option))) is not None
     return _laid_out(done, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
+
+
+def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
+    """Yield what a part of the check finds; where a cell that cannot be read ends it, that too: the others go on."""
+    try:
+        for what in find():
+            yield FoundProblem(None, what)
+    except OddCellError as error:
+        yield FoundProblem(None, error.reason)
+
+
+def _order_problems(store: Repository) -> tuple[list[FoundProblem], tuple[str, ...]]:
+    """Return runs that are missing between others, and notes on the order of runs."""
+    try:
+        missing, notes = store.order_problems()
+    except OddCellError as error:
+        return [FoundProblem(None, error.reason)], ()
+    return [FoundProblem(gap.after or None, gap.words) for gap in missing], notes
 
 
 def _laid_out(done: DatabaseCheck, remedy: str) -> CommandOutcome[DatabaseCheck]:

@@ -3,7 +3,7 @@
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date, datetime
@@ -22,8 +22,17 @@ from cbsr_qa.store.damage import address
 from cbsr_qa.store.engine import open_engine, parse_url
 from cbsr_qa.store.locks import this_process
 from cbsr_qa.store.schema import Age, read_version, refusal
-from cbsr_qa.store.sync.centre import check_centre, refusals
-from cbsr_qa.store.sync.queue import QUARANTINED, Backlog, backlog, let_go, list_held, send_again, waiting
+from cbsr_qa.store.sync.centre import check_centre, name_unread_refusals, refusals
+from cbsr_qa.store.sync.queue import (
+    QUARANTINED,
+    Backlog,
+    backlog,
+    let_go,
+    list_held,
+    name_unread,
+    send_again,
+    waiting,
+)
 from cbsr_qa.store.sync.send import Sent, send_waiting
 
 VARIABLE: Final = "CBSR_QA_CENTRE"
@@ -32,6 +41,7 @@ _SETTLE: Final = (
     "One is settled, and no longer listed, when its station sent it (cbsr-qa db sync --retry ITEM there) or let it go"
     " (--let-go ITEM) and has sent once more."
 )
+_UNREAD: Final = "rows that cannot be read were passed over: what they announce or refuse is not known"
 _LISTED: Final = 20
 
 Progress = Callable[[int, int, Sent], None]
@@ -72,6 +82,14 @@ class LostItem:
 
 
 @dataclass(frozen=True, slots=True)
+class AddedRows:
+    """A run of which the centre has rows that this database does not have."""
+
+    run: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Synchronised:
     """What was sent, and what waits.
 
@@ -81,8 +99,11 @@ class Synchronised:
     centre_problem : why ``--status`` could not read the centre; empty if it could.
     items, runs, rows, bytes, seconds : sent by this command.
     compared : runs that the centre had rows of, compared at both ends by this command.
-    notes : what the centre has more than this database, in words; only of a command that sends.
+    notes : runs that the centre has more than this database, in words; only of a command that sends.
     lost : what this command found that the centre had lost; it was sent again.
+    added : runs that this command compared, and of which the centre has rows that this database does not have.
+    unread : rows of ``outbox``, and of ``sync_refusals`` and ``sync_settlements`` at the centre, that cannot be read,
+        in words; they are passed over.
     waiting : number of items that wait, by kind.
     backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
     limit_h : longest time that is allowed [h]; None for any.
@@ -111,6 +132,8 @@ class Synchronised:
     compared: int = 0
     notes: tuple[str, ...] = ()
     lost: tuple[LostItem, ...] = ()
+    added: tuple[AddedRows, ...] = ()
+    unread: tuple[str, ...] = ()
 
 
 def centre_url(option: str | None, environment: Mapping[str, str] = os.environ) -> str:
@@ -188,16 +211,25 @@ def keep_synchronised(
                     trouble = error.reason
                 else:
                     trouble = ""
+                    _tell_pass(sent, tell, told=total.unread)
                     sums = {name: getattr(total, name) + getattr(sent, name) for name in _TOTALS}
-                    total = replace(total, **sums, notes=sent.notes)
-                    if sent.items or sent.quarantined:
-                        tell(_describe_sent(sent, len(sent.quarantined)))
-                    for lost in sent.lost[:_LISTED]:
-                        tell(f"{lost.kind} {lost.item}: {lost.why}")
+                    total = replace(total, **sums, notes=sent.notes, unread=sent.unread)
                 sleep(every_s)
         except KeyboardInterrupt:
             with _station(option) as station:
                 return _outcome(station, address(centre.url), total, time.monotonic() - begun_s, limit_h)
+
+
+def _tell_pass(sent: Sent, tell: Callable[[str], None], *, told: Sequence[str]) -> None:
+    """Tell what a pass did, and rows that it passed over unless they were told before."""
+    for words in (words for words in sent.unread[:_LISTED] if words not in told):
+        tell(f"passed over: {words}")
+    if sent.items or sent.quarantined:
+        tell(_describe_sent(sent, len(sent.quarantined)))
+    for lost in sent.lost[:_LISTED]:
+        tell(f"{lost.kind} {lost.item}: {lost.why}")
+    for added in sent.added[:_LISTED]:
+        tell(added.why)
 
 
 def sync_status(option: str | None, to: str | None, *, limit_h: float | None = None) -> CommandOutcome[Synchronised]:
@@ -227,7 +259,7 @@ def decide_item(option: str | None, item: str, *, again: bool) -> CommandOutcome
         return _outcome(station, "", Sent(), 0.0, None)
 
 
-_TOTALS: Final = ("items", "runs", "compared", "rows", "size", "lost")
+_TOTALS: Final = ("items", "runs", "compared", "rows", "size", "lost", "added")
 
 
 @contextmanager
@@ -280,7 +312,9 @@ def _describe_sent(sent: Sent, quarantined: int) -> str:
         words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
     compared = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
     lost = f"; the centre had lost {plural(len(sent.lost), 'item')}" if sent.lost else ""
-    return words + compared + lost + _describe_quarantine(quarantined)
+    added = f"; the centre has more rows of {plural(len(sent.added), 'run')}" if sent.added else ""
+    unread = f"; {plural(len(sent.unread), 'row')} passed over" if sent.unread else ""
+    return words + compared + lost + added + _describe_quarantine(quarantined) + unread
 
 
 def _describe_quarantine(quarantined: int) -> str:
@@ -297,6 +331,7 @@ def _outcome(
     station: Engine, centre: str, sent: Sent, seconds: float, limit_h: float | None
 ) -> CommandOutcome[Synchronised]:
     entries, kept, waits = waiting(station), list_held(station), backlog(station)
+    unread = sent.unread or name_unread(station)
     result = Synchronised(
         database=address(station.url),
         centre=centre,
@@ -308,6 +343,8 @@ def _outcome(
         compared=sent.compared,
         notes=tuple(sent.notes),
         lost=tuple(fill_from_object(LostItem, lost) for lost in sent.lost),
+        added=tuple(fill_from_object(AddedRows, one) for one in sent.added),
+        unread=tuple(unread),
         waiting=dict(Counter(entry.kind for entry in entries)),
         backlog_h=waits.age_h,
         limit_h=limit_h,
@@ -324,23 +361,44 @@ def _outcome(
     ]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
     facts += [(f"lost {lost.kind}", f"{lost.item}: {lost.why}") for lost in sent.lost[:_LISTED]]
+    facts += [("rows added", one.why) for one in sent.added[:_LISTED]]
+    facts += [("passed over", words) for words in unread[:_LISTED]]
     facts += [("Note", words) for words in sent.notes[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
     count = len(quarantined)
     headline = _describe_sent(sent, count) if centre else _safe(waits) + _describe_quarantine(count)
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
-    if not quarantined and not result.late and not result.lost:
-        return done
-    why = "the centre had lost something that it had confirmed" if result.lost else "not everything was accepted"
-    why = f"the backlog is older than {limit_h:g} h" if result.late else why
+    why = _describe_failure(result, quarantined=bool(quarantined))
+    return _mark_failed(done, headline, why) if why else done
+
+
+def _describe_failure(result: Synchronised, *, quarantined: bool) -> str:
+    """Return why the exit code is not 0, in words; empty if it is."""
+    if result.late:
+        return f"the backlog is older than {result.limit_h:g} h"
+    if result.added:
+        return "the centre has rows of runs that this database does not have"
+    if result.lost:
+        return "the centre had lost something that it had confirmed"
+    if quarantined:
+        return "not everything was accepted"
+    return _UNREAD if result.unread else ""
+
+
+def _mark_failed(done: CommandOutcome[Synchronised], headline: str, why: str) -> CommandOutcome[Synchronised]:
     return replace(done, exit_code=_NOT_ALL, page=replace(done.page, banner=Banner("fail", "✗", headline, why)))
 
 
 def _with_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandOutcome[Synchronised]:
     """Add what the centre refused of all stations."""
     refused = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
-    result = replace(done.result, centre=address(centre.url), refused=refused)
+    unread = tuple(f"at the centre, {words}" for words in name_unread_refusals(centre))
+    result = replace(done.result, centre=address(centre.url), refused=refused, unread=done.result.unread + unread)
+    if unread:
+        facts = (*done.page.identity, *(("passed over", words) for words in unread[:_LISTED]))
+        done = replace(done, page=replace(done.page, identity=facts))
+        done = done if done.exit_code else _mark_failed(done, done.page.banner.headline, _UNREAD)
     if not refused:
         return replace(done, result=result)
     lines = tuple(

@@ -187,8 +187,8 @@ def sync(
     nothing and sends nothing twice. What does not match its digest is quarantined, and the rest goes on. Before more
     of a run is sent, what the central database has of it is compared at both ends; --compare-since compares all.
 
-    Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
-    used. --status needs no central database.
+    Exit code 0 if everything was sent, 1 if something is quarantined or too old, was lost or added at the central
+    database, or cannot be read, 2 if the central database cannot be used. --status needs no central database.
     """
     from cbsr_qa.app.sync import decide_item, keep_synchronised, sync_status, synchronise
     from cbsr_qa.config.loader import load_station

@@ -6,14 +6,27 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import UTC, datetime
 from enum import StrEnum
 from functools import partial
 from typing import Any, Final, TypeVar
 
-from sqlalchemy import JSON, URL, Column, ColumnElement, Connection, DateTime, Table, Text, cast, select, type_coerce
+from sqlalchemy import (
+    JSON,
+    URL,
+    Column,
+    ColumnElement,
+    Connection,
+    DateTime,
+    LargeBinary,
+    Table,
+    Text,
+    cast,
+    select,
+    type_coerce,
+)
 from sqlalchemy.exc import DataError, DBAPIError, SQLAlchemyError, StatementError
-from sqlalchemy.types import NullType
+from sqlalchemy.types import NullType, TypeDecorator
 
 from cbsr_qa.domain.errors import CbsrError, StoreError
 
@@ -60,6 +73,10 @@ _KNOWN = (
 
 
 _Word = TypeVar("_Word", bound=StrEnum)
+
+
+class OddCellError(StoreError):
+    """A cell holds what its column cannot: one row cannot be read, others can."""
 
 
 def read_word(words: type[_Word], value: Any, column: str, row: str) -> _Word:
@@ -158,6 +175,10 @@ def _driver_error(url: URL, error: BaseException) -> StoreError:
             check_files(url)
         except StoreError as full:
             return full
+    if "could not decode to utf-8" in said.lower():
+        return OddCellError(
+            f"{name_database(url)} is damaged: {said}", remedy="cbsr-qa db check names rows that cannot be read"
+        )
     for part, meaning, remedy in _KNOWN:
         if part in said.lower():
             return StoreError(f"{name_database(url)} {meaning} ({said})", remedy=remedy)
@@ -170,7 +191,7 @@ def _first_line(text: str) -> str:
 
 def foreign_cell(
     connection: Connection, rows: Iterable[tuple[Table, ColumnElement[bool]]], what: str = "the database is damaged"
-) -> StoreError | None:
+) -> OddCellError | None:
     """Return the error for the first cell that its column cannot hold; None without one.
 
     SQLite keeps bytes in a column of text, and text in one of numbers, dates or JSON.
@@ -189,7 +210,7 @@ def foreign_cell(
                     convert(row[column.name])
                 except FOREIGN_CELL:
                     key = ", ".join(f"{one.name} {row[one.name]}" for one in table.primary_key)
-                    return StoreError(
+                    return OddCellError(
                         f"{what}: {table.name}.{column.name} ({key}) holds {repr(row[column.name])[:60]},"
                         " which is not a value of that column",
                         remedy="restore the database from a copy; the row is left unchanged",
@@ -211,7 +232,10 @@ def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], 
         if isinstance(kind, JSON):
             return partial(_json_value, column.name, json.loads)
         if isinstance(kind, DateTime):
-            return lambda cell: None if cell is None else datetime.fromisoformat(cell)
+            return lambda cell: None if cell is None else datetime.fromisoformat(cell).astimezone(UTC)
+        declared: Any = column.type
+        if isinstance(kind, LargeBinary) and isinstance(declared, TypeDecorator):  # a digest
+            return lambda cell: declared.process_result_value(cell, connection.dialect)
         return lambda cell: cell
     convert = column.type.dialect_impl(connection.dialect).result_processor(connection.dialect, None)
     if convert is None:

@@ -19,6 +19,7 @@ from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.selected import Conditions, conditions
 from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.types import first_id
 
 #: How much earlier than its run began an identifier may have been made. It may be later by any time: identifiers
 #: go on from the latest one where a clock was set back.
@@ -81,7 +82,7 @@ def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:
     if selection.latest is not None and len(selected) >= selection.latest:
         bounds.append(RunRow.run > min(selected))
     if moments := list(_begins(selection)):
-        bounds.append(RunRow.run >= _first_name(max(moments) - _EARLIER))
+        bounds.append(RunRow.run >= first_id(max(moments) - _EARLIER))
     return bounds
 
 
@@ -90,12 +91,6 @@ def _begins(selection: RunSelection) -> Iterator[datetime]:
         yield datetime.combine(selection.since, time(), UTC)
     if selection.from_moment is not None:
         yield selection.from_moment
-
-
-def _first_name(moment: datetime) -> str:
-    """Return what sorts before every identifier that was made at a moment or later."""
-    digits = f"{max(int(moment.timestamp() * 1000), 0):012x}"
-    return f"{digits[:8]}-{digits[8:]}"
 
 
 def _find_hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:

@@ -38,7 +38,7 @@ from cbsr_qa.store.runs.journal import Journal
 from cbsr_qa.store.runs.live import ChangeNotice
 from cbsr_qa.store.runs.sessions import latest_id
 from cbsr_qa.store.runs.standing import result_state
-from cbsr_qa.store.sync.queue import backlog
+from cbsr_qa.store.sync.queue import backlog, name_unread
 from cbsr_qa.store.types import IdSource, time_of_id
 
 P = ParamSpec("P")
@@ -199,6 +199,8 @@ class Repository:
     file_problems = _bind(soundness.file_problems)
     order_problems = _bind(soundness.order_problems)
     find_misplaced_rows = _bind(soundness.find_misplaced_rows)
+    find_odd_rows = _bind(soundness.find_odd_rows)
+    name_unread_entries = _bind(name_unread)
     check_stored_run = _bind(soundness.check_stored_run)
     seal_problems = _bind(soundness.seal_problems)
     ring_problems = _bind(soundness.ring_problems)

@@ -1,22 +1,27 @@
 """Whether a database is sound: its file, its references, its runs one after the other, and each with its frames."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Engine, Row, exists, func, select, text
+from sqlalchemy import ColumnElement, Connection, Engine, Row, exists, func, select, text, type_coerce
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.chain.links import PLAIN, new_chain, signing_key
+from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.golden import find_doubtful_checks
+from cbsr_qa.store.readable import keep_odd_text, read_rows_apart
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import begun, runs
 from cbsr_qa.store.seals import check_seals
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables.records import StationCheckFramesRow, StationCheckRow
+from cbsr_qa.store.tables.records import LinkRow, StationCheckFramesRow, StationCheckRow
 from cbsr_qa.store.tables.results import CalibrationRow
 from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
+from cbsr_qa.store.tables.sync import OutboxRow
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -56,6 +61,19 @@ def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ..
         return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
 
 
+def find_odd_rows(engine: Engine) -> Iterator[str]:
+    """Yield which rows outside of runs hold what their columns cannot, and are passed over.
+
+    Rows of runs are read with their runs, and frames of reference rings with their checks.
+    """
+    left_out = {*KEYS, LinkRow.__tablename__, StationCheckFramesRow.__tablename__, OutboxRow.__tablename__}
+    with reading(engine) as connection:
+        for mapper in sorted(Base.registry.mappers, key=lambda one: one.class_.__tablename__):
+            if mapper.class_.__tablename__ not in left_out:
+                yield from read_rows_apart(connection, mapper.class_).problems
+        yield from begun.name_odd_rows(connection)
+
+
 def find_misplaced_rows(engine: Engine) -> Iterator[str]:
     """Yield which rows, none of which a link contradicts, do not go together with others.
 
@@ -64,14 +82,17 @@ def find_misplaced_rows(engine: Engine) -> Iterator[str]:
     """
     of_sensor = RunRow.serial == SensorRow.serial
     same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
-    foreign = select(SensorRow.serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
+    serial: Any = type_coerce(SensorRow.serial, NullType())
+    foreign = select(serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
     swapped = (
         select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
         .join(RunRow, RunRow.run == CalibrationRow.run)
         .where(RunRow.serial != CalibrationRow.serial)
     )
     with reading(engine) as connection:
-        for serial in connection.scalars(foreign):
+        with keep_odd_text(connection):
+            serials = [one for one in connection.scalars(foreign) if isinstance(one, str)]  # others are odd rows
+        for serial in serials:
             yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
         for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
             yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"

@@ -76,6 +76,12 @@ class IdSource:
         return str(UUID(int=millisecond << 80 | 7 << 76 | counter << 64 | 2 << 62 | secrets.randbits(62)))
 
 
+def first_id(moment: datetime) -> str:
+    """Return what sorts before every identifier that was made at a moment or later."""
+    digits = f"{max(int(moment.timestamp() * 1000), 0):012x}"
+    return f"{digits[:8]}-{digits[8:]}"
+
+
 def time_of_id(identifier: str) -> datetime | None:
     """Return the creation time in an identifier, by its maker's clock; None if it has none."""
     found = _parts(identifier)

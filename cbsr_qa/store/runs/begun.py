@@ -7,16 +7,30 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, and_, exists, func, insert, or_, select
+from sqlalchemy import BigInteger, Connection, and_, cast, exists, func, insert, or_, select, type_coerce
 from sqlalchemy.orm import aliased
+from sqlalchemy.types import NullType
 
 from cbsr_qa.store.chain.links import chain_head, take_turns
+from cbsr_qa.store.readable import keep_odd_text
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunBegunRow, RunRow
 from cbsr_qa.store.tables.sync import SyncRefusalRow
 from cbsr_qa.store.types import time_of_id
 
-_NEWEST: Final = select(RunBegunRow.number, RunBegunRow.run, RunBegunRow.sha256)
+#: Numbers as they are stored: the column may hold larger ones than the program writes.
+_NUMBER: Final[Any] = type_coerce(RunBegunRow.number, NullType())
+#: By how much numbers may exceed the number of rows: rows are removed by hand only.
+_SPARE: Final = 1_000_000
+_DIGEST_BYTES: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """A run that was begun, and the digest of its first link."""
+
+    run: str
+    sha256: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +76,44 @@ def latest_begun(connection: Connection) -> str | None:
 
 def note_begun(connection: Connection, run: str) -> None:
     """Note that a run was begun in this database, once its first link is stored."""
-    newest = _newest(connection)
-    number = 0 if newest is None else newest.number + 1
-    row = {"number": number, "run": run, "sha256": chain_head(connection, run)}
+    row = {"number": _free_number(connection), "run": run, "sha256": chain_head(connection, run)}
     connection.execute(insert(RunBegunRow), row)
 
 
-def _newest(connection: Connection) -> Row[int, str, str] | None:
-    return connection.execute(_NEWEST.order_by(RunBegunRow.number.desc()).limit(1)).one_or_none()
+def _free_number(connection: Connection) -> int:
+    """Return the first free number after the largest that a run can have, whether that row can be read or not."""
+    largest = select(func.max(_NUMBER)).where(_limit(connection) > _NUMBER)
+    last = connection.scalar(largest)
+    if last is None:
+        return 0
+    following, next_number = aliased(RunBegunRow), cast(_NUMBER, BigInteger) + 1
+    taken = exists().where(type_coerce(following.number, NullType()) == next_number)
+    free = select(func.min(next_number)).where(last <= _NUMBER, ~taken)
+    return int(connection.execute(free).scalar_one())
+
+
+def _newest(connection: Connection) -> _Begun | None:
+    """Return the run that was begun last; passes over rows with an odd cell, or a number that no run can have."""
+    plain: list[Any] = [type_coerce(cell, NullType()) for cell in (RunBegunRow.run, RunBegunRow.sha256)]
+    stored: Any = select(_NUMBER, *plain)
+    found = stored.where(_limit(connection) > _NUMBER).order_by(_NUMBER.desc())
+    with keep_odd_text(connection), connection.execute(found.execution_options(yield_per=10)) as rows:
+        for _, run, sha256 in rows:
+            if isinstance(run, str) and isinstance(sha256, bytes) and len(sha256) == _DIGEST_BYTES:
+                return _Begun(run, sha256.hex())
+    return None
+
+
+def _limit(connection: Connection) -> int:
+    """Return a number that no run has: somebody who may add rows can take the largest that the column holds."""
+    return (connection.scalar(select(func.count()).select_from(RunBegunRow)) or 0) + _SPARE
+
+
+def name_odd_rows(connection: Connection) -> tuple[str, ...]:
+    """Return in words which rows of ``runs_begun`` have a number that no run can have."""
+    limit = _limit(connection)
+    numbers = connection.scalars(select(_NUMBER).where(limit <= _NUMBER).order_by(_NUMBER))
+    return tuple(f"runs_begun (number {number}) has a number that no run here can have" for number in numbers)
 
 
 def gaps(connection: Connection) -> tuple[Gap, ...]:
@@ -99,13 +143,18 @@ def _gaps_between_runs(connection: Connection) -> Iterator[Gap]:
 
 def _gaps_in_list(connection: Connection) -> Iterator[Gap]:
     begun, link = RunBegunRow, LinkRow
+    named: Any = type_coerce(begun.run, NullType()).label("run")
     query = (
-        select(begun.run, RunRow.run.label("present"))
+        select(named, type_coerce(RunRow.run, NullType()).label("present"))
         .outerjoin(RunRow, RunRow.run == begun.run)
         .outerjoin(link, and_(link.run == begun.run, link.number == 0))
         .where(func.coalesce(link.sha256 != begun.sha256, link.sha256.is_(None)))
     )
-    for row in connection.execute(query.order_by(begun.number)):
+    with keep_odd_text(connection):
+        found = connection.execute(query.order_by(begun.number)).all()
+    for row in found:
+        if not isinstance(row.run, str):  # named by find_odd_rows
+            continue
         what = "is missing" if row.present is None else "is another one by now"
         yield Gap(row.run, f"run {name_run(row.run)} {what}: it was begun in this database")
 

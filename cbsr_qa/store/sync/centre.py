@@ -1,13 +1,14 @@
 """The central database: whom it accepts, where its runs stand, what it refused."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Final
 
 from sqlalchemy import (
     ColumnElement,
+    Connection,
     Engine,
-    Row,
     exists,
     func,
     insert,
@@ -18,11 +19,14 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.check import digest_documents
 from cbsr_qa.store.damage import address, name_database
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.readable import read_rows_apart
 from cbsr_qa.store.schema import HEAD, Age, read_version, refusal
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Tail
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.tables.sync import SyncAcceptsRow, SyncRefusalRow, SyncSettlementRow
+
+_LAST: Final = datetime.max.replace(tzinfo=UTC)
 
 
 def check_centre(engine: Engine, station: Engine) -> None:
@@ -110,42 +114,64 @@ def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: st
         same = [getattr(SyncRefusalRow, name) == value for name, value in key.items()]
         if connection.scalar(select(func.count()).select_from(SyncRefusalRow).where(*same, _is_open())):
             return
-        settled_at = connection.scalar(
-            select(func.max(SyncSettlementRow.settled_at)).where(
-                SyncSettlementRow.kind == kind, SyncSettlementRow.item == item
-            )
-        )
+        settled_at = _latest_settlement(connection, kind, item)
         row = {"run": run, "why": error.reason, "noted_at": _later_moment(settled_at)}
         connection.execute(insert(SyncRefusalRow), key | row)
 
 
-def refusals(engine: Engine) -> Sequence[Row[Any]]:
-    """Return what was refused and is not settled, oldest first."""
-    row = SyncRefusalRow
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Something that the centre did not store; see the table ``sync_refusals``."""
+
+    kind: str
+    item: str
+    station: str
+    station_sha256: str
+    centre_sha256: str
+    run: str | None
+    why: str
+    noted_at: datetime
+
+
+def refusals(engine: Engine) -> Sequence[Refusal]:
+    """Return what was refused and is not settled, oldest first; rows that cannot be read are left out."""
     with reading(engine) as connection:
-        query = select(*row.__table__.columns).where(_is_open()).order_by(row.noted_at, row.item)
-        return connection.execute(query).all()
+        found = read_rows_apart(connection, SyncRefusalRow, _is_open())
+    return sorted((Refusal(**row) for row in found.rows), key=lambda one: (one.noted_at, one.item))
+
+
+def name_unread_refusals(engine: Engine) -> tuple[str, ...]:
+    """Return in words which rows of what was refused or settled cannot be read."""
+    with reading(engine) as connection:
+        tables = SyncRefusalRow, SyncSettlementRow
+        return tuple(words for table in tables for words in read_rows_apart(connection, table).problems)
 
 
 def settle(engine: Engine, kind: str, item: str) -> None:
     """Note that what was refused was accepted since, or is not to be sent."""
     row = SyncRefusalRow
     with writing(engine) as connection:
-        open_ones = select(func.max(row.noted_at)).where(row.kind == kind, row.item == item, _is_open())
-        noted_at = connection.scalar(open_ones)
-        if noted_at is not None:
-            settled = {"kind": kind, "item": item, "settled_at": _later_moment(noted_at)}
+        open_ones = read_rows_apart(connection, row, row.kind == kind, row.item == item, _is_open()).rows
+        if open_ones:
+            latest = max(one["noted_at"] for one in open_ones)
+            settled = {"kind": kind, "item": item, "settled_at": _later_moment(latest)}
             connection.execute(insert(SyncSettlementRow), settled)
+
+
+def _latest_settlement(connection: Connection, kind: str, item: str) -> datetime | None:
+    row = SyncSettlementRow
+    settled = read_rows_apart(connection, row, row.kind == kind, row.item == item).rows
+    return max((one["settled_at"] for one in settled), default=None)
 
 
 def _is_open() -> ColumnElement[bool]:
     """Whether a refusal was not settled since."""
     refusal, settled = SyncRefusalRow, SyncSettlementRow
     same = settled.kind == refusal.kind, settled.item == refusal.item, settled.settled_at > refusal.noted_at
-    return ~exists().where(*same)
+    return ~exists().where(*same, settled.settled_at <= _LAST)  # a row that cannot be read settles nothing
 
 
 def _later_moment(moment: datetime | None) -> datetime:
     """Return the time, or a moment that is just later than another computer's clock said."""
-    now = datetime.now(UTC)
-    return now if moment is None or now > moment else moment + timedelta(microseconds=1)
+    now, step = datetime.now(UTC), timedelta(microseconds=1)
+    return now if moment is None or not now <= moment <= _LAST - step else moment + step

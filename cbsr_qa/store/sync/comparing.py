@@ -5,7 +5,8 @@ from collections.abc import Collection, Iterable, Mapping
 from datetime import UTC, date, datetime, time
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, func, select
+from sqlalchemy import Connection, Engine, func, or_, select, type_coerce
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.archives import Archives, archive_row
@@ -13,6 +14,7 @@ from cbsr_qa.store.chain.check import ALL_KINDS, check_run
 from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.outbox import Kind, announce, note_confirmed
+from cbsr_qa.store.readable import keep_odd_text
 from cbsr_qa.store.runs import begun
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, read_parcel
 from cbsr_qa.store.sync.rows import counts_of
@@ -20,6 +22,7 @@ from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.tables.records import ChartReferenceRow, LinkRow, StationCheckRow
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.tables.sync import OutboxRow
+from cbsr_qa.store.types import first_id
 
 #: What is announced: identifier, and when it was made.
 _ITEMS: Final[Mapping[Kind, tuple[Any, Any]]] = {
@@ -76,7 +79,9 @@ def announce_since(station: Engine, day: date) -> None:
     since = datetime.combine(day, time(), UTC)
     for kind, (name, made_at) in _ITEMS.items():
         with reading(station) as connection:
-            items = connection.scalars(select(name).where(made_at >= since).order_by(name)).all()
+            stored: Any = select(type_coerce(name, NullType())).where(made_at >= since).order_by(name)
+            with keep_odd_text(connection):
+                items = [item for item in connection.scalars(stored) if isinstance(item, str)]
         with writing(station) as connection:
             confirmed = _drop_announced(connection, kind, items)
             links = _link_counts(connection) if kind is Kind.RUN and confirmed else {}
@@ -94,7 +99,9 @@ def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
 
 
 def _drop_announced(connection: Connection, kind: Kind, items: Iterable[str]) -> list[str]:
-    there = set(connection.scalars(select(OutboxRow.item).where(OutboxRow.kind == str(kind))))
+    stored: Any = select(type_coerce(OutboxRow.item, NullType())).where(OutboxRow.kind == str(kind))
+    with keep_odd_text(connection):
+        there = set(connection.scalars(stored))
     return [item for item in items if item not in there]
 
 
@@ -102,6 +109,22 @@ def _link_counts(connection: Connection) -> dict[str, int]:
     """Return the number of links of each chained run."""
     counted = select(LinkRow.run, func.max(LinkRow.number) + 1).group_by(LinkRow.run)
     return {row[0]: row[1] for row in connection.execute(counted)}
+
+
+def list_runs_only_at_centre(station: Engine, centre: Engine, day: date) -> tuple[str, ...]:
+    """Return runs from a day on (UTC) that the centre has of the stations of a database, and that are not in it.
+
+    A station is one by its name in runs: whoever may add rows at the centre can add a run in the name of any.
+    """
+    since = datetime.combine(day, time(), UTC)
+    with reading(station) as connection:
+        ours = set(connection.scalars(select(RunRow.run)))
+        names = list(connection.scalars(select(RunRow.station).distinct()))
+    run: Any = type_coerce(RunRow.run, NullType())
+    later = or_(RunRow.started_at >= since, RunRow.run >= first_id(since))
+    theirs = select(run).where(RunRow.station.in_(names), later).order_by(RunRow.run)
+    with reading(centre) as connection, keep_odd_text(connection):
+        return tuple(name for name in connection.scalars(theirs) if isinstance(name, str) and name not in ours)
 
 
 def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:

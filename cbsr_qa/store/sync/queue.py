@@ -1,16 +1,18 @@
 """The queue of a station: entries of its outbox that wait, are quarantined, or were let go."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import StrEnum
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Engine, Row, case, delete, func, or_, select, update
+from sqlalchemy import ColumnElement, Engine, case, delete, func, or_, select, update
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.outbox import EntryState, Kind
+from cbsr_qa.store.readable import read_rows_apart
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunStateRow
 from cbsr_qa.store.tables.sync import OutboxRow
@@ -46,19 +48,30 @@ class Entry:
 
 def waiting(engine: Engine) -> tuple[Entry, ...]:
     """Return what is to be sent, runs by age first; open runs of which the centre has all rows are left out."""
-    row = OutboxRow
-    return tuple(sorted(_entries(engine, row.state == str(EntryState.WAITING), _unsent()), key=_place))
+    found, _ = _read_entries(engine, OutboxRow.state == str(EntryState.WAITING), _unsent())
+    return tuple(sorted(found, key=_place))
 
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """How much waits, and how long the oldest of it has waited [h]; None if nothing waits."""
+    """How much waits, and how long the oldest of it has waited [h]; None if nothing waits.
+
+    ``unread`` counts rows of the outbox that cannot be read: nobody knows what they announce.
+    """
 
     items: int
     age_h: float | None
+    unread: int = 0
 
     @property
     def words(self) -> str:
+        if self.unread:
+            rows = "1 row" if self.unread == 1 else f"{self.unread} rows"
+            return f"{self._waiting}; {rows} of outbox cannot be read, db check names them"
+        return self._waiting
+
+    @property
+    def _waiting(self) -> str:
         if self.age_h is None:
             return "nothing waits"
         waits = "1 item waits" if self.items == 1 else f"{self.items} items wait"
@@ -72,16 +85,21 @@ class Backlog:
 
 def backlog(engine: Engine) -> Backlog:
     """Return how much waits for the central database, and how long."""
-    row = OutboxRow
-    query = select(func.count(), func.min(row.noted_at)).where(row.state == str(EntryState.WAITING), _unsent())
-    with reading(engine) as connection:
-        items, oldest = connection.execute(query).one()
-    return Backlog(items, None if oldest is None else _hours_since(oldest))
+    entries = waiting(engine)
+    oldest = min((entry.noted_at for entry in entries), default=None)
+    return Backlog(len(entries), None if oldest is None else _hours_since(oldest), len(name_unread(engine)))
 
 
 def list_held(engine: Engine) -> tuple[Entry, ...]:
     """Return entries that are quarantined or were let go."""
-    return tuple(_entries(engine, OutboxRow.state != str(EntryState.WAITING)))
+    found, _ = _read_entries(engine, OutboxRow.state != str(EntryState.WAITING))
+    return found
+
+
+def name_unread(engine: Engine) -> tuple[str, ...]:
+    """Return in words which rows of the outbox are passed over: with odd cells, or an unknown kind or state."""
+    _, unread = _read_entries(engine)
+    return unread
 
 
 def confirm(engine: Engine, entry: Entry, version: int, *, more: bool) -> None:
@@ -136,12 +154,23 @@ def _unsent() -> ColumnElement[bool]:
     return or_(row.sent < row.version, case((open_run, newest), else_=0) > row.sent)
 
 
-def _entries(engine: Engine, *wanted: ColumnElement[bool]) -> Iterator[Entry]:
+def _read_entries(engine: Engine, *wanted: ColumnElement[bool]) -> tuple[tuple[Entry, ...], tuple[str, ...]]:
+    """Return entries, and in words the rows that are none."""
     with reading(engine) as connection:
-        rows: Sequence[Row[Any]] = connection.execute(
-            select(*OutboxRow.__table__.columns).where(*wanted).order_by(OutboxRow.kind, OutboxRow.item)
-        ).all()
-    return (Entry(**row._asdict()) for row in rows)
+        found = read_rows_apart(connection, OutboxRow, *wanted)
+    unknown = tuple(problem for row in found.rows if (problem := _find_unknown_word(row)))
+    entries = tuple(Entry(**row) for row in found.rows if not _find_unknown_word(row))
+    return entries, found.problems + unknown
+
+
+def _find_unknown_word(row: Mapping[str, Any]) -> str:
+    """Return in words what is no kind or state of an entry; empty without one."""
+    allowed: Mapping[str, type[StrEnum]] = {"kind": Kind, "state": EntryState}
+    for name, words in allowed.items():
+        if row[name] not in [*words]:
+            key = f"kind {row['kind'][:64]}, item {row['item'][:64]}"
+            return f"outbox ({key}): {name} is {row[name][:64]!r}; allowed: {', '.join(words)}"
+    return ""
 
 
 def _place(entry: Entry) -> tuple[int, str]:

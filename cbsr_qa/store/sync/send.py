@@ -1,6 +1,7 @@
 """One pass over the outbox: everything that waits is sent, in an order in which references hold."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
 from typing import Final
@@ -9,16 +10,32 @@ from sqlalchemy import Engine, select
 
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import Archives
+from cbsr_qa.store.damage import OddCellError
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
 from cbsr_qa.store.outbox import EntryState, Kind
 from cbsr_qa.store.runs import begun
 from cbsr_qa.store.runs.rows import current_state
-from cbsr_qa.store.sync.centre import check_centre, documents_of, link_at, refusals, refuse, settle, tails
-from cbsr_qa.store.sync.comparing import announce_missing, announce_since, compare_run, other_runs_at_centre
+from cbsr_qa.store.sync.centre import (
+    check_centre,
+    documents_of,
+    link_at,
+    name_unread_refusals,
+    refusals,
+    refuse,
+    settle,
+    tails,
+)
+from cbsr_qa.store.sync.comparing import (
+    announce_missing,
+    announce_since,
+    compare_run,
+    list_runs_only_at_centre,
+    other_runs_at_centre,
+)
 from cbsr_qa.store.sync.items import read_item
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, read_parcel, read_unchained
-from cbsr_qa.store.sync.queue import Entry, confirm, list_held, mark, waiting
+from cbsr_qa.store.sync.queue import Entry, confirm, list_held, mark, name_unread, waiting
 from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
 from cbsr_qa.store.tables.runs import RunRow
 
@@ -39,6 +56,14 @@ class Lost:
     why: str
 
 
+@dataclass(frozen=True, slots=True)
+class Added:
+    """A run of which the centre has rows that this database does not have, or all of it."""
+
+    run: str
+    why: str
+
+
 @dataclass(slots=True)
 class Sent:
     """What one pass did.
@@ -49,8 +74,10 @@ class Sent:
     compared : runs of which the centre had rows: those were compared at both ends.
     rows, size : stored at the centre [rows, bytes of arrays and files].
     quarantined, blocked : refused, and put back until what they refer to is at the centre.
-    notes : what the centre has more than this database, in words.
+    notes : runs that the centre has more than this database, in words.
     lost : what the centre had lost, and has again.
+    added : runs of which the centre has rows that this database does not have, or that are there alone.
+    unread : rows of the outbox, and of what the centre refused, that cannot be read, in words; they are passed over.
     """
 
     items: int = 0
@@ -62,6 +89,8 @@ class Sent:
     blocked: list[Entry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     lost: list[Lost] = field(default_factory=list)
+    added: list[Added] = field(default_factory=list)
+    unread: list[str] = field(default_factory=list)
 
 
 def send_waiting(
@@ -93,6 +122,8 @@ def send_waiting(
             announce_since(station, compare_since)
         missing = announce_missing(station)
         entries = waiting(station)
+        sent.unread += name_unread(station)
+        sent.unread += (f"at the centre, {words}" for words in name_unread_refusals(centre))
         refused = {(one.kind, one.item) for one in refusals(centre)}
         for entry in list_held(station):
             if entry.state == EntryState.LET_GO and (entry.kind, entry.item) in refused:
@@ -106,8 +137,18 @@ def send_waiting(
                 done += 1
                 if progress is not None:
                     progress(done, len(entries), sent)
+        if compare_since is not None:
+            sent.added += map(_name_added_run, list_runs_only_at_centre(station, centre, compare_since))
         sent.notes += other_runs_at_centre(station, centre, [one.item for one in entries if one.kind == Kind.RUN])
     return sent
+
+
+def _name_added_run(run: str) -> Added:
+    why = (
+        f"the centre has run {begun.name_run(run)} in the name of a station of this database, which does not have it:"
+        " it was added there, removed here, or measured into another database"
+    )
+    return Added(run, why)
 
 
 def _batches(entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
@@ -139,7 +180,7 @@ def _send(
         if entry.kind == Kind.RUN:  # runs that were begun after it are sent
             run, name = _names(station, entry)
             refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
-    except (AlteredError, RowRefusedError) as error:
+    except (AlteredError, RowRefusedError, OddCellError) as error:
         run, name = (gap.run, gap.station) if gap is not None else _names(station, entry)
         refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
@@ -202,11 +243,14 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
     if tail[0] > newest[0]:  # this database is an older copy of the one that sent the run
         if (stored := link_at(centre, run, newest[0])) != newest[1]:
             raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
+        compare_run(station, centre, run)
+        sent.compared += 1
         confirm(station, entry, newest[0] + 1, more=False)
-        sent.notes.append(
+        why = (
             f"the centre has {tail[0] - newest[0]} links more of run {run}: rows were added there, or this database"
             " is an older copy of the one that sent them"
         )
+        sent.added.append(Added(run, why))
         return
     if tail != NOTHING and ended:
         compare_run(station, centre, run)
@@ -252,10 +296,11 @@ def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> Non
 
 
 def _names(station: Engine, entry: Entry) -> tuple[str | None, str]:
-    """Run and station of what was refused."""
-    with reading(station) as connection:
-        if entry.kind == Kind.RUN:
-            name = connection.scalar(select(RunRow.station).where(RunRow.run == entry.item))
-            return entry.item, name or ""
+    """Run and station of what was refused; no station where its row cannot be read."""
+    run = entry.item if entry.kind == Kind.RUN else None
+    with suppress(OddCellError), reading(station) as connection:
+        if run is not None:
+            return run, connection.scalar(select(RunRow.station).where(RunRow.run == run)) or ""
         item = read_item(connection, Kind(entry.kind), entry.item)
-    return None, "" if item is None else item.station
+        return None, "" if item is None else item.station
+    return run, ""

@@ -8,13 +8,16 @@ from datetime import date
 import pytest
 import sqlalchemy as sa
 from stored_runs import SETTING, identity, journalled, short_run
-from synced import assert_all_there, content, link_again, on_both, remove_run, run_of, sent
+from synced import assert_all_there, content, judged, link_again, on_both, remove_run, run_of, sent
 
+from cbsr_qa.app.keeping import check_database
+from cbsr_qa.app.sync import synchronise
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.run import RunStarted
 from cbsr_qa.store.chain.check import select_run
-from cbsr_qa.store.chain.run_documents import FIGURES, KEYS
+from cbsr_qa.store.chain.links import link_digest
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, documents
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.sync.centre import refusals
 from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
@@ -232,14 +235,15 @@ def test_a_run_under_way_is_compared_when_it_has_ended(station, centre):
     assert_all_there(centre.engine, station.engine)
 
 
-def test_rows_that_the_centre_has_more_are_noted(full, centre, place, tmp_path):
+def test_rows_that_the_centre_has_more_are_named(full, centre, place, tmp_path):
     full.engine.dispose()
     shutil.copy(tmp_path / "full.db", tmp_path / "older.db")
     overridden(full)
     sent(full, centre)
     done = sent(place("older"), centre)
     ((run,),) = full.said("SELECT run FROM runs")
-    assert f"the centre has 1 links more of run {run}" in done.notes[0]
+    assert [one.run for one in done.added] == [run]
+    assert f"the centre has 1 links more of run {run}" in done.added[0].why
 
 
 @on_both
@@ -340,3 +344,68 @@ def run_of_a_recipe(store, recipe):
     for event in short_run(run)[1:]:
         journal(event)
     return run
+
+
+def add_rows(centre, run, rows):
+    """Add rows with links that are right at the centre, as a station's login can."""
+    with writing(centre.engine) as connection:
+        newest = sa.select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
+        number, before = connection.execute(newest.order_by(LinkRow.number.desc()).limit(1)).one()
+        for table, row in rows:
+            connection.execute(sa.insert(table), row)
+            for kind, document, content in [(table.name, *one) for one in documents(table, [row])]:
+                number, before = number + 1, link_digest(before, kind, document, content)
+                link = {"run": run, "number": number, "kind": kind, "document": document, "mac": None}
+                connection.execute(sa.insert(LinkRow), link | {"content_sha256": content, "sha256": before})
+
+
+def withdraw_verdict(centre, run):
+    """Have a run look as if it went on."""
+    table = Base.metadata.tables["run_states"]
+    with writing(centre.engine) as connection:
+        states = sa.select(table).where(table.c.run == run).order_by(table.c.number.desc())
+        last = dict(connection.execute(states.limit(1)).mappings().one())
+    add_rows(centre, run, [(table, last | {"number": last["number"] + 1, "end": "running", "detail": ""})])
+
+
+@on_both
+def test_rows_that_were_added_to_a_run_at_the_centre_are_named_whenever_it_is_compared(station, centre):
+    run = run_of(station.store)
+    judged(station.store, run)
+    assert synchronise(station.url, centre.url).exit_code == 0
+    withdraw_verdict(centre, run)
+    assert check_database(centre.url, None, lambda *_: None, quick=True).exit_code == 0  # nobody can tell there
+    for _ in range(2):
+        done = synchronise(station.url, centre.url, compare_since=DAY)
+        (added,) = done.result.added
+        assert (done.exit_code, added.run) == (1, run)
+        assert added.why.startswith(f"the centre has 1 links more of run {run}")
+        assert "the centre has rows of runs that this database does not have" in done.page.banner.reason
+        assert ("rows added", added.why) in done.page.identity
+    assert station.said("SELECT * FROM outbox") == []
+
+
+def test_a_row_without_a_link_beside_added_links_is_found_too(station, centre):
+    run = run_of(station.store)
+    sent(station, centre)
+    withdraw_verdict(centre, run)
+    centre.change("UPDATE loads SET x_mm = 1.5")
+    (entry,) = sent(station, centre, compare_since=DAY).quarantined
+    assert entry.item == run
+
+
+@on_both
+def test_a_run_in_the_name_of_a_station_that_does_not_have_it_is_named_when_all_is_compared(place, station, centre):
+    run_of(station.store)
+    other = place("other")
+    run_of(other.store)
+    run = run_of(other.store)
+    for one in (station, other):
+        sent(one, centre)
+    done = synchronise(station.url, centre.url, compare_since=DAY)
+    assert (done.exit_code, [one.run for one in done.result.added][-1]) == (1, run)
+    assert "in the name of a station of this database" in done.result.added[0].why
+    assert synchronise(station.url, centre.url).exit_code == 0  # compares nothing
+    centre.change("UPDATE runs SET station = 'bench-β' WHERE before_run IS NOT NULL")
+    assert [one.run for one in sent(station, centre, compare_since=DAY).added] != [run]
+    assert sent(station, centre, compare_since=date(2099, 1, 1)).added == []

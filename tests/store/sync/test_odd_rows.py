@@ -1,0 +1,91 @@
+"""One row that cannot be read is passed over and named, at the station and at the centre; everything else is sent."""
+
+from datetime import date
+
+import pytest
+from synced import on_both, run_of, sent
+
+from cbsr_qa.app.keeping import check_database
+from cbsr_qa.app.sync import sync_status, synchronise
+from cbsr_qa.store.sync.centre import refusals
+from cbsr_qa.store.sync.queue import backlog, waiting
+
+DAY = date(2026, 1, 1)
+
+REFUSED = "INSERT INTO sync_refusals VALUES ('run', 'R', 'bench', '', '', NULL, 'so', {moment})"
+SETTLED = "INSERT INTO sync_settlements VALUES ('run', 'R', {moment})"
+OUTBOX = {
+    "a kind": ("'zz', 'R', 1, 0, CURRENT_TIMESTAMP, 'waiting', ''", "kind is 'zz'"),
+    "a kind of bytes": ("x'ff', 'R', 1, 0, CURRENT_TIMESTAMP, 'waiting', ''", "kind holds b'\\xff'"),
+    "an item": ("'run', x'ff', 1, 0, CURRENT_TIMESTAMP, 'waiting', ''", "item holds b'\\xff'"),
+    "text": ("'run', CAST(x'ff' AS TEXT), 1, 0, CURRENT_TIMESTAMP, 'waiting', ''", "item holds b'\\xff'"),
+    "a version": ("'run', 'R', 1e999, 0, CURRENT_TIMESTAMP, 'waiting', ''", "version holds inf"),
+    "a moment": ("'run', 'R', 1, 0, 'x', 'waiting', ''", "noted_at holds 'x'"),
+    "a state": ("'run', 'R', 1, 0, CURRENT_TIMESTAMP, 'zz', ''", "state is 'zz'"),
+    "a reason": ("'run', 'R', 1, 0, CURRENT_TIMESTAMP, 'waiting', x'ff'", "why holds b'\\xff'"),
+}
+
+
+def problems_of(place):
+    done = check_database(place.url, None, lambda *_: None, quick=True)
+    assert done.exit_code == (1 if done.result.problems else 0)
+    return [problem.what for problem in done.result.problems]
+
+
+def odd_moment(place):
+    return "'infinity'" if place.url.startswith("postgresql") else "'x'"
+
+
+@pytest.mark.parametrize(("row", "said"), OUTBOX.values(), ids=OUTBOX)
+def test_an_odd_row_of_the_outbox_is_passed_over_and_named(station, centre, row, said):
+    run = run_of(station.store)
+    station.change(f"INSERT INTO outbox VALUES ({row})")
+    assert [entry.item for entry in waiting(station.engine)] == [run]
+    assert backlog(station.engine).unread == 1
+    done = synchronise(station.url, centre.url)
+    assert (done.exit_code, done.result.runs, done.result.held) == (1, 1, ())
+    (words,) = done.result.unread
+    assert said in words
+    assert ("passed over", words) in done.page.identity
+    assert centre.said("SELECT run FROM runs") == [(run,)]
+    status = sync_status(station.url, "")
+    assert (status.exit_code, status.result.unread) == (1, (words,))
+    assert problems_of(station) == [words]
+
+
+@on_both
+@pytest.mark.parametrize("statement", [REFUSED, SETTLED], ids=["refused", "settled"])
+def test_an_odd_row_of_what_the_centre_refused_stops_nobody(station, centre, statement):
+    run = run_of(station.store)
+    centre.change(statement.format(moment=odd_moment(centre)))
+    done = synchronise(station.url, centre.url)
+    assert (done.exit_code, done.result.runs) == (1, 1)
+    (words,) = done.result.unread
+    assert words.startswith(f"at the centre, {statement.split()[2]} (kind run")
+    assert centre.said("SELECT run FROM runs") == [(run,)]
+    status = sync_status(station.url, centre.url)
+    assert (status.exit_code, status.result.unread, status.result.refused) == (1, (words,), ())
+    assert problems_of(centre) == [words.removeprefix("at the centre, ")]
+
+
+@on_both
+def test_a_settlement_that_cannot_be_read_settles_nothing(station, centre):
+    run = run_of(station.store)
+    station.change("UPDATE loads SET x_mm = 1.5")
+    centre.change(SETTLED.replace("'R'", f"'{run}'").format(moment=odd_moment(centre)))
+    assert [entry.item for entry in sent(station, centre).quarantined] == [run]
+    assert [refused.item for refused in refusals(centre.engine)] == [run]
+
+
+def test_what_cannot_be_read_at_the_station_is_quarantined_alone(full, centre):
+    full.change("UPDATE releases SET noted_at = 'x'")
+    done = sent(full, centre)
+    assert [entry.kind for entry in done.quarantined] == ["release"]
+    assert done.runs == len(full.said("SELECT run FROM runs"))
+    assert sent(full, centre, compare_since=DAY).quarantined == []
+
+
+def test_an_odd_name_is_not_announced_again(full, centre):
+    sent(full, centre)
+    full.change("UPDATE releases SET release_id = x'ff'")
+    assert sent(full, centre, compare_since=DAY).unread == []
