@@ -68,7 +68,7 @@ def releases(database: Database = None, as_json: AsJson = False) -> None:
     """List which files were released or withdrawn, by whom, when and why; the latest entry for a content counts."""
     from cbsr_qa.app.gate.release_list import list_releases
 
-    show(list_releases(database), as_json=as_json)
+    raise typer.Exit(show(list_releases(database), as_json=as_json))
 
 
 @dataclass(frozen=True, slots=True)

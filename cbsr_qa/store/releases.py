@@ -1,14 +1,22 @@
 """Releases of configuration files: appended; the latest of a kind and digest holds."""
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any, Final, Literal
 
-from sqlalchemy import Engine, Row, insert, select
+from sqlalchemy import Engine, insert
 
+from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.mapping import convert_row, row_of
+from cbsr_qa.store.mapping import row_of
 from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.readable import OddRow, RowsApart, read_rows_apart
 from cbsr_qa.store.tables.gate import ReleaseRow
+from cbsr_qa.store.types import time_of_id
+
+#: Sorts after every identifier: what has no readable one may be the latest.
+_LATEST: Final = "~"
 
 
 def save_release(engine: Engine, release: Release) -> None:
@@ -27,23 +35,56 @@ def save_release(engine: Engine, release: Release) -> None:
 
 
 def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
-    """Return what was last said about a file of this content; None if nothing was."""
+    """Return what was last said about a file of this content; None if nothing was.
+
+    A release that cannot be read is none: what was said before holds. Anything else that cannot be read withdraws it.
+    """
     row = ReleaseRow
-    query = select(*row.__table__.columns).where(row.sha256 == sha256, row.kind == kind)
     with reading(engine) as connection:
-        found = connection.execute(query.order_by(row.release_id.desc()).limit(1)).one_or_none()
-    return None if found is None else _release(found)
+        said = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
+    return max(said, key=lambda one: one.release, default=None)
 
 
 def all_releases(engine: Engine) -> tuple[Release, ...]:
-    """Return all releases and withdrawals in the order they were made in. StoreError if they cannot be read."""
-    row = ReleaseRow
+    """Return all releases and withdrawals in the order they were made in.
+
+    A release that cannot be read is left out; a withdrawal is there all the same.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read.
+    """
     with reading(engine) as connection:
-        found = connection.execute(select(*row.__table__.columns).order_by(row.release_id)).all()
-    return tuple(map(_release, found))
+        said = _list_said(read_rows_apart(connection, ReleaseRow))
+    return tuple(sorted(said, key=lambda one: one.release))
 
 
-def _release(row: Row[Any]) -> Release:
+def _list_said(found: RowsApart) -> list[Release]:
+    """Return what rows say; one that cannot be read and is no release withdraws its content."""
+    withdrawing = (
+        odd for odd in found.odd if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}
+    )
+    return [*map(_release, found.rows), *map(_stand_in, withdrawing)]
+
+
+def name_unread_releases(engine: Engine, kind: str = "", sha256: str = "") -> tuple[str, ...]:
+    """Return in words which rows of releases cannot be read: of a content, or all."""
+    row = ReleaseRow
+    of_content = (row.sha256 == sha256, row.kind == kind) if sha256 else ()
+    with reading(engine) as connection:
+        return read_rows_apart(connection, row, *of_content).problems
+
+
+def _release(cells: Mapping[str, Any]) -> Release:
     # An unknown word is no release.
-    action: Literal["released", "withdrawn"] = "released" if row.outcome == "released" else "withdrawn"
-    return convert_row(Release, row, release=row.release_id, action=action, by=row.operator, at=row.noted_at)
+    action: Literal["released", "withdrawn"] = "released" if cells["outcome"] == "released" else "withdrawn"
+    renamed = {"release": cells["release_id"], "by": cells["operator"], "at": cells["noted_at"]}
+    return fill_from_mapping(Release, {**cells, **renamed}, action=action)
+
+
+def _stand_in(row: OddRow) -> Release:
+    """Return the withdrawal that stands for a row that cannot be read."""
+    made = time_of_id(row.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
+    instead = {"release_id": _LATEST, "name": "", "operator": "a row that cannot be read", "why": row.words}
+    return _release({"noted_at": made, **instead, **row.cells, "outcome": "withdrawn"})

@@ -208,6 +208,7 @@ class Repository:
     save_release = _bind(releases.save_release)
     latest_release = _bind(releases.latest_release)
     all_releases = _bind(releases.all_releases)
+    name_unread_releases = _bind(releases.name_unread_releases)
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""

@@ -1,13 +1,15 @@
 """Station checks: appended; the latest one gives a station's state.
 
-References of control charts: appended; the latest of each chart holds, unless it retires the chart.
+References of control charts: appended; the latest of each chart holds, unless it retires the chart. Rows of either
+that cannot be read are passed over; db check names them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, func, insert, select
+from sqlalchemy import ColumnElement, Connection, Engine, func, insert, select, type_coerce
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.filling import fill_from_mapping
@@ -18,6 +20,7 @@ from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.readable import keep_odd_text, read_rows_apart
 from cbsr_qa.store.runs.codec import frame_block, frame_values
 from cbsr_qa.store.seals import check_seal, new_seal
 from cbsr_qa.store.tables.records import (
@@ -52,11 +55,11 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
     ----------
     until : ignore references that sort after this name.
     """
-    query = select(*ChartReferenceRow.__table__.columns).where(ChartReferenceRow.station == station)
+    wanted = [ChartReferenceRow.station == station]
     if until:
-        query = query.where(ChartReferenceRow.reference <= until)
+        wanted.append(ChartReferenceRow.reference <= until)
     with reading(engine) as connection:
-        rows = connection.execute(query.order_by(ChartReferenceRow.reference)).all()
+        rows = read_rows_apart(connection, ChartReferenceRow, *wanted).rows
     latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
     holding = (one for one in latest.values() if not one.retired)
     return tuple(sorted(holding, key=lambda one: one.reference))
@@ -64,11 +67,9 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
 
 def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, ...]:
     """Return all references of a station's charts (empty: of all stations), oldest first."""
-    query = select(*ChartReferenceRow.__table__.columns)
-    if station:
-        query = query.where(ChartReferenceRow.station == station)
+    wanted = [ChartReferenceRow.station == station] if station else []
     with reading(engine) as connection:
-        return tuple(_reference(row) for row in connection.execute(query.order_by(ChartReferenceRow.reference)))
+        return tuple(map(_reference, read_rows_apart(connection, ChartReferenceRow, *wanted).rows))
 
 
 def _values(one: ChartReference) -> dict[str, Any]:
@@ -80,14 +81,14 @@ def _values(one: ChartReference) -> dict[str, Any]:
     }
 
 
-def _reference(row: Row[Any]) -> ChartReference:
-    settings = {name: row.settings[name] for name in _SETTINGS}
-    return convert_row(
+def _reference(row: Mapping[str, Any]) -> ChartReference:
+    settings = {name: row["settings"][name] for name in _SETTINGS}
+    return fill_from_mapping(
         ChartReference,
         row,
-        chart=read_word(ChartKind, row.kind, "chart_references.kind", f"reference {row.reference}"),
-        golden=row.golden or None,
-        retired=bool(row.settings.get("retired", False)),
+        chart=read_word(ChartKind, row["kind"], "chart_references.kind", f"reference {row['reference']}"),
+        golden=row["golden"] or None,
+        retired=bool(row["settings"].get("retired", False)),
         **settings | {"rules": tuple(settings["rules"])},
     )
 
@@ -126,26 +127,36 @@ def latest_check(engine: Engine, station: str, before: datetime | None = None) -
     ----------
     before : ignore later checks.
     """
-    query = select(*StationCheckRow.__table__.columns).where(StationCheckRow.station == station)
+    wanted = [StationCheckRow.station == station]
     if before is not None:
-        query = query.where(StationCheckRow.checked_at <= before)
-    newest = query.order_by(StationCheckRow.checked_at.desc(), StationCheckRow.check_id.desc()).limit(1)
+        wanted.append(StationCheckRow.checked_at <= before)
+    order = StationCheckRow.checked_at.desc(), StationCheckRow.check_id.desc()
     with reading(engine) as connection:
-        row = connection.execute(newest).one_or_none()
-        return None if row is None else _check(connection, row)
+        return next(_read_checks(connection, wanted, order), None)
 
 
 def latest_golden_check(engine: Engine, station: str) -> StationCheck | None:
     """Return the latest check of a station that measured a golden sensor, or None."""
     row = StationCheckRow
-    newest = select(*row.__table__.columns).where(row.station == station).order_by(row.check_id.desc())
     with reading(engine) as connection:
-        for found in connection.execute(newest.execution_options(yield_per=10)):
-            check = _check(connection, found)
+        for check in _read_checks(connection, [row.station == station], [row.check_id.desc()]):
             # One that was altered may have measured a golden sensor.
-            if found.golden_run is not None or check.altered:
+            if check.golden_run is not None or check.altered:
                 return check
     return None
+
+
+def _read_checks(
+    connection: Connection, wanted: Sequence[ColumnElement[bool]], order: Sequence[ColumnElement[Any]]
+) -> Iterator[StationCheck]:
+    """Yield checks in an order; those that cannot be read are left out."""
+    row = StationCheckRow
+    names: Any = select(type_coerce(row.check_id, NullType())).where(*wanted).order_by(*order)
+    with keep_odd_text(connection):
+        stored = connection.scalars(names).all()
+    for name in stored:
+        for cells in read_rows_apart(connection, row, type_coerce(row.check_id, NullType()) == name).rows:
+            yield _check(connection, cells)
 
 
 def runs_since(engine: Engine, station: str, run: str, most: int) -> int:
@@ -179,21 +190,23 @@ def ring_of(engine: Engine, check: str) -> RingReadings | None:
     return RingReadings(frames, tuple(float(one) for one in found["resistances_ohm"]))
 
 
-def _check(connection: Connection, row: Row[Any]) -> StationCheck:
-    lines = select(*StationCheckLineRow.__table__.columns).where(StationCheckLineRow.check_id == row.check_id)
-    of_check = f"check {row.check_id}"
-    sealed, problem = check_seal(connection, row.check_id, row.seal)
+def _check(connection: Connection, row: Mapping[str, Any]) -> StationCheck:
+    lines = select(*StationCheckLineRow.__table__.columns).where(StationCheckLineRow.check_id == row["check_id"])
+    of_check = f"check {row['check_id']}"
+    sealed, problem = check_seal(connection, row["check_id"], row["seal"])
     results = (
         convert_row(
             CheckResult, line, outcome=read_word(CheckOutcome, line.outcome, "station_check_lines.outcome", of_check)
         )
         for line in connection.execute(lines.order_by(StationCheckLineRow.number))
     )
-    return convert_row(
+    return fill_from_mapping(
         StationCheck,
         row,
-        check=row.check_id,
-        instruments=() if problem else tuple(fill_from_mapping(InstrumentIdentity, one) for one in row.instruments),
+        check=row["check_id"],
+        instruments=()
+        if problem
+        else tuple(fill_from_mapping(InstrumentIdentity, one) for one in row["instruments"]),
         results=(_mark_altered(problem),) if problem else tuple(results),
         sealed=sealed,
         altered=problem,

@@ -19,7 +19,7 @@ from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.chain.check import check_run, digest_documents, select_run
 from cbsr_qa.store.chain.links import link_digest
-from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, documents, figures_digest
 from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.schema import upgrade
@@ -96,6 +96,57 @@ def link_again(place, run):
             before = link_digest(before, link.kind, link.document, content)
             same = sa.update(LinkRow).where(LinkRow.run == run, LinkRow.number == link.number)
             connection.execute(same.values(content_sha256=content, sha256=before))
+
+
+def add_rows(place, run, rows, figures="", mac=None):
+    """Add rows to a run with links that are right, as a login can that does not have the key.
+
+    Parameters
+    ----------
+    rows : table and row.
+    figures : analysis whose figures get a link too.
+    mac : what stands for the signature of the links.
+    """
+    with writing(place.engine) as connection:
+        newest = sa.select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
+        number, before = connection.execute(newest.order_by(LinkRow.number.desc()).limit(1)).one()
+        for table, own in rows:
+            connection.execute(sa.insert(table), own)
+        added = [(table.name, *one) for table, own in rows for one in documents(table, [own])]
+        added += [(FIGURES, figures, figures_digest(connection, figures))] if figures else []
+        for kind, document, content in added:
+            number, before = number + 1, link_digest(before, kind, document, content)
+            link = {"run": run, "number": number, "kind": kind, "document": document, "mac": mac}
+            connection.execute(sa.insert(LinkRow), link | {"content_sha256": content, "sha256": before})
+
+
+def withdraw_verdict(place, run, mac=None):
+    """Have a run look as if it went on, as :func:`add_rows`."""
+    (last,) = _latest_rows(place, "run_states", run, "number")
+    row = last | {"number": last["number"] + 1, "end": "running"}
+    add_rows(place, run, [(Base.metadata.tables["run_states"], row)], mac=mac)
+
+
+def replace_analysis(place, run, mac=None):
+    """Have a run pass by a new analysis, as :func:`add_rows`."""
+    (last,) = _latest_rows(place, "analyses", run, "analysis")
+    name = place.store.new_id()
+    made = last | {"analysis": name, "outcome": "pass", "reason": "all limits are met"}
+    measured = {"analysis": name, "value": 0.1, "outcome": "pass"}
+    tables = Base.metadata.tables
+    table = tables["measurements"]
+    with reading(place.engine) as connection:
+        old = (
+            connection.execute(sa.select(table).where(table.c.analysis == last["analysis"]).limit(1)).mappings().one()
+        )
+    add_rows(place, run, [(tables["analyses"], made), (table, dict(old) | measured)], figures=name, mac=mac)
+
+
+def _latest_rows(place, name, run, order):
+    table = Base.metadata.tables[name]
+    found = sa.select(table).where(table.c.run == run).order_by(table.c[order].desc()).limit(1)
+    with reading(place.engine) as connection:
+        return [dict(row) for row in connection.execute(found).mappings()]
 
 
 def judged(repository, run, *, issued=None, outcome=Outcome.PASS):

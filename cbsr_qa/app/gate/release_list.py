@@ -6,7 +6,7 @@ from typing import Final
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.report import Cell, CommandOutcome, Section
+from cbsr_qa.domain.results.report import Banner, Cell, CommandOutcome, Section
 from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.report.page import answer
 from cbsr_qa.report.tables import plural, text_table
@@ -25,15 +25,19 @@ class ListedRelease(Release):
 
 @dataclass(frozen=True, slots=True)
 class ReleaseList:
-    """Releases and withdrawals in the order they were made in."""
+    """Releases and withdrawals in the order they were made in.
+
+    ``unread`` names rows that cannot be read: a release among them is none.
+    """
 
     releases: tuple[ListedRelease, ...]
+    unread: tuple[str, ...] = ()
 
 
 def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
     """List releases. StoreError if there is no database, or it cannot be read."""
     with open_store(database_url(database), create=False) as store:
-        releases = store.all_releases()
+        releases, unread = store.all_releases(), store.name_unread_releases()
     latest = {(one.kind, one.sha256): one.release for one in releases}
     listed = tuple(
         fill_from_object(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases
@@ -44,7 +48,13 @@ def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
         ("when (UTC)", "kind", "name", "SHA-256", "what", "by", "why"),
         [_row(one) for one in listed],
     )
-    outcome = answer(ReleaseList(listed), f"{plural(released, 'content')} released")
+    headline, facts = f"{plural(released, 'content')} released", [("passed over", words) for words in unread]
+    outcome = answer(ReleaseList(listed, unread), headline, "", facts)
+    if unread:
+        banner = Banner(
+            "fail", "✗", headline, f"{plural(len(unread), 'row')} cannot be read: no release is among them"
+        )
+        outcome = replace(outcome, exit_code=1, page=replace(outcome.page, banner=banner))
     return replace(outcome, sections=(Section("Releases", (table,)),)) if listed else outcome
 
 

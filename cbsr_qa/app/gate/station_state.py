@@ -105,7 +105,10 @@ def _is_released(store: Repository | None, file: FileContent) -> bool:
 
 def _state(store: Repository | None, file: FileContent) -> str:
     found = None if store is None else store.latest_release(file.kind, file.sha256)
-    return "not released" if found is None else f"withdrawn by {found.by}"
+    if found is not None:
+        return f"withdrawn by {found.by}"
+    unread = () if store is None else store.name_unread_releases(file.kind, file.sha256)
+    return "; ".join(["not released", *unread])
 
 
 def backlog_sent(asked: Asked) -> Finding:
@@ -117,6 +120,6 @@ def backlog_sent(asked: Asked) -> Finding:
         return Finding(True, "nothing waits")
     backlog = asked.store.backlog()
     words = f"{backlog.words}; the station allows {limit_h:g} h"
-    if not backlog.late(limit_h):
+    if not backlog.late(limit_h) and not backlog.unread:
         return Finding(True, words)
     return Finding(False, words, "send it to the central database", "cbsr-qa db sync")

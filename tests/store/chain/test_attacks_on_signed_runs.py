@@ -1,11 +1,14 @@
 """Somebody writes the database without the key: what he does to signed runs is named, or said to remain."""
 
 import pytest
-from synced import Place, judged, link_again, remove_run, run_of
+from synced import Place, judged, link_again, remove_run, replace_analysis, run_of, withdraw_verdict
 
 from cbsr_qa.app.keeping import check_database
+from cbsr_qa.app.shift.lists import ListRequest, list_runs
+from cbsr_qa.app.shift.report import runs_outcome
 from cbsr_qa.app.sync import synchronise
 from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.opening import open_store
 
 pytestmark = pytest.mark.rest
@@ -153,3 +156,29 @@ def test_a_run_in_the_name_of_another_station_is_told_apart_by_its_key_alone(sta
     assert problem.what.startswith(f"run {forged} is not signed, and run {runs[0]} of its station")
     for one in (centre, other):
         one.engine.dispose()
+
+
+@pytest.mark.parametrize("mac", [None, 64 * "0"], ids=["", "a false signature"])
+@pytest.mark.parametrize("add", [withdraw_verdict, replace_analysis])
+def test_rows_with_links_that_are_not_signed_are_refused_at_the_centre(station, key, tmp_path, add, mac):
+    place, runs = station
+    centre = Place(f"sqlite:///{tmp_path / 'centre.db'}")
+    assert synchronise(place.url, centre.url).exit_code == 0
+    key.delenv("CBSR_QA_SIGNING_KEY")
+    add(centre, runs[1], mac)
+    assert list_altered(centre) == ([runs[1]] if mac is None else [])  # only who has the key can tell a false one
+    key.setenv("CBSR_QA_SIGNING_KEY", KEY)
+    assert list_altered(centre) == [runs[1]]
+    problems = checked(centre).result.problems
+    assert [problem.run for problem in problems] == [runs[1]]
+    assert ("is not signed, unlike its run" if mac is None else "was not signed with key") in problems[0].what
+    centre.engine.dispose()
+
+
+def list_altered(place):
+    """Return the runs that a list marks."""
+    with open_store(place.url) as store:
+        done = runs_outcome(list_runs(store, ListRequest(RunSelection())))
+    altered = [line.run for line in done.result.runs if line.verdict == "altered"]
+    assert done.exit_code == (1 if altered else 0)
+    return altered

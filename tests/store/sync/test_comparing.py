@@ -8,7 +8,7 @@ from datetime import date
 import pytest
 import sqlalchemy as sa
 from stored_runs import SETTING, identity, journalled, short_run
-from synced import assert_all_there, content, judged, link_again, on_both, remove_run, run_of, sent
+from synced import assert_all_there, content, judged, link_again, on_both, remove_run, run_of, sent, withdraw_verdict
 
 from cbsr_qa.app.keeping import check_database
 from cbsr_qa.app.sync import synchronise
@@ -16,8 +16,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.run import RunStarted
 from cbsr_qa.store.chain.check import select_run
-from cbsr_qa.store.chain.links import link_digest
-from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, documents
+from cbsr_qa.store.chain.run_documents import FIGURES, KEYS
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.sync.centre import refusals
 from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
@@ -344,28 +343,6 @@ def run_of_a_recipe(store, recipe):
     for event in short_run(run)[1:]:
         journal(event)
     return run
-
-
-def add_rows(centre, run, rows):
-    """Add rows with links that are right at the centre, as a station's login can."""
-    with writing(centre.engine) as connection:
-        newest = sa.select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
-        number, before = connection.execute(newest.order_by(LinkRow.number.desc()).limit(1)).one()
-        for table, row in rows:
-            connection.execute(sa.insert(table), row)
-            for kind, document, content in [(table.name, *one) for one in documents(table, [row])]:
-                number, before = number + 1, link_digest(before, kind, document, content)
-                link = {"run": run, "number": number, "kind": kind, "document": document, "mac": None}
-                connection.execute(sa.insert(LinkRow), link | {"content_sha256": content, "sha256": before})
-
-
-def withdraw_verdict(centre, run):
-    """Have a run look as if it went on."""
-    table = Base.metadata.tables["run_states"]
-    with writing(centre.engine) as connection:
-        states = sa.select(table).where(table.c.run == run).order_by(table.c.number.desc())
-        last = dict(connection.execute(states.limit(1)).mappings().one())
-    add_rows(centre, run, [(table, last | {"number": last["number"] + 1, "end": "running", "detail": ""})])
 
 
 @on_both
