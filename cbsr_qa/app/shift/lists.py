@@ -163,6 +163,7 @@ class SensorEntry:
     station, operator, end, run : of the last run.
     verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided. ``altered`` if
         a run after it, or it, does not match its chain; ``reason`` then says what does not.
+    overridden_by, overridden_why : operator and reason of the override of that run; None without one.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
     chain : of the last decided run, else of the last one, as of a :class:`RunEntry`.
     """
@@ -180,6 +181,8 @@ class SensorEntry:
     end: EndReason
     verdict: Outcome | Altered | None
     reason: str
+    overridden_by: str | None
+    overridden_why: str | None
     failed_limits: tuple[str, ...]
     first_pass: bool | None
     run: str
@@ -324,6 +327,7 @@ def _unshown(runs: Sequence[ListedRun]) -> list[ListedRun]:
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
     last, settled = runs[-1], select_settled_runs(runs)
     first = [run.passed for run in settled if not run.earlier and not run.altered]
+    decision = settled[-1].decision if settled else None
     verdicts: list[Outcome | Altered | None] = [ALTERED if run.altered else run.verdict for run in settled[-1:]]
     return fill_from_object(
         SensorEntry,
@@ -334,6 +338,8 @@ def _state(runs: Sequence[ListedRun]) -> SensorEntry:
         last=last.started_at,
         verdict=verdicts[0] if verdicts else None,
         reason=settled[-1].reason if settled else "",
+        overridden_by=None if decision is None else decision.operator,
+        overridden_why=None if decision is None else decision.why,
         failed_limits=tuple(key.label for run in settled[-1:] for key in list_failed_limits(run)),
         first_pass=first[0] if first else None,
         chain=(settled[-1] if settled else last).chain.label,

@@ -119,7 +119,7 @@ def _cut(caption: str, count: int) -> str:
 
 
 def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
-    why = run.reason if run.overridden_by is None else f"overridden by {run.overridden_by}: {run.overridden_why}"
+    why = _why(run)
     if run.verdict is None:
         why = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
     return (
@@ -143,8 +143,15 @@ def _sensor_row(sensor: SensorEntry) -> tuple[str | Cell, ...]:
         str(sensor.runs),
         sensor.station,
         _verdict(sensor.verdict, sensor.end, sensor.chain),
-        sensor.reason,
+        _why(sensor),
     )
+
+
+def _why(entry: RunEntry | SensorEntry) -> str:
+    """Return the reason of a verdict in words: of its override, if there is one."""
+    if entry.overridden_by is None:
+        return entry.reason
+    return f"overridden by {entry.overridden_by}: {entry.overridden_why}"
 
 
 def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> Cell:

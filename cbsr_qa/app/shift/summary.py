@@ -98,8 +98,11 @@ def shift_summary(store: Repository, selection: RunSelection) -> ShiftSummary:
 
 
 def summarise_runs(runs: Sequence[ListedRun]) -> ShiftSummary:
-    """Summarise runs that are in the order they were made in; those that checked a station are left out."""
-    runs = [run for run in runs if not run.of_check]
+    """Summarise runs that are in the order they were made in; those that checked a station are left out.
+
+    An altered one is counted as such, though: nobody knows what it was.
+    """
+    runs = [run for run in runs if run.altered or not run.of_check]
     return ShiftSummary(
         _tally("", runs),
         _tally_by(runs, lambda run: run.station),

@@ -173,3 +173,12 @@ def test_plain_runs_lists_the_latest_and_says_how_many_there_are(tmp_path, capsy
     assert "the latest" not in printed("--latest", "53")
     assert len(json.loads(printed("--json"))["runs"]) == LATEST_RUNS + 3
     assert "the latest" not in printed("--station", "bench-α")
+
+
+def test_sensors_say_who_overrode_the_verdict_that_they_show(shift, capsys):
+    url, store, _ = shift
+    sensors = list_sensors(store, ListRequest(RunSelection())).sensors
+    overridden = {one.serial: (one.overridden_by, one.overridden_why) for one in sensors if one.overridden_by}
+    assert overridden == {"D": ("Bob", "scratched"), "E": ("Bob", "draught")}
+    run_guarded(["sensors", "--database", url])
+    assert "overridden by Bob: draught" in " ".join(capsys.readouterr().out.split())

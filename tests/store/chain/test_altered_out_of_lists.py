@@ -272,3 +272,12 @@ def test_an_override_that_cannot_be_read_hides_no_other(moved, capsys, cell, cha
     assert [one["run"] for one in shown["overrides"]] == names[:1]
     assert len(shown["altered"]) == 1
     assert names[1] in shown["altered"][0]
+
+
+def test_an_altered_run_of_a_golden_sensor_is_counted_and_fails_the_list(moved, capsys):
+    path, names = moved
+    change(path, "update analyses set outcome = 'pass' where run = ?", names[3])
+    assert run_guarded(["runs", "--checks", "--json", "--database", f"sqlite:///{path}"]) == 1
+    listed = json.loads(capsys.readouterr().out)
+    golden = {one["run"]: one for one in listed["runs"]}[names[3]]
+    assert (golden["verdict"], golden["of_check"], listed["summary"]["total"]["altered"]) == ("altered", True, 1)
