@@ -1,6 +1,7 @@
 """The central database: whom it accepts, where its runs stand, what it refused."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Final
@@ -17,7 +18,7 @@ from sqlalchemy import (
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.check import digest_documents
-from cbsr_qa.store.damage import address, name_database
+from cbsr_qa.store.damage import OddCellError, address, name_database
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.readable import read_rows_apart
 from cbsr_qa.store.schema import HEAD, Age, read_version, refusal
@@ -76,7 +77,21 @@ def _oldest_sender(engine: Engine) -> str | None:
 
 
 def tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
-    """Return where runs stand at the centre: their last links; None for an unchained one. Unknown runs are absent."""
+    """Return where runs stand at the centre: their last links; None for an unchained one.
+
+    Unknown runs are absent, and so are those of which that cannot be read: the centre then refuses them alone.
+    """
+    try:
+        return _read_tails(engine, runs)
+    except OddCellError:
+        found: dict[str, Tail | None] = {}
+        for run in runs:
+            with suppress(OddCellError):
+                found |= _read_tails(engine, [run])
+        return found
+
+
+def _read_tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
     link, run = LinkRow, RunRow
     newest = select(link.run, func.max(link.number).label("number")).where(link.run.in_(runs)).group_by(link.run)
     last = newest.subquery()

@@ -117,10 +117,11 @@ def list_runs_only_at_centre(station: Engine, centre: Engine, day: date) -> tupl
     A station is one by its name in runs: whoever may add rows at the centre can add a run in the name of any.
     """
     since = datetime.combine(day, time(), UTC)
-    with reading(station) as connection:
-        ours = set(connection.scalars(select(RunRow.run)))
-        names = list(connection.scalars(select(RunRow.station).distinct()))
     run: Any = type_coerce(RunRow.run, NullType())
+    stated: Any = type_coerce(RunRow.station, NullType())
+    with reading(station) as connection, keep_odd_text(connection):
+        ours = set(connection.scalars(select(run)))
+        names = [name for name in connection.scalars(select(stated).distinct()) if isinstance(name, str)]
     later = or_(RunRow.started_at >= since, RunRow.run >= first_id(since))
     theirs = select(run).where(RunRow.station.in_(names), later).order_by(RunRow.run)
     with reading(centre) as connection, keep_odd_text(connection):

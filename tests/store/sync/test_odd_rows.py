@@ -89,3 +89,26 @@ def test_an_odd_name_is_not_announced_again(full, centre):
     sent(full, centre)
     full.change("UPDATE releases SET release_id = x'ff'")
     assert sent(full, centre, compare_since=DAY).unread == []
+
+
+@on_both
+def test_an_odd_link_at_the_centre_stops_its_run_alone(station, centre):
+    first = run_of(station.store)
+    sent(station, centre)
+    odd = "decode('31', 'hex')" if centre.url.startswith("postgresql") else "x'31'"
+    centre.change(
+        "INSERT INTO run_links (run, number, kind, document, content_sha256, sha256)"
+        f" VALUES ('{first}', 900, 'loads', '9/9', {odd}, {odd})"
+    )
+    second = run_of(station.store, "S-2")
+    done = sent(station, centre, compare_since=DAY)
+    assert [entry.item for entry in done.quarantined] == [first]
+    assert centre.said("SELECT run FROM runs ORDER BY run") == [(first,), (second,)]
+
+
+def test_an_odd_station_does_not_end_the_comparison(station, centre):
+    run_of(station.store)
+    second = run_of(station.store, "S-2")
+    sent(station, centre)
+    station.change(f"UPDATE runs SET station = x'ff' WHERE run = '{second}'")
+    assert [entry.item for entry in sent(station, centre, compare_since=DAY).quarantined] == [second]
