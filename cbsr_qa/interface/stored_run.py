@@ -90,7 +90,7 @@ class Run(Result[RunOutcome]):
 
     def measurements(self) -> "pd.DataFrame":
         """Return the measurements, one a row; see :meth:`Database.measurements`."""
-        return table_of(self._url, ListRequest(self._only), ExportTable.MEASUREMENTS)
+        return table_of(self._url, ListRequest(self._only, latest=1), ExportTable.MEASUREMENTS)
 
     def frames(self, phase: str | None = None) -> "xr.Dataset":
         """Return frames with coordinates and units: the content of ``cbsr-qa export RUN --to frames.nc``.

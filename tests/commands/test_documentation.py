@@ -15,7 +15,7 @@ from demo_fleet import demo_fleet
 from pages import HOW_TO, SHORTENED, TOP, TYPED, assert_printed, blocks, commands, typed, write_files
 
 import cbsr_qa as qa
-from cbsr_qa import cli
+from cbsr_qa.cli import command as cli
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.eit.forward.closed_forms import ring_readings

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 from force_calibration import force_calibration
+from stored_lots import judged, measured, store_run
 from stored_runs import journalled, short_run
 
 import cbsr_qa as qa
@@ -58,6 +59,16 @@ def test_tables_have_the_columns_of_exported_ones(stored):
     assert len(qa.open_database(database).measurements()) == 0
     with pytest.raises(qa.CbsrError, match="S-2"):
         qa.open_database(database).runs(serial="S-2")
+
+
+def test_measurements_of_a_run_are_of_no_earlier_one(tmp_path):
+    random, url = np.random.default_rng(5), f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        names = [store_run(store, serial, judged(measured(random, np.zeros(3)))) for serial in ("S-1", "S-2")]
+    for run in names:
+        values = qa.open_database(url).run(run).measurements()
+        assert set(values["run"]) == {run}
+        assert len(values) == 12
 
 
 def test_frames_are_the_content_of_the_exported_file(stored, tmp_path):

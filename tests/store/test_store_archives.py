@@ -203,7 +203,7 @@ def test_an_archived_run_keeps_its_database_from_an_earlier_schema(kept):
         assert bits(store, run) == before
 
 
-STEPS = ("check_run", "write_archive", "_verified", "place_of", "insert", "_empty", "update")
+STEPS = ("check_run", "write_archive", "_verify", "place_of", "insert", "_empty", "update")
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, module, name, call)
         assert bits(store, run) == before
 
 
-@pytest.mark.parametrize(("name", "call"), [("checked_bytes", 0), ("update", 0), ("update", 2), ("delete", 0)])
+@pytest.mark.parametrize(("name", "call"), [("read_checked", 0), ("update", 0), ("update", 2), ("delete", 0)])
 def test_a_kill_while_frames_come_back_loses_nothing(kept, name, call):
     path, run, before = kept
     with open_store(f"sqlite:///{path}") as store:

@@ -30,7 +30,7 @@ def request_of_run(tmp_path, monkeypatch):
 @pytest.fixture
 def told(monkeypatch):
     """What the instruments are told, in order: (instrument, method)."""
-    opened, made, calls = setup._opened, [], []
+    opened, made, calls = setup._open_instrument, [], []
 
     def noted(spec, *rest):
         made.append(spec.role)

@@ -24,7 +24,7 @@ class Talker:
         self.heard = []
         self.says = {}
 
-    def received(self, data):
+    def receive(self, data):
         said = b""
         for line in data.decode().splitlines():
             self.heard.append(line)

@@ -44,7 +44,7 @@ class Stranger:
     def __init__(self, question, answer):
         self.question, self.answer = question, answer
 
-    def received(self, data):
+    def receive(self, data):
         return self.answer if self.question in data else b""
 
     def misbehave(self, fault):

@@ -17,7 +17,7 @@ class Echo:
     def __init__(self):
         self.faults = []
 
-    def received(self, data):
+    def receive(self, data):
         return b"<" + data + b">"
 
     def misbehave(self, fault):
@@ -124,7 +124,7 @@ def test_an_instrument_that_fails_hangs_up_and_says_why(line):
     def broken(data):
         raise ValueError(data)
 
-    echo.received = broken
+    echo.receive = broken
     driver.write(b"a")
     with pytest.raises((serial.SerialException, OSError)):
         until_it_fails(driver)

@@ -19,8 +19,8 @@ from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 def fault_at(station, fault, at):
     """Let a fault meet the exchange of this number from now on; what counts them."""
     faults, count = station.emulation.ports["applicator"].faults, iter(range(10**6))
-    met = faults.take
-    faults.met = lambda: fault if next(count) == at else met()
+    take = faults.take
+    faults.take = lambda: fault if next(count) == at else take()
     return count
 
 
@@ -69,7 +69,7 @@ class KeptWaiting:
     def __init__(self, printer, send, lasting, seconds):
         self.printer, self.send, self.lasting, self.seconds = printer, send, lasting, seconds
 
-    def received(self, data):
+    def receive(self, data):
         if self.lasting in data:
             left_s = self.seconds
             while left_s > 0:
