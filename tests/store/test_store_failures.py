@@ -150,7 +150,7 @@ def test_a_folder_in_place_of_a_file_and_one_that_cannot_be_made_are_named(tmp_p
     assert "is a folder, not a database\nname a file in it" in refused(tmp_path / "runs.db")
     assert list((tmp_path / "runs.db").iterdir()) == []
     (tmp_path / "a file").touch()
-    assert "its folder cannot be created" in refused(tmp_path / "a file" / "runs.db")
+    assert "a file is not a folder" in refused(tmp_path / "a file" / "runs.db")
 
 
 def test_a_locked_database_says_so_after_waiting(filled, monkeypatch):

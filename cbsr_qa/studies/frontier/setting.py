@@ -139,7 +139,7 @@ class Setting:
         return [{**phase, **own[phase["name"]]} for phase in base if phase["name"] in own]
 
 
-def test_loads_phase(count: int) -> dict[str, Any]:
+def phase_of_test_loads(count: int) -> dict[str, Any]:
     """Return the phase of random loads used to test simulated sensors, pressed as in the base (and the paper)."""
     (check,) = (phase for phase in copy_shipped(DocumentKind.RECIPE, BASE)["phases"] if phase["name"] == CHECK)
     return {**check, "name": HELD_OUT, "stream": "held-out", "count": count, "initial_rest_s": 0.0}

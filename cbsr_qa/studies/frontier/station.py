@@ -28,7 +28,7 @@ from cbsr_qa.studies.frontier.setting import (
     LEAST_SURE,
     SUNFLOWER,
     Setting,
-    test_loads_phase,
+    phase_of_test_loads,
 )
 from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, select_loads
 from cbsr_qa.studies.sweep import Work
@@ -140,7 +140,7 @@ class _Simulated:
 
     def __init__(self, setting: Setting, seed: int, *, whole_holds: bool) -> None:
         recipe = setting.recipe()
-        recipe["phases"].append(test_loads_phase(TEST_LOADS))
+        recipe["phases"].append(phase_of_test_loads(TEST_LOADS))
         self._record, self._design = simulate_sensor(recipe, seed, setting.frame_period_s, whole_holds)
         run = analyse_run(self._record, analysis_of(recipe))
         self._seen = {(setting.hold_s, setting.steady_frames): select_loads(run, lambda load: load.phase != HELD_OUT)}

@@ -13,7 +13,7 @@ from cbsr_qa.config.text import toml_document
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.setup import plan_of
-from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, sunflower_mm, test_loads_phase
+from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, sunflower_mm, phase_of_test_loads
 from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
@@ -127,7 +127,7 @@ def test_the_places_of_the_shipped_campaign_are_the_sunflower_of_thirty():
 
 def test_held_out_loads_are_drawn_by_themselves():
     document = Setting(4).recipe("tried")
-    document["phases"].append(test_loads_phase(7))
+    document["phases"].append(phase_of_test_loads(7))
     walked = dry_run(planned(document), 2.5)
     assert walked.violations == ()
     assert walked.phases[-1].scheduled.loads == 7
