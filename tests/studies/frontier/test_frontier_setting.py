@@ -13,7 +13,7 @@ from cbsr_qa.config.text import toml_document
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.setup import plan_of
-from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, sunflower_mm, phase_of_test_loads
+from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, phase_of_test_loads, sunflower_mm
 from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
