@@ -102,7 +102,7 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         stopped = store_run(store, "S-7", good, batch="42", recipe="nine-locations", end=EndReason.ABORTED)
         golden = store_run(store, "S-7", good, batch="", recipe="golden-check")
         at = datetime(2026, 11, 22, tzinfo=UTC)
-        store.save_station_check(StationCheck(store.new_id(), "b", "", at, "t", 64 * "a", (), (), (), golden))
+        store.save_station_check(StationCheck(store.new_id(), "bench-α", "", at, "t", 64 * "a", (), (), (), golden))
         last = store_run(store, "S-7", good, batch="42", recipe="nine-locations")
         store_run(store, "S-8", bad, recipe="nine-locations")
         for outcome in (Outcome.PASS, Outcome.FAIL):
