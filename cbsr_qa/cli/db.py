@@ -154,7 +154,7 @@ def changes(database: Database = None, as_json: AsJson = False) -> None:
     raise typer.Exit(show(list_changes(database), as_json=as_json))
 
 
-@command("db sync", prints="cbsr_qa.app.sync:Synchronised")
+@command("db sync", prints="cbsr_qa.app.sync_outcome:Synchronised")
 def sync(
     to: Annotated[
         str | None, typer.Option(metavar="URL|FILE", help="Central database; by default CBSR_QA_CENTRE.")

@@ -1,14 +1,12 @@
-"""``cbsr-qa gate``, ``release`` and ``station pin``: what the checks before a run say, and what they rest on."""
+"""``cbsr-qa gate``, ``release`` and ``releases``: what the checks before a run say, and what they rest on."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database
-from cbsr_qa.cli.output import read_pin, show
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.cli.output import show
 
 
 @command("gate", prints="cbsr_qa.app.gate.shown:GateShown")
@@ -69,34 +67,3 @@ def releases(database: Database = None, as_json: AsJson = False) -> None:
     from cbsr_qa.app.gate.release_list import list_releases
 
     raise typer.Exit(show(list_releases(database), as_json=as_json))
-
-
-@dataclass(frozen=True, slots=True)
-class PinLine:
-    """A salted hash of a PIN, as the key ``pin`` of an operator in the station file."""
-
-    pin: str
-
-
-@command("station pin", prints="cbsr_qa.cli.gate:PinLine")
-def pin(as_json: AsJson = False) -> None:
-    """Ask for a PIN and print its salted hash, a line for the operator in the station file.
-
-    The PIN is typed twice at the terminal, or read from the first line of standard input.
-    """
-    import sys
-
-    from cbsr_qa.report.page import answer
-    from cbsr_qa.system.pins import hash_pin, pin_allowed
-
-    given = read_pin("New PIN")
-    if not pin_allowed(given):
-        remedy = "allowed: 4 to 64 printable characters, without a space at either end"
-        raise ConfigError("the PIN cannot be used", remedy=remedy)
-    if sys.stdin is not None and sys.stdin.isatty() and read_pin("The same PIN again") != given:
-        raise ConfigError("the two PINs differ", remedy="try again")
-    line = PinLine(hash_pin(given))
-    show(
-        answer(line, "add this to the operator's [[gate.operators]] table", "", (), (("pin", f'= "{line.pin}"'),)),
-        as_json=as_json,
-    )

@@ -2,6 +2,8 @@
 
 import getpass
 import signal
+import sys
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
@@ -9,7 +11,7 @@ import typer
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, read_pin, show
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import ConfigError, RefusedError
 
 group("station", "Check stations, and pause or stop the runs at them.")
 
@@ -121,3 +123,32 @@ def _send_signals(station: str, do: str) -> bool:
     signals = {"stop": (signal.SIGTERM,), "emergency": (signal.SIGTERM, signal.SIGINT)}.get(do, ())
     holder = station_holder(station)
     return holder is not None and bool(signals) and all(map(holder.send, signals))
+
+
+@dataclass(frozen=True, slots=True)
+class PinLine:
+    """A salted hash of a PIN, as the key ``pin`` of an operator in the station file."""
+
+    pin: str
+
+
+@command("station pin", prints="cbsr_qa.cli.station:PinLine")
+def pin(as_json: AsJson = False) -> None:
+    """Ask for a PIN and print its salted hash, a line for the operator in the station file.
+
+    The PIN is typed twice at the terminal, or read from the first line of standard input.
+    """
+    from cbsr_qa.report.page import answer
+    from cbsr_qa.system.pins import hash_pin, pin_allowed
+
+    given = read_pin("New PIN")
+    if not pin_allowed(given):
+        remedy = "allowed: 4 to 64 printable characters, without a space at either end"
+        raise ConfigError("the PIN cannot be used", remedy=remedy)
+    if sys.stdin is not None and sys.stdin.isatty() and read_pin("The same PIN again") != given:
+        raise ConfigError("the two PINs differ", remedy="try again")
+    line = PinLine(hash_pin(given))
+    show(
+        answer(line, "add this to the operator's [[gate.operators]] table", "", (), (("pin", f'= "{line.pin}"'),)),
+        as_json=as_json,
+    )

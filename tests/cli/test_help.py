@@ -20,6 +20,14 @@ def test_help_shows_no_types_of_python_and_no_markup(capsys, words):
     assert not re.search(r"<\w+(\[\w+\])?>|<class|\bstr\b|\bfloat\b|list\[|range\b.*\[|%Y|x>=|<=x|`", out), out
 
 
+def test_a_module_named_as_a_word_declares_all_commands_that_begin_with_it():
+    """A command line imports no other one."""
+    declared = {command.words: command.run.__module__.removeprefix("cbsr_qa.cli.") for command in commands()}
+    alone = {words.partition(" ")[0] for words, module in declared.items() if words.partition(" ")[0] == module}
+    assert "station" in alone
+    assert {words: module for words, module in declared.items() if words.partition(" ")[0] in alone - {module}} == {}
+
+
 def test_help_lists_run_first_and_then_what_follows_a_run(capsys):
     assert run_guarded(["--help"]) == 0
     listed = re.findall(r"^│ (run|report|export|analyse|schema) ", capsys.readouterr().out, re.MULTILINE)

@@ -1,0 +1,100 @@
+"""Rows read cell by cell: one with a cell that its column cannot hold is passed over and named, the others are read.
+
+One such row would end any query that meets it. SQLite keeps bytes in a column of text, and PostgreSQL has moments
+that no calendar has (``infinity``); anybody who may add rows can store one.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, select
+
+from cbsr_qa.store.damage import FOREIGN_CELL, cell_reader, raw_cell
+from cbsr_qa.store.tables.runs import Base
+
+#: Longest text of a cell in a message.
+_LONGEST: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class OddRow:
+    """A row with a cell that its column cannot hold.
+
+    Parameters
+    ----------
+    words : table, key and cell.
+    cells : those that can be read.
+    """
+
+    words: str
+    cells: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RowsApart:
+    """Rows of one table in the order of their keys, as the columns have them, and those that cannot be read."""
+
+    rows: tuple[dict[str, Any], ...]
+    odd: tuple[OddRow, ...]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        return tuple(row.words for row in self.odd)
+
+
+def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnElement[bool]) -> RowsApart:
+    """Read rows of a table; those with an odd cell are set apart.
+
+    Parameters
+    ----------
+    wanted : conditions, compared with the cells as they are stored.
+    """
+    table = Base.metadata.tables[model.__tablename__]
+    readers = {column.name: cell_reader(connection, column) for column in table.columns}
+    cells = select(*(raw_cell(connection, column) for column in table.columns))
+    rows: list[dict[str, Any]] = []
+    odd: list[OddRow] = []
+    with keep_odd_text(connection):
+        stored = connection.execute(cells.where(*wanted).order_by(*table.primary_key)).mappings().all()
+    for row in stored:
+        values: dict[str, Any] = {}
+        unread: list[str] = []
+        for name, read in readers.items():
+            try:
+                values[name] = read(row[name])
+            except FOREIGN_CELL:
+                unread.append(name)
+        if unread:
+            key = ", ".join(f"{column.name} {_quote(row[column.name])}" for column in table.primary_key)
+            held = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread)
+            odd.append(OddRow(f"{table.name} ({key}): {held}, which is not a value of that column", values))
+        else:
+            rows.append(values)
+    return RowsApart(tuple(rows), tuple(odd))
+
+
+@contextmanager
+def keep_odd_text(connection: Connection) -> Iterator[None]:
+    """Have text that is not UTF-8 come as bytes, which no column of text holds; only SQLite stores such text."""
+    if connection.dialect.name != "sqlite":
+        yield
+        return
+    driver: Any = connection.connection.dbapi_connection
+    before, driver.text_factory = driver.text_factory, _decode
+    try:
+        yield
+    finally:
+        driver.text_factory = before
+
+
+def _decode(text: bytes) -> str | bytes:
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text
+
+
+def _quote(cell: Any) -> str:
+    return (cell if isinstance(cell, str) else repr(cell))[:_LONGEST]

@@ -1,0 +1,79 @@
+"""Runs of which a cell cannot be read are set apart, so that the others of a list are read all the same."""
+
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from typing import Any, Final, TypeVar
+
+from sqlalchemy import JSON, Connection, Integer, select
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.chain.check import unreadable
+from cbsr_qa.store.chain.run_documents import list_covered
+from cbsr_qa.store.damage import FOREIGN_CELL, cell_reader, raw_cell
+from cbsr_qa.store.tables.runs import Base, RunRow
+from cbsr_qa.store.types import Instant, time_of_id
+
+_T = TypeVar("_T")
+_NEVER: Final = datetime.fromtimestamp(0, UTC)
+#: Longest text that stands for a cell of another type.
+_LONGEST: Final = 64
+
+
+def read_apart(
+    connection: Connection,
+    runs: Sequence[str],
+    read: Callable[[Sequence[str]], _T],
+    instead: Callable[[str, str], _T],
+) -> Iterator[_T]:
+    """Read runs at once; where that fails, halve them until those that cannot be read are alone.
+
+    Parameters
+    ----------
+    read : reads some runs.
+    instead : gives what stands for a run that cannot be read, from its name and what is wrong.
+
+    Yields
+    ------
+    What was read of some of the runs, in their order.
+    """
+    if not runs:
+        return
+    try:
+        found = read(runs)
+    except (*FOREIGN_CELL, StoreError) as error:
+        if len(runs) == 1:
+            yield instead(runs[0], problem_of(connection, runs[0], error))
+            return
+        half = len(runs) // 2
+        for some in (runs[:half], runs[half:]):
+            yield from read_apart(connection, some, read, instead)
+    else:
+        yield found
+
+
+def problem_of(connection: Connection, run: str, error: Exception) -> str:
+    """Return in words why a run cannot be read: the cell that its column cannot hold, or the error."""
+    found = error if isinstance(error, StoreError) else unreadable(connection, run, error)
+    return found.reason if run in found.reason else f"run {run}: {found.reason}"
+
+
+def readable_values(connection: Connection, run: str) -> dict[str, Any]:
+    """Return what can be shown of the row of a run; something of the right type stands for cells that cannot."""
+    table = Base.metadata.tables[RunRow.__tablename__]
+    columns = list_covered(table)
+    query = select(*(raw_cell(connection, column) for column in columns)).where(RunRow.run == run)
+    cells = connection.execute(query).one()
+    return {column.name: _value(connection, column, run, cell) for column, cell in zip(columns, cells, strict=True)}
+
+
+def _value(connection: Connection, column: Any, run: str, cell: Any) -> Any:
+    try:
+        return cell_reader(connection, column)(cell)
+    except FOREIGN_CELL:
+        if isinstance(column.type, Instant):
+            return time_of_id(run) or _NEVER
+        if isinstance(column.type, JSON):
+            return []
+        if isinstance(getattr(column.type, "impl", column.type), Integer):
+            return None
+        return str(cell)[:_LONGEST]

@@ -1,0 +1,110 @@
+"""Connections that have not shown the token: they are read in turn, a few at a time, and share a few places.
+
+A client that shows the token is read at once, and takes no place of theirs. So the work that they cause between an
+emergency stop and its answer is bounded, and does not grow with their number.
+"""
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from typing import Final, Protocol
+
+from cbsr_qa.web.guard import Right
+from cbsr_qa.web.line import MOST_LOOKERS
+
+#: Places of connections without a right, and of those that may only look.
+PLACES: Final = {Right.NONE: 64, Right.LOOK: MOST_LOOKERS + 64}
+#: Above so many, even new ones make room.
+MOST_NEW: Final = 384
+#: Above so many, they make room at once.
+_CROWD: Final = 640
+#: Between looks whether some have to make room [s].
+LOOK_S: Final = 0.25
+#: A connection that was not there at so many looks makes no room for another: its request may be on its way. The
+#: looks are counted, and not the time, as a busy server looks less often.
+_NEW_LOOKS: Final = 4
+#: How many are read from before the loop looks after the others again.
+_READ_AT_ONCE: Final = 8
+
+
+class WaitingConnection(Protocol):
+    """A connection, as far as its turn and its place are concerned.
+
+    Attributes
+    ----------
+    opened_s : when, by the clock of the loop [s].
+    looks : how many there have been since.
+    """
+
+    client_name: str
+    opened_s: float
+    looks: int
+
+    @property
+    def right(self) -> Right: ...
+
+    @property
+    def is_answering(self) -> bool: ...
+
+    def take_turn(self) -> None: ...
+
+    def leave(self) -> None: ...
+
+
+class Turns:
+    """The turns and places of connections of one server.
+
+    Parameters
+    ----------
+    shows_token : whether what a client sent shows that it has the token.
+    """
+
+    def __init__(self, shows_token: Callable[[bytes], bool]) -> None:
+        self.shows_token = shows_token
+        self._queue: deque[WaitingConnection] = deque()
+        self._look: asyncio.TimerHandle | None = None
+        self._soon = False
+
+    def queue(self, connection: WaitingConnection) -> None:
+        """Have a connection read from when it is its turn."""
+        self._queue.append(connection)
+        if len(self._queue) == 1:
+            asyncio.get_running_loop().call_soon(self._give_turns)
+
+    def _give_turns(self) -> None:
+        loop = asyncio.get_running_loop()
+        for _ in range(min(_READ_AT_ONCE, len(self._queue))):
+            loop.call_soon(self._queue.popleft().take_turn)
+        if self._queue:
+            loop.call_soon(self._give_turns)
+
+    def look_after(self, connections: Iterable[WaitingConnection]) -> None:
+        """See to it that there is a look at places soon, after a connection was opened."""
+        loop = asyncio.get_running_loop()
+        held = list(connections)
+        if self._look is None:
+            self._look = loop.call_later(LOOK_S, self._look_at, connections)
+        if len(held) > _CROWD and not self._soon:
+            self._soon = True
+            loop.call_soon(self._make_room, held)
+
+    def _look_at(self, connections: Iterable[WaitingConnection]) -> None:
+        held = list(connections)
+        for one in held:
+            one.looks += 1
+        self._make_room(held)
+        self._look = asyncio.get_running_loop().call_later(LOOK_S, self._look_at, connections) if held else None
+
+    def _make_room(self, held: Iterable[WaitingConnection]) -> None:
+        """Close the oldest connections of the client that has most, until those that may not control have room."""
+        self._soon = False
+        for right, places in PLACES.items():
+            peers = [one for one in held if one.right == right]
+            if len(peers) <= places:
+                continue
+            by_client = Counter(one.client_name for one in peers)
+            peers.sort(key=lambda one: (one.is_answering, -by_client[one.client_name], one.opened_s))
+            old = [one for one in peers if one.looks >= _NEW_LOOKS]
+            new = [one for one in peers if one.looks < _NEW_LOOKS]
+            for one in [*old[: len(peers) - places], *new[: max(len(new) - MOST_NEW, 0)]]:
+                one.leave()
