@@ -57,6 +57,8 @@ def ordered(rows: Iterable[str]) -> list[str]:
 def _cell(name: str, cell: object) -> str:
     if name == "compute_s":  # how long this computer took
         return "<s>"
+    if isinstance(cell, bytes) and len(cell) == 32:  # of links and seals: they cover identities and times
+        return "<digest>"
     if isinstance(cell, bytes):
         return f"blob {hashlib.sha1(cell).hexdigest()}"
     # Digests that cover neither identities nor times are compared: shortened, they escape the mask.

@@ -23,6 +23,7 @@ MASKS: Final = tuple(
         (rf"-{_HEX}{{8}}(?=\.html)", "-<digest>"),
         # How long this computer took: `"compute_s": [["imaging", 1.2]]`, "4.3 s of computing".
         (rf"{_SPAN} of computing", "<s> of computing"),
+        (rf"{_SPAN} to compute the result", "<s> to compute the result"),
         (rf"computing took {_SPAN}", "computing took <s>"),
         (r'(<div role="img" aria-label="[^"]*computing took[^"]*">)(\s|.)*?</svg>', r"\1 <a figure of times>"),
         (r"(?m)^[^\n:]+: \d+ s \((\d+) of (\d+)\)$", r"<one of them>: <s> (\1 of \2)"),
