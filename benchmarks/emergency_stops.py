@@ -1,8 +1,8 @@
-"""Emergency stops at the page of a line while strangers keep its server busy: how long each takes.
+"""Emergency stops at the page of a line while clients without the token keep its server busy: how long each takes.
 
 ``python -m benchmarks.emergency_stops``
 
-No run is in progress: the time is that of the page, without the run's own. Strangers are a process of their own. Each
+No run is in progress: the time is that of the page, without the run's own. The clients run in another process. Each
 of their connections sends a whole request, reads the answer, sends the next request letter by letter, and opens again
 as soon as it is closed. With ``--much`` it sends 250 kB at once and opens again after a second without an answer: the
 beginning of a head (``head``), many requests (``requests``), or requests with many short headers (``headers``). With
@@ -36,11 +36,11 @@ _CERTIFY: Final = (
     "openssl req -x509 -newkey rsa:2048 -nodes -keyout line.key -out line.pem -days 2 -subj /CN=localhost"
     " -addext subjectAltName=DNS:localhost,IP:127.0.0.1"
 )
-#: Between letters of a stranger, and before it opens a connection again that was refused [s].
+#: Between letters of a client, and before it opens a connection again that was refused [s].
 _DRIP_S: Final = 0.5
 _AGAIN_S: Final = 0.05
 _GOAL_S: Final = 1.0
-#: What a stranger sends at once, and how long it waits for an answer.
+#: What a client sends at once, and how long it waits for an answer.
 _MUCH: Final = 250_000
 _PATIENCE_S: Final = 1.0
 _HELLO: Final = bytes.fromhex("16030102000100")  # the beginning of a handshake of TLS
@@ -111,7 +111,7 @@ class Line:
 
 
 async def _drip(port: int) -> None:
-    """Keep one connection of a stranger open."""
+    """Keep one connection of a client open."""
     while True:
         with suppress(OSError):
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -133,7 +133,7 @@ async def _drip(port: int) -> None:
 
 
 def _requests(port: int, much: str) -> bytes:
-    """Return what a stranger sends at once."""
+    """Return what a client sends at once."""
     request = f"GET /static/line.css HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
     if much == "head":
         return f"{request}A: {'b' * _MUCH}".encode()
@@ -241,7 +241,7 @@ def row(chosen: argparse.Namespace, taken: Sequence[float | None]) -> Row:
     """Return what was measured against what was asked."""
     answered = sorted(one for one in taken if one is not None)
     failures = len(taken) - len(answered)
-    strangers = (
+    clients = (
         f"{chosen.stalled} handshakes of TLS stalled {'after' if chosen.hello else 'within'} their hello,"
         f" {chosen.files or 'any number of'} files"
         if chosen.stalled
@@ -252,7 +252,7 @@ def row(chosen: argparse.Namespace, taken: Sequence[float | None]) -> Row:
     )
     late = sum(one > _GOAL_S for one in answered)
     return Row(
-        f"{len(taken)} emergency stops, {strangers}, {chosen.busy} busy loops on {os.cpu_count()} cores",
+        f"{len(taken)} emergency stops, {clients}, {chosen.busy} busy loops on {os.cpu_count()} cores",
         f"≤ {_GOAL_S:g} s",
         f"{times}, {late} later, {failures} failed",
         met=not (late or failures),
@@ -262,11 +262,11 @@ def row(chosen: argparse.Namespace, taken: Sequence[float | None]) -> Row:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Attack a line, and print a row."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.emergency_stops", description=__doc__)
-    parser.add_argument("--connections", type=int, default=400, help="of strangers, that drip")
+    parser.add_argument("--connections", type=int, default=400, help="of clients without the token, that drip")
     parser.add_argument("--much", choices=("head", "requests", "headers"), help="that they send instead")
     parser.add_argument("--look", nargs="+", default=[], metavar="PATH", help="pages that they ask for instead")
     parser.add_argument("--database", help="whose runs are shown then")
-    parser.add_argument("--tls", action="store_true", help="with --stalled always; strangers with --much as well")
+    parser.add_argument("--tls", action="store_true", help="with --stalled always; clients with --much as well")
     parser.add_argument("--stalled", type=int, default=0, help="handshakes of TLS instead of them")
     parser.add_argument("--hello", action="store_true", help="of stalled handshakes is whole")
     parser.add_argument("--files", type=int, help="most files that the server may have open")

@@ -1,4 +1,4 @@
-"""The door for plugins: hooks, Protocols, instruments, and how plugins are found."""
+"""What a plugin imports: hooks, Protocols, options, serial links, and the words of the domain that they use."""
 
 from cbsr_qa.domain.errors import (
     CbsrError as CbsrError,

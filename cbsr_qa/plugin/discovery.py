@@ -138,7 +138,7 @@ class Plugins:
             try:
                 with come_back_once():
                     answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
-            except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
                 answers[number] = None, describe_error(error)
 
         threads = [threading.Thread(target=call, args=(n,), daemon=True) for n in range(len(implementations))]
@@ -173,7 +173,7 @@ class Plugins:
         try:
             with come_back_once():
                 module = point.load()
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             self.failures.append(PluginFailure(distribution, point.name, failure(error)))
         else:
             self.add(module, distribution, version, point.name)
@@ -196,7 +196,7 @@ class Plugins:
             if hook is not None:
                 with come_back_once():
                     hook(register)
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             if self.manager.is_registered(plugin):
                 self.manager.unregister(plugin)
             self.failures.append(PluginFailure(distribution, entry_point, failure(error)))

@@ -207,7 +207,7 @@ def _section_shown(section: ReportSection, result: RunResult | RecordingResult, 
             if content is None:
                 return None
             return _prepare(replace(content, blocks=limit_blocks(content.blocks)), anchor)
-    except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+    except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
         return f"The report section {type(section).__name__} failed and is left out: {failure(error)}"
 
 

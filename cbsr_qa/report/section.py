@@ -83,6 +83,6 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
         try:
             with come_back_once():
                 sections.append(plugins.factory(Kind.SECTION, name)())
-        except BaseException as error:  # noqa: BLE001 - a stranger's constructor may raise anything
+        except BaseException as error:  # noqa: BLE001 - a plugin's constructor may raise anything
             missing.append(f"The report section {name} is left out: {failure(error)}")
     return sections, missing

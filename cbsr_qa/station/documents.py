@@ -90,7 +90,7 @@ class Documents:
                 listener(event)
             except AbortedError:  # it stops the run, and names the cause
                 raise
-            except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
                 reason = failure(error)
                 self._listeners.remove(listener)
                 self._warn(f"{_name(listener)} failed and receives no further events: {reason}")

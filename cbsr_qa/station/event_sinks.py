@@ -138,7 +138,7 @@ class Delivery:
             else:
                 self._pause(pause_s)
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
-        with suppress(BaseException), come_back_once():  # a stranger's code may raise anything
+        with suppress(BaseException), come_back_once():  # a plugin's code may raise anything
             self._sink.close()
 
     def _wait_for_batch(self) -> list[Message]:
@@ -158,7 +158,7 @@ class Delivery:
         try:
             with come_back_once():
                 self._sink.deliver(batch)
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             why = describe_error(error)
             if not (isinstance(error, DeliveryError) and error.final):
                 with self._changed:

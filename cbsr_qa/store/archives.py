@@ -119,7 +119,7 @@ def read_checked(connection: Connection, run: str) -> bytes | None:
             size_bytes = os.fstat(archive.fileno()).st_size
             if size_bytes != row.file_bytes:  # before gigabytes are read
                 why = f"it has {size_bytes} bytes, {row.file_bytes} were written"
-                raise _changed_error(run, file, why)
+                raise _alteration_error(run, file, why)
             data = archive.read(size_bytes)
     except OSError as error:
         raise StoreError(
@@ -127,11 +127,11 @@ def read_checked(connection: Connection, run: str) -> bytes | None:
             remedy="put the file back there, from a copy if need be",
         ) from error
     if hashlib.sha256(data).hexdigest() != row.file_sha256:
-        raise _changed_error(run, file, "it does not match its digest")
+        raise _alteration_error(run, file, "it does not match its digest")
     return data
 
 
-def _changed_error(run: str, file: Path, why: str) -> StoreError:
+def _alteration_error(run: str, file: Path, why: str) -> StoreError:
     return StoreError(
         f"run {run}: its frames are archived in {file}, which was changed: {why}",
         remedy="put the file back as it was, from a copy",

@@ -18,7 +18,6 @@ from cbsr_qa.domain.run.changes import (
 )
 from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.store.apart import read_apart
 from cbsr_qa.store.chain.check import RESTORE, check_run
 from cbsr_qa.store.chain.links import add_rows, few_links
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
@@ -33,6 +32,7 @@ from cbsr_qa.store.runs.verdicts import verdict_of
 from cbsr_qa.store.tables.records import ConfigurationChangeRow, LinkRow, VerdictOverrideRow
 from cbsr_qa.store.tables.results import AdoptionRow, AnalysisRow, ReanalysisRow
 from cbsr_qa.store.tables.runs import Base, RunRow
+from cbsr_qa.store.unreadable_runs import read_apart
 
 _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
 

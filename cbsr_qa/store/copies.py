@@ -234,7 +234,7 @@ def _hold_unused(database: Path) -> Iterator[None]:
     for lock in sorted(database.parent.glob(f"{glob.escape(database.name)}-*.lock")):
         if (who := holder(lock)) is not None:
             name = lock.name.removeprefix(f"{database.name}-").removesuffix(".lock")
-            raise _in_use_error(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
+            raise _busy_error(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
     if not database.exists():
         yield
         return
@@ -245,11 +245,11 @@ def _hold_unused(database: Path) -> Iterator[None]:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, length, first)
         except OSError as error:
-            raise _in_use_error(database, "a page, a run or another program has it open") from error
+            raise _busy_error(database, "a page, a run or another program has it open") from error
         yield
 
 
-def _in_use_error(database: Path, who: str) -> StoreError:
+def _busy_error(database: Path, who: str) -> StoreError:
     return StoreError(
         f"database {database} is in use: {who}; {_UNCHANGED}",
         remedy="end runs and cbsr-qa serve, and whatever else reads it, then restore again",

@@ -63,7 +63,7 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
             one.validate()
             if one.analysis:
                 places[one.analysis] = len(runs)
-            known.append(_known_content(line, one))
+            known.append(_link_content(line, one))
             runs.append(line)
         kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
@@ -110,7 +110,7 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
     )
 
 
-def _known_content(line: RunLine, one: StoredVerdict) -> Known | None:
+def _link_content(line: RunLine, one: StoredVerdict) -> Known | None:
     """Return what the link of a run's measured values covers besides them; None for one without link or result."""
     if not one.analysis or not one.chain.chained:
         return None

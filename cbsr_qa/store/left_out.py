@@ -14,12 +14,12 @@ from sqlalchemy import ColumnElement, Connection, select, type_coerce
 from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.results.fleet import RunSelection
-from cbsr_qa.store.apart import read_apart
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.selected import Conditions, conditions
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.types import first_id
+from cbsr_qa.store.unreadable_runs import read_apart
 
 #: How much earlier than its run began an identifier may have been made. It may be later by any time: identifiers
 #: go on from the latest one where a clock was set back.

@@ -15,7 +15,6 @@ from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.store.apart import read_apart
 from cbsr_qa.store.chain.check import RESTORE
 from cbsr_qa.store.chain.many_runs import ReadRows, find_altered, read_rows
 from cbsr_qa.store.chain.run_documents import list_covered
@@ -27,6 +26,7 @@ from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, verdict_pa
 from cbsr_qa.store.selected import conditions
 from cbsr_qa.store.tables.results import MeasurementRow
 from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
+from cbsr_qa.store.unreadable_runs import read_apart
 
 _EVERY: Final = RunSelection()
 #: Runs up to which the others of their sensors are looked up; those of all sensors are read for more.

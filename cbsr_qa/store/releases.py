@@ -10,8 +10,8 @@ from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import row_of
+from cbsr_qa.store.odd_rows import OddRow, RowsApart, read_rows_apart
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.readable import OddRow, RowsApart, read_rows_apart
 from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.types import time_of_id
 
@@ -37,7 +37,8 @@ def save_release(engine: Engine, release: Release) -> None:
 def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
     """Return what was last said about a file of this content; None if nothing was.
 
-    A release that cannot be read is none: what was said before holds. Anything else that cannot be read withdraws it.
+    A release that cannot be read does not count: the state before it stays. Any other row that cannot be read
+    withdraws the release.
     """
     row = ReleaseRow
     with reading(engine) as connection:

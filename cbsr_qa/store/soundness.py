@@ -13,7 +13,7 @@ from cbsr_qa.store.chain.links import PLAIN, new_chain, signing_key
 from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.golden import find_doubtful_checks
-from cbsr_qa.store.readable import keep_odd_text, read_rows_apart
+from cbsr_qa.store.odd_rows import keep_odd_text, read_rows_apart
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import begun, runs
 from cbsr_qa.store.seals import check_seals

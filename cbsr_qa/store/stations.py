@@ -19,8 +19,8 @@ from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, 
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
+from cbsr_qa.store.odd_rows import keep_odd_text, read_rows_apart
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.readable import keep_odd_text, read_rows_apart
 from cbsr_qa.store.runs.codec import frame_block, frame_values
 from cbsr_qa.store.seals import check_seal, new_seal
 from cbsr_qa.store.tables.records import (

@@ -57,7 +57,7 @@ def describe_error(error: BaseException) -> str:
         text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
     except KeyboardInterrupt:
         raise
-    except BaseException:  # noqa: BLE001 - even its message is a stranger's code
+    except BaseException:  # noqa: BLE001 - even its message is a plugin's code
         text = type(error).__name__
     plain = "".join(
         c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST_MESSAGE]

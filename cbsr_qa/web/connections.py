@@ -1,7 +1,7 @@
 """Connections to the server: every head of a request is timed, and who has not shown the token waits for a turn.
 
-Who shows the token is read at once and takes no place of a stranger (:mod:`cbsr_qa.web.strangers`), so that an
-emergency stop is answered before what strangers ask. How soon that is under load is measured by
+A client that shows the token is read at once, and waits for no turn (:mod:`cbsr_qa.web.turns`), so that an emergency
+stop is answered before the requests of clients without it. How soon that is under load is measured by
 ``benchmarks/emergency_stops.py``; see ``docs/how-to/run-a-line.md``.
 """
 
@@ -16,7 +16,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from cbsr_qa.web.guard import Right
 from cbsr_qa.web.guesses import client_network
 from cbsr_qa.web.line import MOST_VIEWERS
-from cbsr_qa.web.strangers import MOST_NEW, PLACES, Stranger, Strangers
+from cbsr_qa.web.turns import MOST_NEW, PLACES, Turns, WaitingConnection
 
 #: How long the head of a request may take, from the opening of its connection or the answer before it [s].
 HEAD_S: Final = 10.0
@@ -24,7 +24,7 @@ HEAD_S: Final = 10.0
 SLOW_S: Final = 30.0
 #: Largest head of a request [B].
 MOST_HEAD: Final = 16_384
-#: What is read of a stranger in a turn, so that a turn is short whatever it sent [B].
+#: What is read in a turn of a client without the token, so that a turn is short whatever was sent [B].
 _PIECE: Final = 4_096
 #: What is looked at again for a token that arrived in two parts, which is hardly longer [B].
 _OVERLAP: Final = 256
@@ -48,9 +48,9 @@ class HeldFlow(FlowControl):
 class Connection(H11Protocol):
     """A connection that is closed if its next head is late, if it is not read from, or if others need its place."""
 
-    def __init__(self, strangers: Strangers, *args: Any, **options: Any) -> None:
+    def __init__(self, turns: Turns, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._strangers = strangers
+        self._turns = turns
         self._has_shown_token = False
         self._unread = bytearray()
         self._waits_for_turn = False
@@ -68,7 +68,7 @@ class Connection(H11Protocol):
             transport.set_read_buffer_limits(MOST_HEAD)
         self.client_name = client_network(self.client[0]) if self.client else ""
         self._await_head()
-        self._strangers.look_after(cast("set[Stranger]", self.connections))
+        self._turns.look_after(cast("set[WaitingConnection]", self.connections))
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop_waiting()
@@ -82,7 +82,7 @@ class Connection(H11Protocol):
             return
         begin = max(len(self._unread) - _OVERLAP, 0)
         self._unread += data
-        if begin < MOST_HEAD and self._strangers.shows_token(bytes(self._unread[begin:MOST_HEAD])):
+        if begin < MOST_HEAD and self._turns.shows_token(bytes(self._unread[begin:MOST_HEAD])):
             self._has_shown_token = True
             self.take_turn()
         else:
@@ -101,10 +101,10 @@ class Connection(H11Protocol):
     def _wait_for_turn(self) -> None:
         if not self._waits_for_turn:
             self._waits_for_turn = True
-            self._strangers.queue(self)
+            self._turns.queue(self)
 
     def take_turn(self) -> None:
-        """Read what has arrived so far: of a stranger a piece, and no more than one request."""
+        """Read what has arrived so far: without the token a piece, and no more than one request."""
         self._waits_for_turn = False
         if self.transport.is_closing() or not (self._has_shown_token or self._awaits_data):
             return
@@ -130,7 +130,7 @@ class Connection(H11Protocol):
             self._stop_waiting()
 
     def handle_events(self) -> None:
-        """Have a request answered; one that a stranger sent before the answer to another waits for its turn."""
+        """Have a request answered; without the token, one that follows another waits for its turn."""
         if self._has_turn or self._has_shown_token:
             super().handle_events()
         else:
@@ -192,7 +192,7 @@ def connection_settings(shows_token: Callable[[bytes], bool]) -> dict[str, Any]:
     shows_token : whether the beginning of what a client sent shows that it has the token.
     """
     return {
-        "http": partial(Connection, Strangers(shows_token)),
+        "http": partial(Connection, Turns(shows_token)),
         "ws": "none",
         "h11_max_incomplete_event_size": MOST_HEAD,
         "limit_concurrency": MOST_CONNECTIONS,

@@ -1,1 +1,1 @@
-"""Built-in plugins, one a file. They enter by the same door as a stranger's."""
+"""Built-in plugins, one a file. They are loaded through the same interface as anybody's."""

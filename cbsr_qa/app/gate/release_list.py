@@ -27,7 +27,7 @@ class ListedRelease(Release):
 class ReleaseList:
     """Releases and withdrawals in the order they were made in.
 
-    ``unread`` names rows that cannot be read: a release among them is none.
+    ``unread`` names rows that cannot be read: a release in one of them does not count.
     """
 
     releases: tuple[ListedRelease, ...]

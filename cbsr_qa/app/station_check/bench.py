@@ -140,7 +140,7 @@ class _Look:
         self._tell(f"asking {spec.role}")
         try:
             mounted = Mounted(spec, opened(spec))
-        except Exception as error:  # noqa: BLE001 - a stranger's driver may raise anything; it is one line
+        except Exception as error:  # noqa: BLE001 - a plugin's driver may raise anything; it is one line
             if isinstance(error, RefusedError):
                 self.found.refused.append(error)
             self._add(_error_result(spec.role, "identity", error))

@@ -123,7 +123,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     version = document.get("schema_version")
     if type(version) is not int or not 1 <= version <= latest_version(format_):
         raise CalibrationError(
-            f"schema_version is {_found(version)}; this program knows versions 1 to {latest_version(format_)}",
+            f"schema_version is {_quote(version)}; this program knows versions 1 to {latest_version(format_)}",
             remedy="update cbsr-qa, if a later one wrote the file",
         )
     if len(document["datasets"]) > MOST_ENTRIES:
@@ -163,7 +163,7 @@ def _entry(path: str, stated: object) -> Entry:
     if path.count("/") > DEEPEST or not path.isprintable():
         raise CalibrationError(f"{path[:_LONGEST_QUOTE]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
     if not isinstance(stated, dict):
-        raise CalibrationError(f"{path} is {_found(stated)}, not a dataset")
+        raise CalibrationError(f"{path} is {_quote(stated)}, not a dataset")
     held = {"values", "base64"} & stated.keys()
     if len(held) != 1 or stated.keys() - held != _DATASET_KEYS:
         keys = ", ".join(sorted(stated)) or "none"
@@ -187,10 +187,10 @@ def _entry(path: str, stated: object) -> Entry:
 
 def _require(allowed: bool, path: str, key: str, found: object, what: str) -> None:
     if not allowed:
-        raise CalibrationError(f"{path}: {key} is {_found(found)}; allowed: {what}", remedy=_AS_WRITTEN)
+        raise CalibrationError(f"{path}: {key} is {_quote(found)}; allowed: {what}", remedy=_AS_WRITTEN)
 
 
-def _found(value: object) -> str:
+def _quote(value: object) -> str:
     """Return what a value of JSON is, as JSON writes it or in words."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"

@@ -93,7 +93,7 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
         units = [replace(step, values=unit) for step, unit in zip(steps, left, strict=True)]
         return separate_with_constants(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
 
-    def squared_misfit(log_s: float) -> float:
+    def misfit_at(log_s: float) -> float:
         unit = model(log_s)
         return float(target @ target - (unit @ target) ** 2 / max(float(unit @ unit), 1e-300))
 
@@ -103,10 +103,10 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
     if lowest >= highest:
         return None
     grid = np.linspace(lowest, highest, 13)
-    middle = int(np.argmin([squared_misfit(float(log_s)) for log_s in grid]))
+    middle = int(np.argmin([misfit_at(float(log_s)) for log_s in grid]))
     ends = (float(grid[max(middle - 1, 0)]), float(grid[min(middle + 1, len(grid) - 1)]))
-    log_s = float(minimize_scalar(squared_misfit, bounds=ends, method="bounded").x)
-    return _accept_residue(log_s, model, target, squared_misfit(log_s))
+    log_s = float(minimize_scalar(misfit_at, bounds=ends, method="bounded").x)
+    return _accept_residue(log_s, model, target, misfit_at(log_s))
 
 
 def _accept_residue(log_s: float, model: Callable[[float], Array], target: Array, rest: float) -> SlowResidue | None:

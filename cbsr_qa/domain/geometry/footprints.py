@@ -18,7 +18,7 @@ from cbsr_qa.domain.geometry.polygons import (
     inside_polygon,
     integrate_distance2,
     integrate_radius_deviation2,
-    oriented_area,
+    shoelace_area,
     simple_polygon,
 )
 
@@ -140,7 +140,7 @@ class PolygonFootprint:
 
     @cached_property
     def area_mm2(self) -> float:
-        return oriented_area(self.corners_mm)
+        return shoelace_area(self.corners_mm)
 
     def area_under_edges_mm2(self, start: Points, end: Points) -> Values:
         """Areas of the strips under directed edges inside the polygon; exact."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry.curve import ClosedCurve, circle_curve, corner_turns, polygon_curve, rounding_room
+from cbsr_qa.domain.geometry.polygons import shoelace_area
 from cbsr_qa.domain.numbers import Array
 
 Points = NDArray[np.float64]
@@ -81,7 +82,7 @@ class Polygon:
         for what in rounding_problems(self.corners_mm, self.corner_radius_mm):
             raise RefusedError(f"the outline's corner radius {what}")
         corners = [(float(x), float(y)) for x, y in self.corners_mm]
-        if _orient_area(np.array(corners)) < 0:
+        if shoelace_area(np.array(corners)) < 0:
             corners = corners[:1] + corners[:0:-1]
         object.__setattr__(self, "corners_mm", tuple(corners))
 
@@ -160,7 +161,7 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
         if radius > room * (1 + 1e-9):
             yield f"is {radius:g}; the edges leave room for {room:.4g} mm at most"
             return
-        curve = polygon_curve(corners if _orient_area(corners) > 0 else corners[::-1], radius)
+        curve = polygon_curve(corners if shoelace_area(corners) > 0 else corners[::-1], radius)
         sampled = curve.points_at((curve.begins[:-1, None] + curve.length[:, None] * np.arange(8) / 8).ravel())
         if _crossing(sampled) is not None:
             yield f"is {radius:g}; a rounded corner would cut another edge"
@@ -179,7 +180,7 @@ def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
-    area = abs(_orient_area(corners))
+    area = abs(shoelace_area(corners))
     size = float(np.sqrt(area / np.pi))
     inside_deg = 180 - np.rad2deg(np.abs(corner_turns(corners)))
     for index in np.flatnonzero(inside_deg < SHARPEST_DEG):
@@ -194,11 +195,6 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
                 f" at least {_NARROWEST * size:.3g} mm are needed"
             ),
         )
-
-
-def _orient_area(corners: Points) -> float:
-    after = np.roll(corners, -1, axis=0)
-    return float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum()) / 2
 
 
 def _apart(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

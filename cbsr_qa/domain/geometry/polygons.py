@@ -159,10 +159,10 @@ def simple_polygon(corners_mm: Points) -> Points:
             f"sides {crossed[0] + 1} and {crossed[1] + 1} of the outline meet",
             remedy="list its corners in order around the edge",
         )
-    return corners if oriented_area(corners) > 0 else corners[::-1].copy()
+    return corners if shoelace_area(corners) > 0 else corners[::-1].copy()
 
 
-def oriented_area(corners: Points) -> float:
+def shoelace_area(corners: Points) -> float:
     """Area of a polygon, positive counterclockwise."""
     around = corners - corners[0]
     following = np.roll(around, -1, axis=0)
@@ -217,7 +217,7 @@ def integrate_distance2(start: Points, end: Points, corners: Points) -> Values:
     halves differ by more than 1e-9 of the polygon's area, weighed by length, are halved. Sides that cannot be the
     nearest anywhere on a stretch are dropped as stretches get shorter.
     """
-    tolerance = _TOLERANCE * abs(oriented_area(corners))
+    tolerance = _TOLERANCE * abs(shoelace_area(corners))
     integral, owner, sides = np.zeros(len(start)), np.arange(len(start)), len(corners)
     if not len(start):
         return integral

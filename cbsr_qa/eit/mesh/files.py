@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import CbsrError, NumericsError
 from cbsr_qa.domain.geometry.outlines import Polygon, thin_ring
-from cbsr_qa.domain.geometry.polygons import inside_polygon, oriented_area
+from cbsr_qa.domain.geometry.polygons import inside_polygon, shoelace_area
 from cbsr_qa.domain.numbers import Indices
 from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, PlacedElectrodes
 from cbsr_qa.domain.sensor.mesh import Mesh, edge_lists, mesh_arrays, mesh_of_arrays
@@ -204,7 +204,7 @@ def mesh_sensor(
 
 def outer_ring(mesh: Mesh) -> Indices:
     """Nodes of the outer boundary, counterclockwise: the closed line of the largest area."""
-    return max(_rings(mesh), key=lambda ring: oriented_area(mesh.nodes_mm[ring]))
+    return max(_rings(mesh), key=lambda ring: shoelace_area(mesh.nodes_mm[ring]))
 
 
 def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
@@ -212,7 +212,7 @@ def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
     inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):
         corners = sheet.nodes_mm[ring]
-        if oriented_area(corners) < 0:
+        if shoelace_area(corners) < 0:
             nodes = inside_polygon(image.nodes_mm, corners)
             inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
     used, elements = np.unique(image.elements[~inside], return_inverse=True)

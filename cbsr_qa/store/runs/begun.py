@@ -12,7 +12,7 @@ from sqlalchemy.orm import aliased
 from sqlalchemy.types import NullType
 
 from cbsr_qa.store.chain.links import chain_head, take_turns
-from cbsr_qa.store.readable import keep_odd_text
+from cbsr_qa.store.odd_rows import keep_odd_text
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunBegunRow, RunRow
 from cbsr_qa.store.tables.sync import SyncRefusalRow

@@ -11,7 +11,6 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.changes import EarlierRun
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
-from cbsr_qa.store.apart import problem_of
 from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
 from cbsr_qa.store.damage import FOREIGN_CELL, name_database
 from cbsr_qa.store.engine import open_engine, parse_url, reading, sqlite_file
@@ -20,6 +19,7 @@ from cbsr_qa.store.left_out import find_altered_outside
 from cbsr_qa.store.runs.verdicts import verdict_of
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.types import time_of_id
+from cbsr_qa.store.unreadable_runs import problem_of
 
 #: Runs that are looked at where a station waits, in 40 ms.
 _RECENT: Final = 500

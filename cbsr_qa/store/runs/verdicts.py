@@ -16,7 +16,6 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.listed import Decision
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.domain.run.states import EndReason, ResultState
-from cbsr_qa.store.apart import read_apart, readable_values
 from cbsr_qa.store.chain.check import RESTORE, chain_state
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.damage import read_word
@@ -24,6 +23,7 @@ from cbsr_qa.store.runs.standing import find_outdated
 from cbsr_qa.store.tables.records import VerdictOverrideRow
 from cbsr_qa.store.tables.results import AnalysisRow
 from cbsr_qa.store.tables.runs import RunRow, RunStateRow
+from cbsr_qa.store.unreadable_runs import read_apart, readable_values
 
 #: Columns of a run that are as long as all others together, and that nobody lists.
 _LONG: Final = ("configuration", "configuration_digest", "software")

@@ -20,7 +20,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.check import digest_documents
 from cbsr_qa.store.damage import OddCellError, address, name_database
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.readable import read_rows_apart
+from cbsr_qa.store.odd_rows import read_rows_apart
 from cbsr_qa.store.schema import HEAD, Age, read_version, refusal
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Tail
 from cbsr_qa.store.tables.records import LinkRow

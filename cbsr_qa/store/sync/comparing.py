@@ -13,8 +13,8 @@ from cbsr_qa.store.archives import Archives, archive_row
 from cbsr_qa.store.chain.check import ALL_KINDS, check_run
 from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.odd_rows import keep_odd_text
 from cbsr_qa.store.outbox import Kind, announce, note_confirmed
-from cbsr_qa.store.readable import keep_odd_text
 from cbsr_qa.store.runs import begun
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, read_parcel
 from cbsr_qa.store.sync.rows import counts_of

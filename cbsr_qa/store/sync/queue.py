@@ -11,8 +11,8 @@ from sqlalchemy import ColumnElement, Engine, case, delete, func, or_, select, u
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.odd_rows import read_rows_apart
 from cbsr_qa.store.outbox import EntryState, Kind
-from cbsr_qa.store.readable import read_rows_apart
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunStateRow
 from cbsr_qa.store.tables.sync import OutboxRow

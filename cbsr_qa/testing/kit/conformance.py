@@ -129,7 +129,7 @@ def _checks(plugins: Plugins, kind: Kind, name: str) -> Iterator[Check]:
                 yield next(created)
             except StopIteration:
                 return
-            except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
                 yield partial(check_creation, error)
                 return
 
