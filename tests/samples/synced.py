@@ -301,3 +301,10 @@ def struck_again(template, path, url, points, strike):
     ours.dispose()
     theirs.dispose()
     return times
+
+
+def overridden(station):
+    """Override the verdict of the only run, which announces it; returns the run."""
+    ((run,),) = station.said("SELECT run FROM runs")
+    station.store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+    return run
