@@ -57,7 +57,7 @@ def ordered(rows: Iterable[str]) -> list[str]:
 def _cell(name: str, cell: object) -> str:
     if name == "compute_s":  # how long this computer took
         return "<s>"
-    if name == "file" and isinstance(cell, bytes):  # of a calibration, with its identities: compared as it was written
+    if name == "file" and isinstance(cell, bytes):  # of a calibration: names identities, compared as written
         return "<file>"
     if isinstance(cell, bytes) and len(cell) == 32:  # of links and seals: they cover identities and times
         return "<digest>"

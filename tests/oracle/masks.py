@@ -28,7 +28,7 @@ MASKS: Final = tuple(
         (r'(<div role="img" aria-label="[^"]*computing took[^"]*">)(\s|.)*?</svg>', r"\1 <a figure of times>"),
         (r"(?m)^[^\n:]+: \d+ s \((\d+) of (\d+)\)$", r"<one of them>: <s> (\1 of \2)"),
         # What the effects of a scene cost: "time-skew   0.487 ##  share = 1", "a frame takes 0.430 ms; … 0.35 s".
-        (r"(?m)^( {2}[a-z]* +[a-z-]+) +\d+\.\d{3}(?: #*(?= |$)|$| (?=once)) *", r"\1 <ms> "),
+        (r"(?m)^( {2,}[a-z]* +[a-z-]+) +\d+\.\d{3}(?: #*(?= |$)|$| (?=once)) *", r"\1 <ms> "),
         (r"a frame takes [\d.]+ ms; (.*) about [\d.]+ s", r"a frame takes <ms>; \1 about <s>"),
         (r'("(?:compute_s|seconds|cost_ms_per_frame|frame_ms)": )[\d.e+-]+', r"\1<s>"),
         # Names within a drawing, which are drawn at random.
