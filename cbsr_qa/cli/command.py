@@ -73,7 +73,10 @@ def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_R
 
     def declare(run: _Run) -> _Run:
         whole = _spread(run)
-        _name_values(whole)
+        # Set a placeholder for every option's value, and an argument's name in capitals.
+        for name, info, kind in _parameters(whole):
+            if info.metavar is None:
+                info.metavar = name.upper() if isinstance(info, ArgumentInfo) else _WORDS[kind]
         _COMMANDS[words] = Command(words, whole, live)
         return run
 
@@ -156,13 +159,6 @@ def _options_of(kind: Any) -> list[Parameter]:
     hints = get_type_hints(kind, include_extras=True)
     keyword = Parameter.KEYWORD_ONLY
     return [Parameter(one.name, keyword, default=one.default, annotation=hints[one.name]) for one in fields(kind)]
-
-
-def _name_values(run: Callable[..., Any]) -> None:
-    """Set a placeholder for every option's value, and an argument's name in capitals."""
-    for name, info, kind in _parameters(run):
-        if info.metavar is None:
-            info.metavar = name.upper() if isinstance(info, ArgumentInfo) else _WORDS[kind]
 
 
 def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any]]:

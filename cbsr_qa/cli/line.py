@@ -239,7 +239,8 @@ class _Line:
                     shown = number
                     self._heard.put(("prompt", number))
                     if prompt is not None:
-                        _show_prompt(prompt)
+                        picture = f"  picture: {prompt['picture']}\n" if prompt["picture"] else ""
+                        note(f"\n  {prompt['text']}\n{picture}Type the answer, or just press Enter:")
             time.sleep(_AGAIN_S)  # it has no channel yet, or has closed it
 
     def _answer(self, prompt: str, text: str) -> None:
@@ -266,11 +267,6 @@ def _prompts(channel: "RunChannel") -> Iterator[dict[str, Any] | None]:
             return  # it was closed
         except TimeoutError:  # nothing happens while a question is open
             continue
-
-
-def _show_prompt(prompt: dict[str, Any]) -> None:
-    picture = f"  picture: {prompt['picture']}\n" if prompt["picture"] else ""
-    note(f"\n  {prompt['text']}\n{picture}Type the answer, or just press Enter:")
 
 
 def _show(serial: str, printed: str) -> None:

@@ -42,7 +42,9 @@ def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json:
     if as_json:
         emit_json(json_document(outcome.result))
         return outcome.exit_code
-    paint = _COLOURS.get(outcome.page.banner.tone, "") if _shows_colours() else ""
+    # Whether stdout is a terminal that shows colours, and nobody has asked for none (https://no-color.org).
+    coloured = any(_on_terminal) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+    paint = _COLOURS.get(outcome.page.banner.tone, "") if coloured else ""
     for line in terminal_lines(outcome.page, outcome.sections):
         say(f"{paint}{line}{_PLAIN}" if paint else line)
         paint = ""
@@ -52,11 +54,6 @@ def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json:
 #: Colours of the first line of a verdict, by the tone of its banner; the line has the word in any case.
 _COLOURS: Final = {"pass": "\x1b[1;32m", "marginal": "\x1b[1;33m", "fail": "\x1b[1;31m", "not-measured": "\x1b[1;35m"}
 _PLAIN: Final = "\x1b[0m"
-
-
-def _shows_colours() -> bool:
-    """Whether stdout is a terminal that shows colours, and nobody has asked for none (https://no-color.org)."""
-    return any(_on_terminal) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def say(text: str = "") -> None:

@@ -165,13 +165,6 @@ PICTURES: Final = {
 }
 
 
-def _read_places(sequence: object) -> dict[str, tuple[float, float]]:
-    """Places of a sequence's presses by label, where its options give both a prefix and places."""
-    options = getattr(sequence, "options", None)
-    prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
-    return {} if prefix is None else {f"{prefix}{number}": place for number, place in enumerate(places_mm)}
-
-
 def _label_problems(
     choice: Choice, places_mm: dict[str, tuple[float, float]], labelled: dict[str, tuple[float, float]]
 ) -> Iterator[Problem]:
@@ -235,7 +228,11 @@ class RecipeFile(FileModel[Recipe]):
             yield from problems
             if getattr(plugin, "role", None) is Role.LOOP:
                 looped.add(int(choice.path[1]))
-            yield from _label_problems(choice, _read_places(plugin), labelled)
+            # Places of a sequence's presses by label, where its options give both a prefix and places.
+            options = getattr(plugin, "options", None)
+            prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
+            places = {} if prefix is None else {f"{prefix}{number}": place for number, place in enumerate(places_mm)}
+            yield from _label_problems(choice, places, labelled)
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:
@@ -282,10 +279,12 @@ class RecipeFile(FileModel[Recipe]):
             yield Problem(("recipe", "calibrate_phases"), what)
 
     def to_domain(self) -> Recipe:
+        table = self.reconstruction
+        reconstruction = NO_RECONSTRUCTION if table is None else PluginChoice(table.method, table.options)
         return Recipe(
             name=self.recipe.name,
             phases=tuple(PhaseSpec(p.name, p.sequence, p.options) for p in self.phases),
-            reconstruction=self._reconstruction(),
+            reconstruction=reconstruction,
             # Tables have no order in TOML: sorted, so that a restored recipe is the one that was read.
             metrics=tuple(PluginChoice(name, options) for name, options in sorted(self.metrics.items())),
             analysis=replace(self.analysis.to_domain(), calibrate_phases=tuple(self.recipe.calibrate_phases)),
@@ -295,7 +294,3 @@ class RecipeFile(FileModel[Recipe]):
             limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
             characterisation=None if self.characterisation is None else self.characterisation.to_domain(),
         )
-
-    def _reconstruction(self) -> PluginChoice:
-        table = self.reconstruction
-        return NO_RECONSTRUCTION if table is None else PluginChoice(table.method, table.options)

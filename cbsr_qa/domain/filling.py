@@ -35,7 +35,9 @@ def convert_json(hint: Any, value: Any) -> Any:
     """
     kinds = get_args(hint) or (hint,)
     if get_origin(hint) is tuple:
-        return _tuple(kinds, value)
+        if kinds[-1] is ...:
+            return tuple(convert_json(kinds[0], one) for one in (() if value is None else value))
+        return tuple(convert_json(kind, one) for kind, one in zip(kinds, value, strict=True))
     if get_origin(hint) in (Union, UnionType):
         if value is None and NoneType in kinds:
             return None
@@ -46,12 +48,6 @@ def convert_json(hint: Any, value: Any) -> Any:
     if tables:
         return _table(tables, value)
     return hint(value) if isinstance(hint, type) and issubclass(hint, StrEnum) else value
-
-
-def _tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
-    if kinds[-1] is ...:
-        return tuple(convert_json(kinds[0], one) for one in (() if value is None else value))
-    return tuple(convert_json(kind, one) for kind, one in zip(kinds, value, strict=True))
 
 
 def _table(kinds: list[Any], value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final
 from pydantic import Field
 from pydantic.fields import FieldInfo
 
-from cbsr_qa.plugin.discovery import Factory, Plugins
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.options import options_of
 from cbsr_qa.plugin.problems import describe_allowed
@@ -104,19 +104,14 @@ def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference
     model = options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT)))
     described = dict(_read_descriptions(factory))
     options = tuple(_option(key, field, described.get(key, "")) for key, field in model.model_fields.items())
-    return PluginReference(
-        kind, name, _text(factory).partition("\n\n")[0], options, getattr(factory, "measures", None) or {}
-    )
+    text = re.sub(r"(?<!\n)\n(?!\n|\s|[-=])", " ", inspect.getdoc(factory) or "")
+    return PluginReference(kind, name, text.partition("\n\n")[0], options, getattr(factory, "measures", None) or {})
 
 
 def _option(name: str, field: FieldInfo, description: str) -> OptionReference:
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
     default = "" if field.is_required() or field.default is None else json.dumps(field.default, ensure_ascii=False)
     return OptionReference(name, unit, describe_allowed(field), default, field.is_required(), description)
-
-
-def _text(factory: Factory) -> str:
-    return re.sub(r"(?<!\n)\n(?!\n|\s|[-=])", " ", inspect.getdoc(factory) or "")
 
 
 def _read_descriptions(factory: Any) -> Iterator[tuple[str, str]]:

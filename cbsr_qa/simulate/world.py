@@ -62,7 +62,10 @@ class SimulatedWorld:
         self.chain = build_chain(scene, self.setting, effect_factory)
         self.sheet = self._make_sheet(scene, contact_length_mm) if sheet is None else sheet
         # Noise is the station's, in volts: noise stated relative to the sheet's readings is the same for a ring.
-        self._scale_V = _mean_reading_ohm(self.sheet, sensor_type) * scene.current_A
+        # Mean magnitude of the used readings per ampere; of all of them on a strip with two pins.
+        usable = sensor_type.pattern.usable()
+        mean_reading_ohm = float(np.abs(self.sheet.unloaded[usable] if usable.any() else self.sheet.unloaded).mean())
+        self._scale_V = mean_reading_ohm * scene.current_A
         ring = scene.reference_ring_ohm
         self._connected = SimulatedRing(self.sheet.design, ring) if ring else self.sheet
         self._frames = FrameMaker(self._connected, self.chain)
@@ -189,9 +192,3 @@ class _Moving:
         self._until_s = float(ends[ends >= time_s].min(initial=np.inf))
         at = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
         self._found = [presses[k] for k in at.tolist()]
-
-
-def _mean_reading_ohm(sheet: SimulatedSheet, sensor_type: SensorType) -> float:
-    """Mean magnitude of the used readings per ampere; of all of them on a strip with two pins."""
-    usable = sensor_type.pattern.usable()
-    return float(np.abs(sheet.unloaded[usable] if usable.any() else sheet.unloaded).mean())

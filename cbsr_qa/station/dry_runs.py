@@ -178,7 +178,8 @@ class _DryWalk:
             case Release():
                 if self.depth_mm is None:
                     yield Violation("order", "the head is not down")
-                self._release()
+                self.spent.add(Activity.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
+                self.depth_mm = None
             case Hold():
                 yield from self._hold(step)
             case _:
@@ -232,10 +233,6 @@ class _DryWalk:
         self.depth_mm = strain * self.plan.sensor_type.thickness_mm
         self.peak_strain = max(self.peak_strain, strain)
         self.peak_force_N = max(self.peak_force_N, highest_force_N(strain, self.plan))
-
-    def _release(self) -> None:
-        self.spent.add(Activity.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
-        self.depth_mm = None
 
     def _hold(self, step: Hold) -> Iterator[Violation]:
         kind = Activity.REST if self.depth_mm is None else Activity.HOLD

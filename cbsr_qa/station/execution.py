@@ -46,7 +46,7 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         reason, detail = before
         return reason, f"{detail}; {_during_retreat(error, at_once)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        by = _name_stopper(error)
+        by = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
         if at_once:
             by = at_once if by in at_once else f"{by} and at once by {at_once}"
         return EndReason.ABORTED, f"by {by}, {where}"
@@ -62,10 +62,6 @@ def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
 def _describe_ending(end: Ending) -> str:
     reason, detail = end
     return f"aborted {detail}" if reason is EndReason.ABORTED else detail
-
-
-def _name_stopper(error: BaseException) -> str:
-    return error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
 
 
 def _what(error: BaseException) -> str:

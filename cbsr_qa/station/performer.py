@@ -176,15 +176,13 @@ class Performer:
         desk.begin_pause(by, start_s)
         with self.spent.on(Activity.PAUSE, self._clock):
             while (continued := desk.who_continued()) is None:
-                self._wait_at_most(self._watch.wait_s(), desk)
+                station_s = self._watch.wait_s()
+                with self._watchdog.expect("the station's clock", station_s), self._interrupts.idle():
+                    passing(self._clock, desk.wait, station_s)
+                if self._watch.is_due():
+                    self._look()
         self._documents.emit(RunContinued(before.phase, self._clock.now(), continued))
         return True
-
-    def _wait_at_most(self, station_s: float, desk: ControlDesk) -> None:
-        with self._watchdog.expect("the station's clock", station_s), self._interrupts.idle():
-            passing(self._clock, desk.wait, station_s)
-        if self._watch.is_due():
-            self._look()
 
     def finish_load(self) -> None:
         """Emit the last load after its rest."""

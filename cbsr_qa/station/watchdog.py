@@ -127,7 +127,8 @@ class Watchdog:
         while not self._ended.wait(LOOK_S):
             call = self._call
             if self._insisted:
-                self._safe_unless_ended(f"{call.what} does not return")
+                if not self._ended.wait(REACTION_S):
+                    self._make_safe_without(f"{call.what} does not return")
                 return
             if self._excused():
                 call.since_s = self._clock.now()
@@ -145,10 +146,6 @@ class Watchdog:
         self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:
             self._make_safe_without(late.reason)
-
-    def _safe_unless_ended(self, why: str) -> None:
-        if not self._ended.wait(REACTION_S):
-            self._make_safe_without(why)
 
     def _make_safe_without(self, why: str) -> None:
         self._tell(f"{why}; the bench is made safe without it")

@@ -194,7 +194,10 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
         if why := _nothing_to_go_by(runs):
             return LotLimits(why=why)
-    looked_at = _distributions_to_try(smallest, ask.distribution)
+    # Distributions to try: a quantity that can be negative is not log-normal.
+    positive = min(min(sensor) for sensor in smallest) > 0
+    both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
+    looked_at = tuple(one for one in both if ask.distribution in (None, one))
     lower = _find_bound(smallest, looked_at, values, ask, -1) if ask.lower else None
     upper = _find_bound(largest, looked_at, values, ask, +1) if ask.upper else None
     out = _all_far_out(smallest, largest, (lower, upper))
@@ -241,13 +244,6 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
     *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
     others = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
     return _round_bound(replace(widest, tests=tuple(fits), narrower=others), runs)
-
-
-def _distributions_to_try(smallest: Runs, wanted: Distribution | None) -> tuple[Distribution, ...]:
-    """Return the distributions to try: a quantity that can be negative is not log-normal."""
-    positive = min(min(sensor) for sensor in smallest) > 0
-    both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
-    return tuple(one for one in both if wanted in (None, one))
 
 
 def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:

@@ -14,7 +14,7 @@ from cbsr_qa.config.merging import Configuration, restore
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.plan.steps import Press, Role
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
-from cbsr_qa.domain.readings.loads import Load, LoadRecord
+from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.plugin.discovery import Plugins, create_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.report.draw.sheet import Raster
@@ -113,7 +113,10 @@ class LiveRun:
         seen = {} if last is None else {"frames_after": last.frames_seen, "samples_after": last.samples_seen}
         self._tail = tail = self._store.run_tail(self.run, **seen)
         self._take_frames(tail)
-        self._take_samples(tail)
+        for _, block in tail.samples:
+            if block.channel == "force":
+                self._force.extend(zip(block.time_s.tolist(), block.values.tolist(), strict=True))
+        _forget(self._force)
         if self._preview is None:
             self._prepare(tail)
         if self._preview is not None:
@@ -177,12 +180,6 @@ class LiveRun:
                 self._conductance.append((float(time_s), 100 * (self._level / float(level) - 1)))
         _forget(self._conductance)
 
-    def _take_samples(self, tail: RunTail) -> None:
-        for _, block in tail.samples:
-            if block.channel == "force":
-                self._force.extend(zip(block.time_s.tolist(), block.values.tolist(), strict=True))
-        _forget(self._force)
-
     def _prepare(self, tail: RunTail) -> None:
         """Prepare imaging once the first press after unloaded frames has begun, or there are enough of them."""
         phase = next((phase for phase in tail.phases if phase.unloaded_from_s is not None), None)
@@ -224,16 +221,13 @@ class LiveRun:
         for phase, record in tail.loads:
             key = (phase, record.index)
             if key not in self._seen and self._role(phase) is Role.GRID:
-                steady = self._steady(phase, record)
+                start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
+                steady = self._store.frames_between(self.run, phase, start_s, record.release_start_s)
                 if steady is not None:
                     self._seen[key] = preview.place(record.load, steady)
 
     def _role(self, phase: int) -> Role:
         return self._schedule[phase].role if phase < len(self._schedule) else Role.OTHER
-
-    def _steady(self, phase: int, record: LoadRecord) -> FrameBlock | None:
-        start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
-        return self._store.frames_between(self.run, phase, start_s, record.release_start_s)
 
 
 def _forget(trace: deque[tuple[float, float]]) -> None:

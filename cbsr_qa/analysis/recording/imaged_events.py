@@ -123,7 +123,9 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
     places = np.array([place[1:] for place in track], dtype=np.float64).reshape(-1, 2)
     if len(places) < _FEWEST:
         return None
-    smooth = _running_median(places)
+    # Running median of places (n, 2), with shorter windows at the ends.
+    window = max(3, len(places) // _SMOOTHED)
+    smooth = np.median(sliding_window_view(places, window, axis=0), axis=-1)
     jitter = float(np.sqrt(np.mean(np.diff(places, 2, axis=0) ** 2) / 6))
     if np.hypot(*(smooth - smooth[0]).T).max() < max(_LEAST_R, _JITTERS * jitter):
         return None
@@ -137,12 +139,6 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
         nearest_r_over_R=float(np.hypot(*smooth.T).min()),
         electrodes=layout.count,
     )
-
-
-def _running_median(places: Array) -> Array:
-    """Running median of places (n, 2), with shorter windows at the ends."""
-    window = max(3, len(places) // _SMOOTHED)
-    return np.median(sliding_window_view(places, window, axis=0), axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -231,7 +231,12 @@ class _RunForce:
         for trial in sorted(set(trials[calibrating].tolist())):
             left_out = calibrating & (trials == trial)
             others = calibrating & ~left_out
-            again = left_out & self._mask_shared_places(others)
+            # Whether each load's place was pressed by others; elsewhere repeatability is not tested.
+            places = {tuple(place) for place in self.data.place_mm[others].tolist()}
+            pressed_by_others = np.array(
+                [tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_
+            )
+            again = left_out & pressed_by_others
             if again.any():
                 tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
         used = tuple(compress(self.loads, calibrating))
@@ -256,11 +261,6 @@ class _RunForce:
             radius_mm=self.run.record.sensor_type.radius_mm,
         )
         return replace(learned, predicted=tuple(self.predicted[which].tolist()))
-
-    def _mask_shared_places(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whether each load's place was pressed by others; elsewhere repeatability is not tested."""
-        places = {tuple(place) for place in self.data.place_mm[others].tolist()}
-        return np.array([tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_)
 
     def tests(self, learned: LearnedForce, which: NDArray[np.bool_], how: str) -> list[ForceTest]:
         """Test a model on some loads; those whose head does not fit the map are excluded."""

@@ -171,7 +171,9 @@ class ShownForceModel:
         places = _places(calibration, model)
         response = np.exp(interpolate(model, model.log_response, places))
         stderr = interpolate(model, model.log_response_stderr, places)
-        least = _least_force_N(calibration, model, places)
+        # Force at each place whose change in one frame is just detected as a load.
+        inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
+        least = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
         worst = int(np.argmax(least))
         return fill_from_object(
             cls,
@@ -251,9 +253,3 @@ def _places(calibration: Calibration, model: ForceModel) -> _Array:
     fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
     near = fits & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
     return everywhere[near if near.any() else fits]
-
-
-def _least_force_N(calibration: Calibration, model: ForceModel, places: _Array) -> _Array:
-    """Return the force at each place whose change in one frame is just detected as a load."""
-    inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
-    return least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)

@@ -81,7 +81,8 @@ def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str,
         yield "verdict", "failure", "override", override
     names = Counter[str]()
     for measurement in judged:
-        name = _name(measurement)
+        strain = "" if measurement.strain is None else f"strain {100 * measurement.strain:.4g} %"
+        name = ", ".join(part for part in (measurement.label, measurement.phase, strain) if part)
         names[name] += 1
         name = name if names[name] == 1 else f"{name} ({names[name]})"
         kind = {Outcome.FAIL: "failure", Outcome.NOT_MEASURED: "error"}.get(measurement.outcome, "")
@@ -90,11 +91,6 @@ def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str,
             kind, words = "skipped", f"{override}; {words}"
         marginal = f"marginal: {words}" if measurement.outcome is Outcome.MARGINAL else ""
         yield name, kind, str(measurement.outcome), words if kind else marginal
-
-
-def _name(measurement: Measurement) -> str:
-    strain = "" if measurement.strain is None else f"strain {100 * measurement.strain:.4g} %"
-    return ", ".join(part for part in (measurement.label, measurement.phase, strain) if part)
 
 
 def _class(run: ListedRun) -> str:

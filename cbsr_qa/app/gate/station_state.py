@@ -6,7 +6,7 @@ from typing import Final
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.config.merging import FileContent, list_files
-from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, CheckSeal, StationCheck, worst_check
+from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
 
 #: How far ahead the clock of another computer may be.
@@ -23,7 +23,8 @@ def golden_measured(asked: Asked) -> Finding:
     if asked.store is None or check is None or check.golden_run is None:
         return Finding(False, f"no golden sensor was ever measured on station {station}", *remedy)
     at = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
-    outcome = worst_check(_golden_lines(check))
+    golden_lines = [line for line in check.results if line.subject.startswith(_SUBJECT)]
+    outcome = worst_check(golden_lines)
     unsigned = asked.store.key_id is not None and check.sealed in (CheckSeal.NONE, CheckSeal.DIGEST)
     if unsigned or outcome not in (CheckOutcome.OK, CheckOutcome.WARNING):
         why = f"did not pass: {outcome}" if not unsigned else "is not signed, and a signing key is set"
@@ -40,10 +41,6 @@ def golden_measured(asked: Asked) -> Finding:
             False, f"{at} was measured {most} or more runs ago; the station allows fewer than {most}", *remedy
         )
     return Finding(True, f"{at} passed")
-
-
-def _golden_lines(check: StationCheck) -> list[CheckResult]:
-    return [line for line in check.results if line.subject.startswith(_SUBJECT)]
 
 
 def charts_in_control(asked: Asked) -> Finding:

@@ -163,7 +163,15 @@ class _Look:
             self._missing += 1
             return
         self.found.instruments.append(identity)
-        self._add(CheckResult("identity", CheckOutcome.OK, said=_who(identity), subject=role))
+        parts = [
+            identity.model,
+            f"serial {identity.serial}" if identity.serial else "",
+            f"firmware {identity.firmware}",
+        ]
+        known = [part for part in parts[: 3 if identity.firmware else 2] if part]
+        simulation_notes = ["simulated"] if identity.simulated else []
+        who = ", ".join([*known, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes])
+        self._add(CheckResult("identity", CheckOutcome.OK, said=who, subject=role))
         self._self_test(mounted)
 
     def _self_test(self, mounted: Mounted) -> None:
@@ -273,18 +281,6 @@ def _error_result(subject: str, name: str, error: Exception) -> CheckResult:
 
 def _skip_ring(why: str, remedy: str) -> CheckResult:
     return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
-
-
-def _who(identity: InstrumentIdentity) -> str:
-    parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", f"firmware {identity.firmware}"]
-    known = [part for part in parts[: 3 if identity.firmware else 2] if part]
-    return ", ".join(
-        [*known, *(f"{what} {value}".strip() for what, value in identity.notes), *_simulation_notes(identity)]
-    )
-
-
-def _simulation_notes(identity: InstrumentIdentity) -> list[str]:
-    return ["simulated"] if identity.simulated else []
 
 
 def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | None:

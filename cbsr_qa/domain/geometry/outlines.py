@@ -197,13 +197,6 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
         )
 
 
-def _apart(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of edges that share no corner."""
-    first, second = np.triu_indices(count, 2)
-    kept = ~((first == 0) & (second == count - 1))
-    return first[kept], second[kept]
-
-
 def _crossing(corners: Points) -> tuple[int, int] | None:
     """First pair of edges that meet without sharing a corner."""
     low, high = (bound(corners, np.roll(corners, -1, axis=0)) for bound in (np.minimum, np.maximum))
@@ -242,7 +235,11 @@ def _side(start: Points, end: Points, point: Points) -> NDArray[np.int64]:
 def _narrowest(corners: Points) -> tuple[float, int, int] | None:
     """Shortest distance between edges that share no corner, and the pair."""
     end = np.roll(corners, -1, axis=0)
-    first, second = _apart(len(corners))
+    # Pairs of edges that share no corner.
+    count = len(corners)
+    first, second = np.triu_indices(count, 2)
+    kept = ~((first == 0) & (second == count - 1))
+    first, second = first[kept], second[kept]
     if not first.size:
         return None
     a, b, c, d = corners[first], end[first], corners[second], end[second]

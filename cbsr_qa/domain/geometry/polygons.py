@@ -43,7 +43,8 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
     start = corners_mm - np.asarray(centre_mm)
     area: Array = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
-    return np.maximum(np.where(_boxes_touch(start, radius_mm), area, 0.0), 0.0)
+    boxes_touch: NDArray[np.bool_] = ((start.min(axis=1) < radius_mm) & (start.max(axis=1) > -radius_mm)).all(axis=1)
+    return np.maximum(np.where(boxes_touch, area, 0.0), 0.0)
 
 
 def area_under_edges(start: Points, end: Points, radius: float) -> Array:
@@ -97,11 +98,6 @@ def _deviation_primitive(first: Values, last: Values, height: Values, radius: fl
         return u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
 
     return np.maximum(primitive(last) - primitive(first), 0.0)
-
-
-def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
-    near: NDArray[np.bool_] = ((start.min(axis=1) < radius) & (start.max(axis=1) > -radius)).all(axis=1)
-    return near
 
 
 def _dot(a: Points, b: Points) -> Array:

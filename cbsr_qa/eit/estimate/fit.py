@@ -132,16 +132,13 @@ class _Run:
 
     def _moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
-        normal, pull, scale = self._scale_equations(which)
+        # Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move.
+        free = self.free[which]
+        normal, scale = _normal(self.information[which], free)
+        pull = np.where(free, self.pull[which] / scale, 0)
         damped = normal + self.damping[which, None, None] * np.eye(4)
         move = np.linalg.solve(damped, pull[..., None])[..., 0]
         return move / scale, (move * pull).sum(axis=1)
-
-    def _scale_equations(self, which: Indices) -> tuple[Array, Array, Array]:
-        """Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move."""
-        free = self.free[which]
-        normal, scale = _normal(self.information[which], free)
-        return normal, np.where(free, self.pull[which] / scale, 0), scale
 
     def _finish(self, which: Indices, at: Array, gain: Array) -> None:
         self.at[which] = at

@@ -119,7 +119,10 @@ class LoadEstimator:
             raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
         data = self.readings.merge_changes(changes)
         start, gain = self._start(data, start_mm)
-        fits = _empty_fits(data, start, gain)
+        empty, count = (data**2).sum(axis=1), len(data)
+        no = np.zeros(count, dtype=np.bool_)
+        covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
+        fits = Fits(start, covariance, data.copy(), empty - gain, empty, steps, no, no, np.zeros(count))
         hopeful = np.flatnonzero(gain > _HOPELESS_GAIN)
         if hopeful.size:
             fitted = self._fitter.fit(data[hopeful], start[hopeful], square=False)
@@ -170,14 +173,12 @@ class LoadEstimator:
         finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
         fits = replace(fits, covariance=covariance)
         has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
-        shares = share_explained(explained, fits.misfit, freedom), self._share_of_squares(data, fits)
-        return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
-
-    def _share_of_squares(self, data: Array, fits: Fits) -> Array:
-        """Share (n,) of the readings' squares, each weighing alike, that the fits explain."""
+        # Share (n,) of the readings' squares, each weighing alike, that the fits explain.
         variance = self.readings.weight**-2.0
         left = fits.residual**2 @ variance
-        return share_explained(data**2 @ variance - left, left, float(variance.sum()))
+        share_of_squares = share_explained(data**2 @ variance - left, left, float(variance.sum()))
+        shares = share_explained(explained, fits.misfit, freedom), share_of_squares
+        return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
 
     def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
         unsure = seen[detectability[seen] < SURE]
@@ -310,13 +311,6 @@ def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> 
         outside = (1 - _COVERED) * ndtr(-excess_mm2 / stderr_mm2)
         below, above = square_mm2 + excess_mm2 + stderr_mm2 * float(ndtri(outside)), square_mm2
     return Estimated(value, stderr_mm2 / (2 * value), sqrt(max(below, 0.0)), max(sqrt(max(above, 0.0)), value))
-
-
-def _empty_fits(data: Array, start: Array, gain: Array) -> Fits:
-    empty, count = (data**2).sum(axis=1), len(data)
-    no = np.zeros(count, dtype=np.bool_)
-    covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
-    return Fits(start, covariance, data.copy(), empty - gain, empty, steps, no, no, np.zeros(count))
 
 
 def _with(fits: Fits, which: Indices, new: Fits) -> Fits:

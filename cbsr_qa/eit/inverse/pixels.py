@@ -146,17 +146,14 @@ def _pairs(matrix: Array, group: Indices) -> tuple[Indices, Indices, Array]:
             size = float(first @ first)
             scale = float(first @ second) / size if size else 1.0
             if np.abs(second - scale * first).max() <= _SAME * np.abs(second).max():
-                other[place], ratio[place] = reading, _tidy(scale)
+                # One, if it equals one within rounding.
+                tidy = 1.0 if abs(scale - 1) <= _SAME else scale
+                other[place], ratio[place] = reading, tidy
                 continue
         one.append(reading)
         other.append(reading)
         ratio.append(0.0)
     return np.array(one), np.array(other), np.array(ratio)
-
-
-def _tidy(scale: float) -> float:
-    """One, if it equals one within rounding."""
-    return 1.0 if abs(scale - 1) <= _SAME else scale
 
 
 def _check_finite(changes: Array) -> None:

@@ -47,7 +47,10 @@ class Series:
                     raise
                 continue
             #: (terms, …)
-            self.coefficients = _chebyshev_coefficients(values)
+            order = np.arange(TERMS)
+            matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
+            matrix[0] /= 2
+            self.coefficients = np.tensordot(matrix, values, 1)
             size = np.abs(self.coefficients).reshape(TERMS, -1).max(axis=1)
             if size[-2:].max() <= _ROUNDING * size.max():
                 return
@@ -64,13 +67,6 @@ def polynomials(x: float | Array) -> Array:
     """Chebyshev polynomials T₀ … at x in [−1, 1]: (…) to (…, terms)."""
     values: Array = np.cos(np.arange(TERMS) * np.arccos(np.clip(np.asarray(x), -1, 1))[..., None])
     return values
-
-
-def _chebyshev_coefficients(values: Array) -> Array:
-    order = np.arange(TERMS)
-    matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
-    matrix[0] /= 2
-    return np.tensordot(matrix, values, 1)
 
 
 class StackedSeries(Sized):

@@ -59,14 +59,11 @@ class InverseEntries:
         """Unknown ones among these nodes; all if the known ones had to be discarded."""
         missing = nodes[self._place[nodes] < 0]
         if missing.size and len(self._known) + missing.size > MOST_NODES:
-            self._forget()
+            self._place[self._known] = -1
+            self._known = self._known[:0]
+            self._entries = np.empty((0, 0))
             return nodes
         return missing
-
-    def _forget(self) -> None:
-        self._place[self._known] = -1
-        self._known = self._known[:0]
-        self._entries = np.empty((0, 0))
 
     def _reserve(self, nodes: Indices) -> None:
         before, after = len(self._known), len(self._known) + len(nodes)

@@ -248,7 +248,10 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
     for begin, end in zip(fixed, np.append(fixed[1:], fixed[0] + curve.perimeter), strict=True):
         middle = (begin + end) / 2 % curve.perimeter
         piece = _piece_of(curve, begin, end)
-        owner = _owner(curve, middle, strips, width)
+        # Strip that covers a place on the edge; −1 if none.
+        away = np.abs(strips - middle)
+        covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
+        owner = int(covered[0]) if covered.size else -1
         turn = 0.0 if piece < 0 else (end - begin) * abs(curve.curvature[piece])
         least = max(1, int(np.ceil(turn / _TURN_PER_EDGE - 1e-9)))
         if owner >= 0:
@@ -281,13 +284,6 @@ def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
     piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
     whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
     return piece if whole else -1
-
-
-def _owner(curve: ClosedCurve, along: float, strips: Lengths, width: float) -> int:
-    """Strip that covers a place on the edge; −1 if none."""
-    away = np.abs(strips - along)
-    covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
-    return int(covered[0]) if covered.size else -1
 
 
 def _centre(curve: ClosedCurve, piece: int) -> tuple[float, float]:

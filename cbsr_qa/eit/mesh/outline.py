@@ -81,7 +81,9 @@ def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
     curve = frame.curve
     sizes = SizeField(size_mm, growth(size_mm, frame.radius), (), *narrow_places(curve, size_mm))
     start = _lattice(curve, size_mm)
-    start = start[_distance_inside(curve, start) > 0.7 * size_mm]
+    distance = curve.nearest(start)[1]
+    distance_inside = np.where(curve.contains(start), distance, -distance)
+    start = start[distance_inside > 0.7 * size_mm]
     mesh = _fill(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
     return frame.from_frame(replace(mesh, electrode_edges=(), arcs=()))
 
@@ -272,11 +274,6 @@ def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]
         return np.where(curve.contains(places), away, -away)
 
     return distance
-
-
-def _distance_inside(curve: ClosedCurve, points: Points) -> Lengths:
-    distance = curve.nearest(points)[1]
-    return np.where(curve.contains(points), distance, -distance)
 
 
 def _lattice(curve: ClosedCurve, size: float) -> Points:

@@ -111,7 +111,9 @@ def characteristic_figure(
     titles = ("change against stress", "deviation from the best straight line")
     labels = ("change [% of the location's span]", "change less line [% of span]")
     left, right = _stress_pair(figure, ends[1], titles, labels)
-    _draw_curves(left, curves, mean)
+    lines = [np.column_stack([_stress(c), 100 * c.change / c.span]) for c in curves]
+    left.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
+    dots(left, _stress(mean), 100 * mean.change, BLUE, size=3.5)
     left.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
     left.set_ylim(bottom=min(0.0, 100 * line.intercept))
     _draw_residuals(right, curves, mean, line, scatter)
@@ -134,12 +136,6 @@ def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
 def _stress(curve: Characteristic) -> np.ndarray:
     assert curve.stress_kPa is not None
     return curve.stress_kPa
-
-
-def _draw_curves(axes: Axes, curves: Sequence[Characteristic], mean: Characteristic) -> None:
-    lines = [np.column_stack([_stress(c), 100 * c.change / c.span]) for c in curves]
-    axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
-    dots(axes, _stress(mean), 100 * mean.change, BLUE, size=3.5)
 
 
 def _draw_residuals(

@@ -57,7 +57,9 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
     flat : the same loads with one response for the whole sheet, drawn faintly among the errors.
     """
     figure = canvas(4.9)
-    largest = _largest_N(panels, flat)
+    values = [v for p in panels for v in (p.measured_N, p.estimated_N, p.missed_N)]
+    values += [flat.measured_N] if flat is not None else []
+    largest = 1.06 * max([float(part.max()) for part in values if len(part)] + [1e-6])
     reach = _reach_N(panels, flat)
     for number, panel in enumerate(panels):
         left = 0.095 + 0.5 * number
@@ -100,12 +102,6 @@ def ratio_figure(points: RatioPoints) -> Canvas:
     side = plot(figure, (0.715, 0.175, 0.275, 0.74), "residuals", grid="both")
     _draw_deviations(side, points)
     return figure
-
-
-def _largest_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:
-    values = [v for p in panels for v in (p.measured_N, p.estimated_N, p.missed_N)]
-    values += [flat.measured_N] if flat is not None else []
-    return 1.06 * max([float(part.max()) for part in values if len(part)] + [1e-6])
 
 
 def _reach_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:

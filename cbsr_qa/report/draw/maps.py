@@ -128,7 +128,9 @@ def force_map_figure(
         axes = figure.add_axes((0.5 * number, 0.005, 0.42, 0.9))
         levels, colours = _scale(field, _inside(field, sensor))
         _draw_field(axes, field, sensor, levels, colours)
-        _draw_places(axes, used_mm, refused_mm, radius_mm)
+        draw_circles(axes, np.zeros((1, 2)), radius_mm, color=INK, width=0.7, dashed=True)
+        axes.plot(*used_mm.T, "o", markersize=3.0, color="white", markeredgecolor=INK, markeredgewidth=0.7, zorder=7)
+        axes.plot(*refused_mm.T, "x", markersize=4.5, color=VERMILION, markeredgewidth=1.2, zorder=8)
         fit_sheet(axes, sensor.outline)
         axes.set_title(field.title, fontweight="normal")
         _draw_scale(figure, axes, levels, colours, field.unit)
@@ -187,12 +189,6 @@ def _draw_field(axes: Axes, field: SheetField, sensor: SensorType, levels: Array
         name.set_color(INK)
     draw_sheet(axes, sensor.outline)
     draw_electrodes(axes, sensor.electrodes, sensor.outline)
-
-
-def _draw_places(axes: Axes, used_mm: Array, refused_mm: Array, radius_mm: float) -> None:
-    draw_circles(axes, np.zeros((1, 2)), radius_mm, color=INK, width=0.7, dashed=True)
-    axes.plot(*used_mm.T, "o", markersize=3.0, color="white", markeredgecolor=INK, markeredgewidth=0.7, zorder=7)
-    axes.plot(*refused_mm.T, "x", markersize=4.5, color=VERMILION, markeredgewidth=1.2, zorder=8)
 
 
 def _draw_scale(figure: Canvas, axes: Axes, levels: Array, colours: Colormap, label: str) -> None:

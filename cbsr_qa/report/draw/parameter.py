@@ -69,7 +69,9 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     close.set_ylim(*_heights(curve, marks, across))
     for axes in (whole, close):
         _label_ticks(axes, discrete=curve.discrete)
-    _name_target(close, curve)
+    if curve.target is not None:
+        look = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+        annotate(close, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
     _name_marks(close, marks, discrete=curve.discrete)
     return figure
 
@@ -150,12 +152,6 @@ def _look(order: int, *, chosen: bool) -> dict[str, Any]:
         "markeredgewidth": 1.1,
         "zorder": 6 if chosen else 5,
     }
-
-
-def _name_target(axes: Axes, curve: ParameterCurve) -> None:
-    if curve.target is not None:
-        look = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-        annotate(axes, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
 
 
 def _name_marks(axes: Axes, marks: Sequence[ParameterMark], *, discrete: bool) -> None:

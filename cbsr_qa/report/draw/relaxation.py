@@ -152,7 +152,9 @@ def settling_figure(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Can
         axes = plot(figure, grid[row], signal, y="settling [s]")
         for loading, words in _DIRECTIONS:
             _draw_settling(axes, loads, signal, loading, words)
-        axes.set_ylim(0, 1.12 * _latest(loads, signal))
+        times = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
+        latest = max((value for value in times if value), default=1.0)
+        axes.set_ylim(0, 1.12 * latest)
         axes.set_xlim(-0.8, len(loads) - 0.2)
         _name_columns(axes, loads, last=row == len(signals) - 1)
     return figure
@@ -218,11 +220,6 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
     note(axes, 1.015, height, words, colour, va="top")
     bound = "≥ " if any(censored for _, _, censored in times) else ""
     note(axes, 1.015, height - 0.11, f"mean {bound}{mean_s:.1f} s", QUIET, va="top")
-
-
-def _latest(loads: Sequence[SettledLoad], signal: str) -> float:
-    times = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
-    return max((value for value in times if value), default=1.0)
 
 
 def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> None:

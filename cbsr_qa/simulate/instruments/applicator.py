@@ -113,7 +113,10 @@ class EmulatedApplicator:
     def receive(self, data: bytes) -> bytes:
         if Fault.BUSY in self._told:
             self._told.discard(Fault.BUSY)
-            self._keep_busy()
+            for _ in range(BUSY_MESSAGES):
+                self._send(_BUSY)
+                threading.Event().wait(BUSY_PAUSE_S)
+                self._rig.clock.sleep(_BUSY_EVERY_S)
         if Fault.RESET in self._told:
             self._told.discard(Fault.RESET)
             return self._restart()
@@ -128,12 +131,6 @@ class EmulatedApplicator:
         """Inject a fault: request a resend, report busy, or restart."""
         if fault in (Fault.RESEND, Fault.BUSY, Fault.RESET):
             self._told.add(fault)
-
-    def _keep_busy(self) -> None:
-        for _ in range(BUSY_MESSAGES):
-            self._send(_BUSY)
-            threading.Event().wait(BUSY_PAUSE_S)
-            self._rig.clock.sleep(_BUSY_EVERY_S)
 
     def _restart(self) -> bytes:
         with self._rig.lock:

@@ -54,7 +54,10 @@ class EmulatedErtBoard:
         self._session = math.ceil(1e3 * rig.world.setting.began_s)
         self._silent = False
         self._last = b""
-        self._scale = self._counts_per_volt()
+        world = self._rig.world
+        unloaded = np.abs(world.sheet.unloaded) * world.setting.current_A
+        largest_V = float(unloaded[world.setting.sensor_type.pattern.usable()].max())
+        self._scale = _FILLED * self._range[1] / largest_V
 
     def attach(self, line: Port) -> None:
         self._line = line
@@ -120,9 +123,3 @@ class EmulatedErtBoard:
             counts = np.rint(np.clip(self._zero + self._scale * scanned, *self._range)).astype(np.int64)
             self._frame = (frame, counts.reshape(_PAIRS, _PAIRS))
         return self._frame[1]
-
-    def _counts_per_volt(self) -> float:
-        world = self._rig.world
-        unloaded = np.abs(world.sheet.unloaded) * world.setting.current_A
-        largest_V = float(unloaded[world.setting.sensor_type.pattern.usable()].max())
-        return _FILLED * self._range[1] / largest_V

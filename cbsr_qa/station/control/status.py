@@ -103,7 +103,11 @@ class RunStatus:
                 force_N = float(samples.values[-1])
                 self._set(force_N=force_N if math.isfinite(force_N) else None, time_s=float(samples.time_s[-1]))
             case LoadFinished(phase=phase, record=record):
-                self._finish_load((phase, record.index))
+                key = (phase, record.index)
+                if key in self._keys:
+                    number = self._keys.index(key)
+                    self._loads[number] = replace(self._loads[number], done=True)
+                self._set(load=None, next=self._find_next())
             case StepRetried(attempt=attempt, why=why):
                 self._warn(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded(end=end, detail=detail):
@@ -124,12 +128,6 @@ class RunStatus:
         of, wanted = len(self._loads), _plan_load(self._names.get(phase, ""), load, done=False)
         numbers = (n for n, key in enumerate(self._keys) if key[0] == phase and self._loads[n] == wanted)
         return LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
-
-    def _finish_load(self, key: LoadKey) -> None:
-        if key in self._keys:
-            number = self._keys.index(key)
-            self._loads[number] = replace(self._loads[number], done=True)
-        self._set(load=None, next=self._find_next())
 
     def _find_next(self) -> Numbered | None:
         """Return which press is the first that is not done; None if all are."""

@@ -8,7 +8,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.charts import ChartKind, ChartReference
 from cbsr_qa.domain.results.report import Banner, Block, Cell, CommandOutcome, Figure, Page, Paragraph, Section, Table
 from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
-from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, ChartPhase, MetricChart
+from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, MetricChart
 from cbsr_qa.studies.charts.charts import Charts
 
 _NONE: Final = "–"
@@ -119,7 +119,8 @@ def _row(chart: MetricChart) -> tuple[str | Cell, ...]:
         state = Cell(
             f"signals since {chart.signal.since:%Y-%m-%d} ({plural(chart.signal.runs, 'run')})", Outcome.FAIL
         )
-    latest = _latest(chart)
+    # Chart of the latest points (for a pair, the first).
+    latest = next((part for part in reversed(chart.charts) if part.name == chart.charts[0].name), None)
     return (
         chart.label,
         unit_shown(chart.unit),
@@ -131,11 +132,6 @@ def _row(chart: MetricChart) -> tuple[str | Cell, ...]:
         str(len(chart.values) - chart.reference_runs),
         state,
     )
-
-
-def _latest(chart: MetricChart) -> ChartPhase | None:
-    """Return the chart of the latest points (for a pair, the first)."""
-    return next((part for part in reversed(chart.charts) if part.name == chart.charts[0].name), None)
 
 
 def _blocks(chart: MetricChart, shared: tuple[str, ...]) -> Iterator[Block]:

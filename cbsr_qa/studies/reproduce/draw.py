@@ -19,7 +19,7 @@ from cbsr_qa.report.draw.style import (
     light_grid,
     name_rows,
 )
-from cbsr_qa.studies.reproduce.compare import ComparedRow, Ours, Printed
+from cbsr_qa.studies.reproduce.compare import ComparedRow, Ours
 from cbsr_qa.studies.reproduce.reproduce import CentreForces
 
 
@@ -38,7 +38,11 @@ def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
         for row in rows:
             _bars(axes, groups.index(row.group), row)
         axes.set_title(f"{name} [{rows[0].unit}]", fontweight="normal")
-        axes.set_xlim(*_limits(rows))
+        # Scale for the paper's bars and our uniform sheet's; the bench sheet may exceed it.
+        ends = [(row.paper.value or 0.0) + (row.paper.deviation or 0.0) for row in rows]
+        ends += [(row.ours.value or 0.0) + (row.ours.uncertainty or 0.0) for row in rows]
+        limits = 0.0, 1.06 * max(ends)
+        axes.set_xlim(*limits)
         name_rows(axes, groups)
         axes.tick_params(labelleft=axes is panels[0])
     for place, (label, colour) in enumerate((("paper", QUIET), ("simulated", BLUE), ("bench, simulated", ORANGE))):
@@ -61,13 +65,6 @@ def _bar(axes: Axes, y: float, value: float | None, spread: float | None, colour
     axes.plot(value, y, color=colour, marker=marker, markersize=3.2, linestyle="none")
 
 
-def _limits(rows: Sequence[ComparedRow]) -> tuple[float, float]:
-    """Scale for the paper's bars and our uniform sheet's; the bench sheet may exceed it."""
-    ends = [(row.paper.value or 0.0) + (row.paper.deviation or 0.0) for row in rows]
-    ends += [(row.ours.value or 0.0) + (row.ours.uncertainty or 0.0) for row in rows]
-    return 0.0, 1.06 * max(ends)
-
-
 @draw_svg
 def _two_panels(height_in: float, draw: Callable[[list[Axes]], None]) -> Canvas:
     figure = canvas(height_in)
@@ -87,7 +84,9 @@ def settling_svg(table: Sequence[ComparedRow]) -> str:
         for axes, percent in zip(panels, ("8 wt%", "9 wt%"), strict=True):
             rows = [row for row in table if row.group.startswith(f"{percent},") and "%" in row.name]
             if rows:
-                _ranges(axes, rows[0].paper)
+                for printed, shade, edge in zip(rows[0].paper.ranges, (0.35, 0.6), (2.6, 26.5), strict=True):
+                    axes.axhspan(printed.low, printed.high, color=FAINT, alpha=shade, linewidth=0)
+                    axes.text(edge, printed.high - 0.4, printed.where, fontsize=6.5, color=INK, va="top")
             for direction, colour, marker in (("loading", BLUE, "o"), ("unloading", VERMILION, "s")):
                 _settling(axes, (row for row in rows if row.group == f"{percent}, {direction}"), colour, marker)
             axes.set_title(f"{percent}, simulated uniform sheet", fontweight="normal")
@@ -99,12 +98,6 @@ def settling_svg(table: Sequence[ComparedRow]) -> str:
         panels[0].text(10, 2, "■ unloading", color=VERMILION, fontsize=7)
 
     return _two_panels(2.5, draw)
-
-
-def _ranges(axes: Axes, paper: Printed) -> None:
-    for printed, shade, edge in zip(paper.ranges, (0.35, 0.6), (2.6, 26.5), strict=True):
-        axes.axhspan(printed.low, printed.high, color=FAINT, alpha=shade, linewidth=0)
-        axes.text(edge, printed.high - 0.4, printed.where, fontsize=6.5, color=INK, va="top")
 
 
 def _settling(axes: Axes, rows: Iterable[ComparedRow], colour: str, marker: str) -> None:

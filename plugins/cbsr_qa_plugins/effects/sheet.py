@@ -16,7 +16,6 @@ from cbsr_qa.plugin import (
     SheetDesign,
     SheetField,
     SheetOutline,
-    SimulatedPress,
 )
 from cbsr_qa.simulate.effect import Positive, SceneEffect
 from cbsr_qa.simulate.ramps import Transients, quasi_static
@@ -247,15 +246,13 @@ class Hysteresis(SceneEffect):
         for index, press in enumerate(moment.presses):
             strain = press.strain_at(moment.time_s)
             if strain > 0:  # closed at the loop's lower end
-                deepest = _deepest_so_far(press, moment.time_s)
+                # Largest strain up to a time: at the end of a ramp, or now.
+                ends = [step.start_s + step.ramp_s for step in press.steps]
+                deepest = max(
+                    [press.strain_at(end) for end in ends if end <= moment.time_s] + [press.strain_at(moment.time_s)]
+                )
                 share = min(strain / deepest, 1.0)
                 moment.response[index] += 4 * self.options.width * self._slope * deepest * share * (1 - share)
-
-
-def _deepest_so_far(press: SimulatedPress, time_s: float) -> float:
-    """Largest strain up to a time: at the end of a ramp, or now."""
-    ends = [step.start_s + step.ramp_s for step in press.steps]
-    return max([press.strain_at(end) for end in ends if end <= time_s] + [press.strain_at(time_s)])
 
 
 class TemperatureDrift(SceneEffect):

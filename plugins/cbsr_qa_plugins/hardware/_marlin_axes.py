@@ -112,7 +112,10 @@ class MarlinAxes:
         """Find the end stops: first upwards, out of a sheet the head may be in."""
         if self._link.down:
             self._link.reopen()
-        self._lift()
+        self._at = None
+        for line in self._lifting():
+            self._link.command(line)
+        self._lifted_at = self._link.restarts
         self._link.command("M400")
         self._link.command("G21")
         self._link.command("G90")
@@ -216,12 +219,6 @@ class MarlinAxes:
         """
         lifts_already = not self.homed and self._lifted_at == self._link.restarts
         return [] if lifts_already else ["M410", *self._lifting()]
-
-    def _lift(self) -> None:
-        self._at = None
-        for line in self._lifting():
-            self._link.command(line)
-        self._lifted_at = self._link.restarts
 
     def _lifting(self) -> list[str]:
         feed = f"F{60 * self._lift_mm_s:.6g}"

@@ -10,7 +10,6 @@ from cbsr_qa.plugin import (
     CONTACT_LENGTH_MM,
     FrameBlock,
     InstrumentIdentity,
-    Motion,
     PluginOptions,
     SampleBlock,
     StationContext,
@@ -77,7 +76,9 @@ class SimulatedBench(HeadDriver):
             began_s=context.resumed_at_s,
         )
         self._addresses = StepAddresses(context.clock, _FORCE_RATE_HZ)
-        self._head = SimulatedHead(context.clock, self.world, _motion(context, options), role=context.role)
+        own = options.model_dump(include={"hover_mm", "travel_speed_mm_s"}, exclude_none=True)
+        motion = replace(context.motion or RIG_MOTION, **own)
+        self._head = SimulatedHead(context.clock, self.world, motion, role=context.role)
         self._open = True
 
     def begin_step(self, phase: int, number: int) -> None:
@@ -174,8 +175,3 @@ class SimulatedBench(HeadDriver):
     def _check_open(self) -> None:
         if not self._open:
             raise self._error("the bench is closed", "open it again")
-
-
-def _motion(context: StationContext, options: BenchOptions) -> Motion:
-    own = options.model_dump(include={"hover_mm", "travel_speed_mm_s"}, exclude_none=True)
-    return replace(context.motion or RIG_MOTION, **own)

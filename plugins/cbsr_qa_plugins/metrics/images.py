@@ -29,7 +29,9 @@ class GreitFiguresOfMerit:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; an image without a positive element has no figures."""
-        expected = _predict_change(load, run)
+        # Relative change that the material file predicts under the head.
+        known = run.record.material.against_strain
+        expected = abs(known.slope.value * load.record.load.strain + known.intercept.value)
         image = Image(load.image.mesh, load.response.sign * load.image.values)
         figures = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
         values = (None,) * len(_NAMES) if figures is None else astuple(figures)
@@ -37,12 +39,6 @@ class GreitFiguresOfMerit:
             measurement_of_load(load, name, value, unit, how=_how(name, figures, expected))
             for (name, unit), value in zip(self.measures.items(), values, strict=True)
         )
-
-
-def _predict_change(load: LoadObservation, run: RunObservation) -> float:
-    """Relative change that the material file predicts under the head."""
-    known = run.record.material.against_strain
-    return abs(known.slope.value * load.record.load.strain + known.intercept.value)
 
 
 def _how(name: str, figures: GreitFigures | None, expected: float) -> str:

@@ -15,13 +15,11 @@ from cbsr_qa.eit.imaging.shape import (
     shape_deviation_mm2,
 )
 from cbsr_qa.plugin import (
-    AnalysisSettings,
     Blob,
     Estimated,
     LoadEstimate,
     LoadObservation,
     Measurement,
-    Region,
     RunObservation,
 )
 from cbsr_qa_plugins.metrics._shared import masks_of, measurement_of_load, why_not
@@ -66,16 +64,14 @@ class AreaOverlap:
             if view.region is not None:
                 overlap = area_overlap_percent(view.region, load.pressed, run.settings.clipping)
                 ratio = view.region.area_mm2 / load.indenter.area_mm2
-                how = _describe_overlap(overlap, ratio, run.settings, view.region)
+                grade = overlap_grade(
+                    overlap, ratio, bands=run.settings.overlap_bands, size_ratio=run.settings.size_ratio
+                )
+                clipped = "elements" if isinstance(view.region, Blob) else "a contour"
+                how = f"{grade}; A_b/A_FA {ratio:.2f}; {run.settings.clipping} clipping of {clipped}"
             measured.append(measurement_of_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
             measured.append(measurement_of_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)
-
-
-def _describe_overlap(overlap: float, ratio: float, settings: AnalysisSettings, region: Region) -> str:
-    grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
-    clipped = "elements" if isinstance(region, Blob) else "a contour"
-    return f"{grade}; A_b/A_FA {ratio:.2f}; {settings.clipping} clipping of {clipped}"
 
 
 class ShapeDeviation:

@@ -5,7 +5,7 @@ from typing import ClassVar, Final
 
 from cbsr_qa.analysis.run.agreement import DirectedAgreement, image_against_blobs, sheet_against_strip
 from cbsr_qa.calibration.fits.agreement import SHAPE_MARGIN, TIME_MARGIN, Agreement
-from cbsr_qa.calibration.fits.common_relaxation import TimedValues, common_settling_time, fit_common_relaxation
+from cbsr_qa.calibration.fits.common_relaxation import common_settling_time, fit_common_relaxation
 from cbsr_qa.calibration.fits.settling import estimate_restricted_mean, relaxation_start, window_s
 from cbsr_qa.calibration.fits.steady_state import event_rate_per_min
 from cbsr_qa.plugin import (
@@ -74,28 +74,23 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     name = "mean_settling_time"
     timed = [(m.settling.value_s, m.settling.censored) for m in members if m.settling.value_s is not None]
     late = sum(censored for _, censored in timed)
-    how = _counts(len(timed) - late, late, len(members) - len(timed))
+    settled = len(timed) - late
+    rejected = len(members) - len(timed)
+    words = [f"{settled} of {settled + late + rejected} settled"]
+    words += [f"{late} later than {'its window' if late == 1 else 'their windows'}"] if late else []
+    words += [f"{rejected} rejected"] if rejected else []
+    how = ", ".join(words)
     if 2 * len(timed) < len(members):
         why = f"{how}: fewer than half of the loads say anything, and their mean would be one of the quick"
         return Measurement(name, None, "s", qualifier=qualifier, how=why)
     mean_s, deviation_s = estimate_restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
     how += f"; standard deviation {deviation_s:.3g} s"
     how += "; a lower bound (Kaplan–Meier)" if late else ""
-    how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""
+    kept = [len(m.fit.time_constants_s) for m in members if m.settling.value_s is not None]
+    one_exponential = 2 * kept.count(1) > len(kept)
+    how += "; one exponential a load is biased to short times" if one_exponential else ""
     stderr_s = deviation_s / len(timed) ** 0.5 if len(timed) > 1 else None
     return Measurement(name, mean_s, "s", stderr_s, qualifier=qualifier, how=how, bound=_choose_bound(late > 0))
-
-
-def _counts(settled: int, late: int, rejected: int) -> str:
-    words = [f"{settled} of {settled + late + rejected} settled"]
-    words += [f"{late} later than {'its window' if late == 1 else 'their windows'}"] if late else []
-    words += [f"{rejected} rejected"] if rejected else []
-    return ", ".join(words)
-
-
-def _one_exponential(members: list[RelaxationObservation]) -> bool:
-    kept = [len(m.fit.time_constants_s) for m in members if m.settling.value_s is not None]
-    return 2 * kept.count(1) > len(kept)
 
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
@@ -103,23 +98,20 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
     starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
     traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
     common = fit_common_relaxation(traces)
+    # Where the first fit behind a spike begins; 0 where any trace has no spike.
+    earliest_s = min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
     settling, stderr_s = common_settling_time(
         common,
         window_s=max((window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
         loaded_change=_hold_end_change(traced),
-        start_s=_earliest_s(traces, starts),
+        start_s=earliest_s,
     )
     how = f"{_describe_fit(common.fit)}; {common.traces} traces fitted together"
     how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
     name, bound = "common_settling_time", _choose_bound(settling.censored)
     return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
-
-
-def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
-    """Where the first fit behind a spike begins; 0 where any trace has no spike."""
-    return min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
 
 
 def _hold_end_change(members: list[_Member]) -> float | None:

@@ -52,7 +52,9 @@ def board_clock(lines: list[BoardLine], width: int) -> RowClock:
     computer = {number: time_s + offsets[number] for number, time_s in timed}
     stands = width > PAIRS and _stands_still(rows)
     if width == PAIRS or stands:
-        clock = RowClock("computer", _rising(rows, computer), sessions=offsets)
+        times = np.maximum.accumulate([computer[row.number] for row in rows])
+        rising = {row.number: float(time) for row, time in zip(rows, times, strict=True)}
+        clock = RowClock("computer", rising, sessions=offsets)
         if stands:
             what = f"the board's clock stands still (at {rows[0].numbers[0]} ms here): the computer's clock is used"
             clock.problems.append(RowProblem(rows[0].number, what, False))
@@ -137,11 +139,6 @@ def _follow_board(clock: RowClock, rows: list[BoardLine], computer: dict[int, fl
 def _stands_still(rows: list[BoardLine]) -> bool:
     """Whether the board's clock cannot separate frames: less than one step per frame."""
     return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / PAIRS)
-
-
-def _rising(rows: list[BoardLine], computer: dict[int, float]) -> dict[int, float]:
-    times = np.maximum.accumulate([computer[row.number] for row in rows])
-    return {row.number: float(time) for row, time in zip(rows, times, strict=True)}
 
 
 def _spread_repeated(clock: RowClock, rows: list[BoardLine]) -> None:

@@ -58,7 +58,9 @@ class ErtBoardCsv(OneDataSet):
     def _read(self, path: Path) -> Recording:
         lines, given_up = _lines(path)
         _refuse_without_rows(path, lines)
-        width = _row_width(lines)
+        # Numbers of a good row: 17 where the board's clock is in front; the titles say so always, and are wrong.
+        widths = Counter(len(line.numbers) for line in lines if line.kind is LineKind.ROW)
+        width = PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
         rows = [line.numbers for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
         scale = count_scale([numbers[-PAIRS:] for numbers in rows])
         lines, problems = _replace_bad_rows(lines, width, scale)
@@ -119,12 +121,6 @@ def _refuse_without_rows(path: Path, lines: list[BoardLine]) -> None:
             f"{path.name} holds only headers ({said}), not one row of readings",
             remedy="the board sent nothing: check its cable and power, then record again",
         )
-
-
-def _row_width(lines: list[BoardLine]) -> int:
-    """Numbers of a good row: 17 where the board's clock is in front; the titles say so always, and are wrong."""
-    widths = Counter(len(line.numbers) for line in lines if line.kind is LineKind.ROW)
-    return PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
 
 
 def _replace_bad_rows(

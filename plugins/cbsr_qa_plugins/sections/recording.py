@@ -116,7 +116,15 @@ class RecordingEvents(RecordingSection):
     def blocks(self, result: RecordingResult) -> Iterator[Block]:
         """Return the events as a table and as images, or the reason for none, and their traces."""
         if result.events:
-            yield from (_table(result.events, still=result.frame_rate_hz is None), *_moving(result.events))
+            motions = [
+                f"{_name(rank)} moves: {event.motion.words}"
+                for rank, event in enumerate(result.events)
+                if event.motion
+            ]
+            moving: list[Block] = (
+                [Paragraph(f"{'. '.join(motions)}. The table gives where it is clearest.")] if motions else []
+            )
+            yield from (_table(result.events, still=result.frame_rate_hz is None), *moving)
             yield from (_images(result), _imaging(result), _image_table(result.events))
         else:
             yield Paragraph(f"No event: {result.events_why}.", "note")
@@ -162,11 +170,6 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
 
 def _format_explained(fit: Goodness) -> str:
     return f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"
-
-
-def _moving(events: Sequence[LoadEvent]) -> list[Block]:
-    motions = [f"{_name(rank)} moves: {event.motion.words}" for rank, event in enumerate(events) if event.motion]
-    return [Paragraph(f"{'. '.join(motions)}. The table gives where it is clearest.")] if motions else []
 
 
 def _imaging(result: RecordingResult) -> Table:

@@ -37,7 +37,11 @@ class RelaxationFits(ObservedSection):
             return
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
         shown = _choose_load(loads, select_relaxed(loads_of(run, Role.RELAXATION)))
-        yield from (_traces(loads, shown, signals), _fits(shown))
+        rows = [_fit_row(relaxation) for relaxation in shown.relaxations]
+        columns = ("Signal", "After", "Form", "a₀", "τ₁ [s]", "τ₂ [s]", "R²", "Settled [s]")
+        caption = f"Fits of {shown.label} ({shown.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
+        fits = text_table(caption, columns, rows, (3, 4, 5, 6, 7))
+        yield from (_traces(loads, shown, signals), fits)
         yield from _together(result.measurements)
         yield from (_times(loads, signals), _strain_table(loads, signals))
         yield from _agreements(run, result.measurements)
@@ -124,13 +128,6 @@ def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:
         values = " to ".join(dict.fromkeys(number(bound, 2) for bound in (min(low), max(low))))
         words.insert(0, f"{len(low)} with R² below {gate:g} ({values})")
     return f"{plural(len(fits), 'fit was', 'fits were')} rejected: {', '.join(words)}."
-
-
-def _fits(load: SettledLoad) -> Table:
-    rows = [_fit_row(relaxation) for relaxation in load.relaxations]
-    columns = ("Signal", "After", "Form", "a₀", "τ₁ [s]", "τ₂ [s]", "R²", "Settled [s]")
-    caption = f"Fits of {load.label} ({load.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
-    return text_table(caption, columns, rows, (3, 4, 5, 6, 7))
 
 
 def _fit_row(relaxation: RelaxationObservation) -> list[str]:

@@ -71,7 +71,9 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
     rows = []
     for cost in costs:
         spent = (str(cost.places), str(cost.loads), duration(cost.station_s))
-        rows.append([*spent, _percent(cost.stated), _format_seen(cost), _percent(cost.expected)])
+        # Error at the places left out, unless the noise of their loads explains all of it.
+        seen = "below noise" if cost.seen == 0 else _percent(cost.seen)
+        rows.append([*spent, _percent(cost.stated), seen, _percent(cost.expected)])
     columns = ("Places", "Loads", "Station time", "Stated error [%]", "At places left out: error [%]", "stated [%]")
     caption = (
         "The map learned from fewer loads: standard error in the calibrated area; at the places left out, its"
@@ -89,11 +91,6 @@ def _map_words(costs: Sequence[MapCost]) -> str:
         words += f" One load at each place would have taken {duration(before.station_s)}"
         words += f" and given {_percent(before.stated)} %."
     return f"{words} The table shows the same for fewer places, as far apart as possible."
-
-
-def _format_seen(cost: MapCost) -> str:
-    """Error at the places left out, unless the noise of their loads explains all of it."""
-    return "below noise" if cost.seen == 0 else _percent(cost.seen)
 
 
 def _percent(value: float | None) -> str:

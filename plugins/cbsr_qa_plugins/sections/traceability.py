@@ -48,7 +48,8 @@ class Traceability(RunSection):
         if len(record.sessions) > 1:
             yield _sessions(record)
         yield from (Paragraph(words) for words in _attendance_lines(record))
-        yield _software(record)
+        rows = [[name, version] for name, version in record.identity.software]
+        yield text_table("Software.", ("Distribution", "Version"), rows)
 
 
 def _instruments(record: RunRecord) -> Table:
@@ -210,11 +211,6 @@ def _minute(at: datetime) -> str:
 
 def _versions(session: RunSession) -> str:
     return ", ".join(f"{name} {version}" for name, version in session.software[:1]) or "not noted"
-
-
-def _software(record: RunRecord) -> Table:
-    rows = [[name, version] for name, version in record.identity.software]
-    return text_table("Software.", ("Distribution", "Version"), rows)
 
 
 class StationChecked(RunSection):

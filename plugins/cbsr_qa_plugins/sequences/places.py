@@ -177,7 +177,9 @@ class RandomLoadsSequence(WithOptions):
         yield from parts.presses(options, self._loads(context.seed), hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _loads(self, seed: int) -> tuple[Load, ...]:
-        draws = _generator(seed, self.options.stream).random((self.options.count, 3))
+        digest = hashlib.sha256(f"{seed}/{self.options.stream}".encode()).digest()
+        generator = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "big")))
+        draws = generator.random((self.options.count, 3))
         return tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
 
     def _load(self, number: int, first: float, second: float, third: float) -> Load:
@@ -191,8 +193,3 @@ class RandomLoadsSequence(WithOptions):
 
 def _interpolate(bounds: tuple[float, float], share: float) -> float:
     return bounds[0] + (bounds[1] - bounds[0]) * share
-
-
-def _generator(seed: int, stream: str) -> np.random.Generator:
-    digest = hashlib.sha256(f"{seed}/{stream}".encode()).digest()
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "big")))

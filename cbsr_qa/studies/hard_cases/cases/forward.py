@@ -80,14 +80,13 @@ def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answe
     )
     error = float((np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
-    bound = condition_bound(condition, _leak(model.conductance, model.prepared.contacts.lengths_mm / contacts))
+    # What potentials that are not refined lose within good conductors, where fields are faint; else nothing.
+    apart = float(
+        max(model.conductance.max(), (model.prepared.contacts.lengths_mm / contacts).max()) / model.conductance.min()
+    )
+    leak = UNREFINED_ERROR * apart if apart <= REFINED_ABOVE else 0.0
+    bound = condition_bound(condition, leak)
     return Answer(error, bound, condition, note="the worst of all columns")
-
-
-def _leak(conductance: Array, contacts: Array) -> float:
-    """What potentials that are not refined lose within good conductors, where fields are faint; else nothing."""
-    apart = float(max(conductance.max(), contacts.max()) / conductance.min())
-    return UNREFINED_ERROR * apart if apart <= REFINED_ABOVE else 0.0
 
 
 @AREA.against(FIFTY)

@@ -42,7 +42,9 @@ def smooth(relative: float) -> Answer:
     """
     mesh, jacobian = _sheet()
     differences = _differences(mesh)
-    sizes = _sizes(jacobian, differences)
+    # Singular values of the readings that no constant image explains, over the prior's root.
+    rest = linalg.null_space(jacobian.sum(axis=1)[None]).T
+    sizes = linalg.svdvals(rest @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
     value = relative * float(sizes[0])
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
     computed = dual_matrix(jacobian, laplace(mesh), value) @ readings
@@ -56,12 +58,6 @@ def _differences(mesh: Mesh) -> Array:
     for row, (first, second) in zip(rows, mesh.neighbours, strict=True):
         row[first], row[second] = 1.0, -1.0
     return rows
-
-
-def _sizes(jacobian: Array, differences: Array) -> Array:
-    """Singular values of the readings that no constant image explains, over the prior's root."""
-    rest = linalg.null_space(jacobian.sum(axis=1)[None]).T
-    return linalg.svdvals(rest @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
 
 
 def _exact(jacobian: Array, differences: Array, value: float, readings: Array) -> Array:
