@@ -8,6 +8,7 @@ import uvicorn
 
 from cbsr_qa.web import connections
 from cbsr_qa.web.guard import Right
+from tests.samples.loops import run_coroutine
 
 
 async def _endless(scope, receive, send):
@@ -47,7 +48,7 @@ def test_a_client_that_does_not_read_is_left(monkeypatch, right):
                 await asyncio.sleep(0.01)
         writer.close()
 
-    asyncio.run(_served(_endless, deaf))
+    run_coroutine(_served(_endless, deaf))
 
 
 async def _short(scope, receive, send):
@@ -68,7 +69,7 @@ def test_of_what_a_stranger_sends_a_head_is_searched_and_little_is_kept(monkeypa
         kept.append(len(connection._unread))
         writer.transport.abort()
 
-    asyncio.run(_served(_short, loud, lambda sent: looks.append(len(sent))))
+    run_coroutine(_served(_short, loud, lambda sent: looks.append(len(sent))))
     assert sum(looks) <= 2 * connections.MOST_HEAD
     assert kept[-1] <= connections.MOST_HEAD + 2**18  # what one call of the system brings
 
@@ -84,7 +85,7 @@ def test_a_token_is_seen_that_arrives_in_two_parts_while_the_connection_waits(mo
             await asyncio.sleep(0.1)
         writer.transport.abort()
 
-    asyncio.run(_served(_short, late, lambda sent: b"Bearer token" in sent))
+    run_coroutine(_served(_short, late, lambda sent: b"Bearer token" in sent))
     assert turns == [False, True]
 
 
@@ -100,5 +101,5 @@ def test_requests_that_a_stranger_sends_at_once_are_answered_a_turn_each(monkeyp
             assert b"200" in await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
         writer.close()
 
-    asyncio.run(_served(_short, hasty))
+    run_coroutine(_served(_short, hasty))
     assert len(turns) >= 500

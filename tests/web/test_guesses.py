@@ -1,6 +1,5 @@
 """How long somebody who guesses has to wait."""
 
-import asyncio
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +9,7 @@ from cbsr_qa.system.pins import hash_pin
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.guesses import FREE_GUESSES, LONGEST_WAIT_S, Guesses, TooManyGuessesError, client_network
 from cbsr_qa.web.stations import load_stations
+from tests.samples.loops import run_coroutine
 
 
 class _Clock:
@@ -108,7 +108,7 @@ def test_made_up_names_do_not_push_out_the_guesses_at_an_operator(actions, monke
     monkeypatch.setattr("cbsr_qa.web.guesses._MOST_GUESSERS", 3)
 
     def guess(operator, pin):
-        return asyncio.run(actions.count_pin("bench", operator, pin))
+        return run_coroutine(actions.count_pin("bench", operator, pin))
 
     for n in range(FREE_GUESSES):
         guess("Ada", f"{n:04d}")

@@ -9,6 +9,7 @@ from starlette.exceptions import HTTPException
 
 from cbsr_qa.web import application
 from cbsr_qa.web.guard import Right
+from tests.samples.loops import run_coroutine
 
 
 def _request(right):
@@ -41,4 +42,4 @@ def test_lookers_wait_for_each_other_not_more_than_a_few_and_never_keep_a_contro
             may_end.set()
         assert await asyncio.gather(*lookers) == ["page"] * len(lookers)
 
-    asyncio.run(ask())
+    run_coroutine(ask())

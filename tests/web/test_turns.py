@@ -6,6 +6,7 @@ import pytest
 
 from cbsr_qa.web.guard import Access, Right
 from cbsr_qa.web.turns import MOST_NEW, PLACES, Turns
+from tests.samples.loops import run_coroutine
 
 _TOKEN = "token-of-these-tests-only"
 _ACCESS = Access(frozenset({"here"}), "http", _TOKEN, False, 8765, "key-of-cookies", frozenset())
@@ -54,7 +55,7 @@ def test_between_two_rounds_of_the_loop_only_some_strangers_are_read():
         assert [one.turns for one in waiting] == [1] * 40
         return read
 
-    assert max(asyncio.run(rounds())) <= 8
+    assert max(run_coroutine(rounds())) <= 8
 
 
 def test_those_that_are_new_stay_and_the_oldest_of_the_others_leave():
