@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown
 from cbsr_qa.analysis.recording_files import read_recording
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.imaging import Image
 from cbsr_qa.domain.readings.frames import Recording
 from cbsr_qa.domain.readings.loads import LoadRecord

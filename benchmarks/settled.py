@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_files import read_recording
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
 from cbsr_qa.domain.readings.frames import Recording
 

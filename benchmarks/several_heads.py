@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.domain.plan.world import SheetDesign
 from cbsr_qa.simulate.sheet import SimulatedSheet

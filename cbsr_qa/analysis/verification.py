@@ -11,7 +11,7 @@ from cbsr_qa.calibration.fits.relaxation import relaxation_curve
 from cbsr_qa.calibration.fits.steady_state import predict_steady
 from cbsr_qa.calibration.force.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.calibration.force.template_matching import Matches
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import SampleBlock

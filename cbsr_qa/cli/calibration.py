@@ -1,13 +1,17 @@
 """``cbsr-qa calibration``: show, check, sign and convert calibration files, turn frames into force."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, PublicKey
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.calibration.apply import ApplyRequest
+    from cbsr_qa.calibration.runtime.estimator import Estimator
 
 group("calibration", "Show, check, sign, convert and apply calibration files.")
 
@@ -147,24 +151,20 @@ def apply(
     Shows a short table for each recording; --output writes one row per frame.
     """
     from cbsr_qa.app.calibration.apply import ApplyRequest, apply_calibration, apply_outcome, as_csv, write_table
-    from cbsr_qa.app.calibration.apply_places import is_press_calibration
+    from cbsr_qa.calibration.loading import load_foreign_calibration
+    from cbsr_qa.calibration.runtime.estimator import Ability
 
-    if pattern is not None or is_press_calibration(file):
-        return _apply_places(
-            file,
-            recordings,
-            pattern,
-            (differences, rest, reference),
-            output,
-            public_key,
-            as_json=as_json,
-        )
-    if differences or rest is not None:
+    estimator = load_foreign_calibration(file, public_key)
+    request = ApplyRequest(place, format_, dataset, reference, serial, pattern, differences, rest)
+    if pattern is None and Ability.READINGS in estimator.lacks and (differences or rest is not None):
         raise typer.BadParameter(
             "it is for calibrations from labelled presses", param_hint="--differences" if differences else "--rest"
         )
-    request = ApplyRequest(place, format_, dataset, reference, serial, public_key)
-    applied = apply_calibration(file, recordings, request, tell=announce)
+    if sum([differences, rest is not None, reference is not None]) > 1:
+        raise typer.BadParameter("give one of --differences, --rest and --reference", param_hint="--differences")
+    if pattern is not None or estimator.regions is not None:
+        return _apply_to_rows(estimator, file, recordings, request, output, as_json=as_json)
+    applied = apply_calibration(estimator, file, recordings, request, tell=announce)
     for recording in applied.recordings:
         if recording.error is not None:
             note(f"cbsr-qa: {recording.error}")
@@ -178,29 +178,23 @@ def apply(
     return show_outcome(apply_outcome(applied, output), as_json=as_json)
 
 
-def _apply_places(
+def _apply_to_rows(
+    estimator: "Estimator",
     file: Path,
     readings: list[Path],
-    pattern: Path | None,
-    unloaded: tuple[bool, Path | None, int | None],
+    request: "ApplyRequest",
     output: Path | None,
-    public_key: Path | None,
     *,
     as_json: bool,
 ) -> int:
     from cbsr_qa.app.calibration.apply import write_table
-    from cbsr_qa.app.calibration.apply_places import apply_to_presses, places_csv, places_outcome
+    from cbsr_qa.app.calibration.apply_places import apply_to_rows, places_csv, places_outcome
 
-    differences, rest, reference = unloaded
     if len(readings) != 1:
         raise typer.BadParameter("one table or recording is turned into places at a time", param_hint="RECORDINGS")
-    if sum([differences, rest is not None, reference is not None]) > 1:
-        raise typer.BadParameter("give one of --differences, --rest and --reference", param_hint="--differences")
-    if pattern is not None and reference is not None:
+    if request.pattern is not None and request.reference is not None:
         raise typer.BadParameter("a table has --rest FILE", param_hint="--reference")
-    applied = apply_to_presses(
-        file, readings[0], pattern, differences=differences, rest=rest, reference=reference, public_key=public_key
-    )
+    applied = apply_to_rows(estimator, file, readings[0], request)
     if output == _STDOUT and not as_json:
         say(places_csv(applied).rstrip())
         return 0

@@ -11,7 +11,7 @@ from cbsr_qa.app.run.outcome import RunOutcome, run_outcome
 from cbsr_qa.app.run.render import outcome_of_stored
 from cbsr_qa.app.shift.lists import ListRequest
 from cbsr_qa.calibration.file.hdf5 import calibration_of
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.plan.limits import Outcome

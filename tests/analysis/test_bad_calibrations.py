@@ -8,7 +8,7 @@ from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.readings.frames import ReadingFlag

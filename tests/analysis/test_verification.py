@@ -11,7 +11,7 @@ from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.verification import verify_calibration
 from cbsr_qa.app.run.run import RunRequest, plan_run
 from cbsr_qa.calibration.file.hdf5 import write_calibration
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import CalibrationError, ConfigError
 from cbsr_qa.domain.plan.limits import Outcome

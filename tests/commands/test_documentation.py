@@ -288,8 +288,9 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     untouched = in_python["calibration"].places(np.zeros((1, in_python["frames"].shape[1])))
     assert np.isnan(in_python["calibration"].force(untouched).values).all()
     assert qa.Flag.NOT_DETECTED in qa.Flag(int(untouched.flags[0]))
-    with pytest.raises(qa.CbsrError, match="load_press_calibration"):
-        qa.load_calibration("skin.h5")
+    with pytest.raises(qa.CbsrError, match="load_calibration"):
+        qa.Calibration.load("skin.h5")
+    assert qa.load_calibration("skin.h5").lacks["depth"] == "was learned from presses that had no depth"
     with pytest.raises(qa.CbsrError, match="no depth"):
         in_python["calibration"].depth(in_python["places"])
     # One press more or less inside its region is another whole percent.

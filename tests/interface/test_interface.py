@@ -44,7 +44,7 @@ def test_importing_it_loads_nothing_else():
 def test_a_calibration_is_loaded_without_what_a_robot_lacks():
     code = (
         "import sys, cbsr_qa as qa; qa.load_calibration, qa.ForceStream, qa.Flag, qa.PressureMap, qa.CbsrError;"
-        "qa.load_press_calibration;"
+        "qa.PressCalibration, qa.Estimator, qa.Touches;"
         "print([m for m in ('pydantic', 'sqlalchemy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -163,7 +163,7 @@ def test_frames_of_a_file_in_counts_are_imaged_as_they_are(tmp_path):
         (lambda: qa.simulate_scene("no-such-scene"), "no-such-scene"),
         (lambda: qa.compare("batches"), "give one of batch, material, station, software, period"),
         (lambda: qa.compare("batch", period="decade"), "give one of day, week, month, year"),
-        (lambda: qa.load_press_calibration("absent.h5"), "absent.h5"),
+        (lambda: qa.load_calibration("absent.h5"), "absent.h5"),
     ],
 )
 def test_refusals_are_errors_of_the_package(call, reason, tmp_path, monkeypatch):

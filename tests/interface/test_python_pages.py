@@ -92,7 +92,7 @@ def test_the_snippet_of_the_readme_runs_as_printed(capsys):
     np.save("frames.npy", frames.isel(time=frames.load_stage.values == 2).voltage.values[-2:])
     shutil.copy(run.result.calibration, "sensor.h5")
     with pytest.raises(qa.CbsrError, match="load_calibration reads it"):
-        qa.load_press_calibration("sensor.h5")
+        qa.PressCalibration.load("sensor.h5")
     (snippet,) = blocks(TOP / "README.md", "python")
     exec(snippet, namespace := {})
     assert np.all(np.abs(namespace["force"].force_N - 3.5) < 0.5)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.calibration.force.learning import CalibrationLoads, LearnedForce, learn_force
 from cbsr_qa.calibration.force.templates import TemplateBank, template_bank
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel, Validity

@@ -1,6 +1,6 @@
-"""A sensor's calibration applied to recordings: a row of force for every frame."""
+"""A calibration applied to recordings: a row of force, with its standard error, for every frame."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -8,14 +8,18 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field, InstanceOf
 
+from cbsr_qa.analysis.recording.press_files import read_whole_frames
 from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.app.calibration.file import check_free, write_text
-from cbsr_qa.app.calibration.frame_scale import scale_frames
-from cbsr_qa.calibration.file.hdf5 import read_contained
-from cbsr_qa.calibration.file.signing import check_signed_file
-from cbsr_qa.calibration.force.inverse import Flag, Forces
-from cbsr_qa.calibration.runtime.runtime import Calibration
-from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.estimator import (
+    Ability,
+    Estimator,
+    FrameSequence,
+    Touches,
+    UnloadedFrames,
+    require_ability,
+)
 from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.errors import CalibrationError, CbsrError
 from cbsr_qa.domain.filling import fill_from_object
@@ -85,14 +89,29 @@ COLUMNS: Final = tuple(field.name for field in fields(FrameForce))
 
 @dataclass(frozen=True, slots=True)
 class ApplyRequest:
-    """How a calibration is applied; see the options of ``cbsr-qa calibration apply``."""
+    """How a calibration is applied; see the options of ``cbsr-qa calibration apply``.
+
+    Parameters
+    ----------
+    place_mm : of the touch; None to estimate it.
+    format, dataset : of the recordings; None as detected.
+    reference : number of first frames of a recording that are of the unloaded sheet.
+    serial : of the recorded sensor, if it is stated.
+    pattern : pairs of the columns of a table of readings; None for recordings.
+    differences : whether the readings are changes; else they are frames, compared with those of ``rest``, with the
+        ``reference`` first ones, or with the calibration's unloaded frame. Faults of pairs, electrodes and clipping
+        are named in frames, and their readings left out.
+    rest : frames of the unloaded sheet, in the form of the readings.
+    """
 
     place_mm: tuple[float, float] | None = None
     format: str | None = None
     dataset: str | None = None
     reference: int | None = None
     serial: str | None = None
-    public_key: Path | None = None
+    pattern: Path | None = None
+    differences: bool = False
+    rest: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,72 +139,113 @@ class AppliedCalibration:
 
 
 def apply_calibration(
-    calibration: Path, recordings: list[Path], request: ApplyRequest, *, tell: Tell = lambda stage: None
+    estimator: Estimator,
+    calibration: Path,
+    recordings: list[Path],
+    request: ApplyRequest,
+    *,
+    tell: Tell = lambda stage: None,
 ) -> AppliedCalibration:
     """Turn the frames of recordings into force. A recording that is refused is a result, not an exception.
+
+    Parameters
+    ----------
+    estimator : the calibration in use; ``calibration`` is its file.
 
     Raises
     ------
     CalibrationError
-        If the calibration cannot be used, is not signed by the stated key, or its sensor is not the stated one.
+        If the calibration cannot be used, or its sensor is not the stated one.
     ConfigError
-        If that serial number is malformed, or the key cannot be used.
+        If that serial number is malformed.
     """
-    issued = read_contained(calibration)
-    if request.public_key is not None:
-        check_signed_file(calibration, issued, request.public_key)
-    sensor, plugins = Calibration(issued), discover()
-    remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
+    plugins = discover()
+    remarks = _serial_remarks(estimator, request.serial)
     applied = []
     for path in recordings:
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
-            voltages, scaled = scale_frames(sensor, recording, request.reference)
-            in_order = _is_increasing(recording.frames.time_s)
-            forces = tuple(_forces(sensor, recording, voltages, request, tell, in_order=in_order))
-            applied.append(Applied(path, forces, (*scaled, *remarks, *(() if in_order else (_NO_TIMES,)))))
+            sequence = follow_recording(estimator, recording, request)
+            forces = tuple(_estimate_frames(sequence, recording, tell))
+            no_times = () if is_increasing(recording.frames.time_s) else (_NO_TIMES,)
+            applied.append(Applied(path, forces, (*sequence.remarks, *remarks, *no_times)))
         except CbsrError as error:
             applied.append(Applied(path, refused=fill_from_object(Refusal, error), error=error))
     return AppliedCalibration(calibration, tuple(applied))
 
 
-def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
+def follow_recording(estimator: Estimator, recording: Recording, request: ApplyRequest) -> FrameSequence:
+    """Begin to follow the frames of a recording.
+
+    Raises
+    ------
+    RecordingError
+        If they are not those of the calibrated sensor, or cannot be brought to its scale.
+    CalibrationError
+        If the calibration lacks what is asked for, or an unloaded frame to compare with.
+    """
+    estimator.check_recording(recording)
+    rest = None
+    if request.rest is not None:
+        require_ability(estimator, Ability.READINGS)
+        require_ability(estimator, Ability.FRAMES)
+        assert estimator.pattern is not None
+        rest = read_whole_frames(request.rest, estimator.pattern)
+    return estimator.follow(
+        recording.path.name,
+        recording.frames,
+        UnloadedFrames(request.reference, rest, request.differences),
+        timed=is_increasing(recording.frames.time_s),
+        place_mm=request.place_mm,
+    )
+
+
+def _serial_remarks(estimator: Estimator, stated: str | None) -> tuple[str, ...]:
     """Remark that a recording's sensor is unknown, unless it was stated."""
+    own = estimator.identity.serial
     if stated is None:
         why = "recordings state no serial number; --serial states it"
-        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
-    if validate_serial(stated) != own:
-        raise CalibrationError(
-            f"the calibration is of sensor {own}, the recordings are of {stated}",
-            remedy="apply the calibration that was issued for this sensor",
-        )
+        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",) if own else ()
+    check_serial(estimator, stated)
     return ()
 
 
-def _is_increasing(time_s: Array) -> bool:
+def check_serial(estimator: Estimator, stated: str) -> None:
+    """Check that a calibration is of a sensor. CalibrationError if not, or if it states none."""
+    require_ability(estimator, Ability.SERIAL, "leave --serial out: of which sensor it is cannot be checked")
+    if validate_serial(stated) != estimator.identity.serial:
+        raise CalibrationError(
+            f"the calibration is of sensor {estimator.identity.serial}, the recordings are of {stated}",
+            remedy="apply the calibration that was issued for this sensor",
+        )
+
+
+def is_increasing(time_s: Array) -> bool:
     """Whether loads can be followed over the times of frames."""
     return bool(np.isfinite(time_s).all() and (np.diff(time_s) > 0).all())
 
 
-def _forces(
-    sensor: Calibration, recording: Recording, voltages: Array, request: ApplyRequest, tell: Tell, *, in_order: bool
-) -> Iterator[FrameForce]:
-    count, follow = len(voltages), SettlingForces(sensor)
+def _estimate_frames(sequence: FrameSequence, recording: Recording, tell: Tell) -> Iterator[FrameForce]:
+    count = len(recording.frames)
     for first in range(0, count, _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
         tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
-        times, frames = recording.frames.time_s[part], voltages[part]
-        if in_order:
-            for time_s, frame in zip(times.tolist(), frames, strict=True):
-                yield from _rows([time_s], *follow.add_frame(time_s, frame, place_mm=request.place_mm))
-        else:
-            yield from _rows(times, sensor.force(frames, place_mm=request.place_mm), np.full(len(times), np.nan))
+        frames = recording.frames.select(slice(first, first + _AT_ONCE))
+        yield from _list_forces(frames.time_s, sequence.estimate(frames))
 
 
-def _rows(time_s: Iterable[float], f: Forces, settled_in_s: Array) -> Iterator[FrameForce]:
-    columns = (time_s, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability, settled_in_s)
-    for *values, flags in zip(*columns, f.flags.tolist(), strict=True):
+def _list_forces(time_s: Array, touches: Touches) -> Iterator[FrameForce]:
+    unknown, force = np.full(len(touches), np.nan), touches.force
+    columns = (
+        time_s,
+        *((unknown, unknown) if force is None else (force.values, force.stderr)),
+        *touches.place_mm.T,
+        touches.place_stderr_mm,
+        touches.detectability,
+        touches.settled_in_s,
+    )
+    told = (unknown if column is None else column for column in columns)
+    for *values, flags in zip(*told, touches.flags.tolist(), strict=True):
         row: list[Any] = [float(value) if np.isfinite(value) else None for value in values]
         row.append(flag_words(flags))
         yield FrameForce(*row)

@@ -4,10 +4,10 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Final, Literal
 
+from cbsr_qa.calibration.runtime.estimator import Interval
+
 #: Raised by one when a key is removed or changes its meaning. New keys and new types of messages do not raise it.
 SCHEMA_VERSION: Final = 1
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +18,8 @@ class HeaderMessage:
     ----------
     sequence : 0; counts the messages of the stream.
     calibration, calibration_digest : identity and SHA-256 of the calibration file.
-    kind : ``run`` if a run at a station issued it, ``presses`` if it was learned from labelled presses.
+    kind : ``run`` if a run at a station issued it, ``presses`` if it was learned from labelled presses;
+        another word for another way to calibrate.
     force : whether frames have a force; a calibration from presses without forces has places alone.
     radius_mm : of the sheet, or of the disc of equal area.
     axes : what x and y are.
@@ -36,7 +37,7 @@ class HeaderMessage:
     sensor_type: str
     calibration: str
     calibration_digest: str
-    kind: Literal["run", "presses"]
+    kind: str
     force: bool
     unit_force: Literal["N"]
     unit_place: Literal["mm"]

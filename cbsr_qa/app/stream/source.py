@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from cbsr_qa.config.loader import load_material
+from cbsr_qa.config.station import IndenterTable
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RefusedError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.readings.frames import FrameBlock
@@ -69,14 +70,14 @@ def open_source(
     frames: FramesFrom,
     plugins: Plugins,
     sensor_type: SensorType,
-    indenter: Indenter,
+    head: Indenter | None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Iterator[OpenedSource]:
     """Open the instrument; it is made safe and closed at the end.
 
     Parameters
     ----------
-    sensor_type, indenter : of the calibration.
+    sensor_type, head : of the calibration; None where it does not tell its head.
     tell : called with what could not be made safe or closed.
 
     Raises
@@ -94,7 +95,7 @@ def open_source(
         )
     with ExitStack() as stack:
         if frames.driver is not None:
-            specs, clock, opened = _alone(frames.driver, frames.options or {}, plugins, sensor_type, indenter)
+            specs, clock, opened = _alone(frames.driver, frames.options or {}, plugins, sensor_type, head)
         else:
             assert frames.station is not None
             specs, clock, opened = _prepare_station(frames.station, plugins, sensor_type, stack)
@@ -117,9 +118,11 @@ _Opened = tuple[list[InstrumentSpec], Clock, _Opener]
 
 
 def _alone(
-    driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, indenter: Indenter
+    driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, head: Indenter | None
 ) -> _Opened:
     clock = RealClock()
+    # Nothing presses here. What is simulated wants a head all the same: that of a station that states none.
+    indenter = IndenterTable().to_domain() if head is None else head
     if options.get("address") == "emulated":
         raise ConfigError(
             f"{driver}: only a station emulates instruments", remedy="give --station, e.g. --station board-emulated"

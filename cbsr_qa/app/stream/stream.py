@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from cbsr_qa.app.stream.forces import Estimate, FrameForces, frame_forces
+from cbsr_qa.app.stream.forces import Estimate, list_estimates, prepare_estimator
 from cbsr_qa.app.stream.messages import (
     SCHEMA_VERSION,
     EndMessage,
@@ -18,9 +18,11 @@ from cbsr_qa.app.stream.messages import (
     StreamMessage,
 )
 from cbsr_qa.app.stream.source import FramesFrom, OpenedSource, open_source
+from cbsr_qa.calibration.runtime.estimator import Ability, Estimator, UnloadedFrames
 from cbsr_qa.domain.errors import CbsrError, InstrumentError, NoMoreFramesError, RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.readings.frames import FrameBlock, join_frames
+from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.plugin.discovery import Plugins, discover
 
 #: Pauses between attempts of an instrument that says it may be asked again [s]: doubled, up to the longest.
@@ -74,19 +76,27 @@ def stream_messages(
     CbsrError
         Before the header, if the stream is refused or the instrument does not answer.
     """
-    forces = frame_forces(request.calibration, request.sensor_type, request.public_key)
+    estimator, sensor_type = prepare_estimator(request.calibration, request.sensor_type, request.public_key)
     plugins = plugins or discover()
-    with open_source(request.frames, plugins, forces.sensor_type, forces.indenter, tell) as source:
+    with open_source(request.frames, plugins, sensor_type, estimator.head, tell) as source:
         tell(f"waiting for a frame of {source.spec.driver}, one every {source.instrument.frame_period_s:.3g} s")
-        stream = _Stream(request, source, forces, waiting)
+        stream = _Stream(request, source, estimator, sensor_type, waiting)
         yield stream.begin()
         yield from stream.messages()
 
 
 class _Stream:
-    def __init__(self, request: StreamRequest, source: OpenedSource, forces: FrameForces, waiting: Waiting) -> None:
-        self._request, self._source, self._forces, self._waiting = request, source, forces, waiting
-        self._serial = forces.identity.serial
+    def __init__(
+        self,
+        request: StreamRequest,
+        source: OpenedSource,
+        estimator: Estimator,
+        sensor_type: SensorType,
+        waiting: Waiting,
+    ) -> None:
+        self._request, self._source, self._waiting = request, source, waiting
+        self._estimator, self._sensor_type = estimator, sensor_type
+        self._serial = estimator.identity.serial
         self._sequence = self._frames = self._missed = 0
         self._before_s: float | None = None
         self._taken: list[_Taken] = []
@@ -105,24 +115,27 @@ class _Stream:
                 remedy="give a smaller --reference, or a longer recording",
             ) from error
         first = join_frames([taken.block for taken in self._taken])
-        remarks = self._forces.scale(source.spec.driver, first, self._request.reference)
+        self._sequence_of_frames = self._estimator.follow(
+            source.spec.driver, first, UnloadedFrames(self._request.reference)
+        )
         return fill_from_object(
             HeaderMessage,
-            self._forces.identity,
+            self._estimator.identity,
             type="header",
             sequence=0,
             schema="cbsr-qa-force-stream",
             schema_version=SCHEMA_VERSION,
-            sensor_type=self._forces.sensor_type.name,
+            sensor_type=self._sensor_type.name,
+            force=Ability.FORCE not in self._estimator.lacks,
             unit_force="N",
             unit_place="mm",
-            radius_mm=self._forces.sensor_type.radius_mm,
+            radius_mm=self._sensor_type.radius_mm,
             driver=source.spec.driver,
             source=source.identity.model,
             simulated=source.identity.simulated,
             frame_period_s=float(source.instrument.frame_period_s),
             started=datetime.now(UTC).isoformat(),
-            remarks=remarks,
+            remarks=self._sequence_of_frames.remarks,
         )
 
     def messages(self) -> Iterator[StreamMessage]:
@@ -156,7 +169,7 @@ class _Stream:
             with self._waiting():
                 self._taken = [_Taken.take(self._source)]
         taken, *self._taken = self._taken
-        for estimate in self._forces.estimates(taken.block):
+        for estimate in list_estimates(self._sequence_of_frames.estimate(taken.block)):
             yield self._message(taken, estimate)
 
     def _message(self, taken: "_Taken", estimate: Estimate) -> FrameMessage:

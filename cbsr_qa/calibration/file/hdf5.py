@@ -154,7 +154,7 @@ def require_run_calibration(issued: Issued) -> Calibration:
         raise CalibrationError(
             "learned from labelled presses, not issued by a run",
             remedy="`cbsr-qa calibration apply FILE READINGS.csv --pattern PAIRS.csv` applies it,"
-            " in Python `cbsr_qa.load_press_calibration`",
+            " in Python `cbsr_qa.load_calibration`",
         )
     return issued
 

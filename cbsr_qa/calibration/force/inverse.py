@@ -52,6 +52,12 @@ class Flag(IntFlag):
 NO_FORCE: Final = int(Flag.UNREADABLE | Flag.OTHER_SENSOR)
 #: Some readings of frames with one of these flags say nothing of the sheet.
 LEFT_OUT: Final = int(Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED)
+_NAMES: Final = {int(flag): str(flag.name).lower() for flag in Flag}
+
+
+def flag_names(flags: int) -> tuple[str, ...]:
+    """Return the names of flags, in lower case."""
+    return tuple(name for flag, name in _NAMES.items() if flags & flag)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

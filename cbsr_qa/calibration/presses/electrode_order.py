@@ -13,8 +13,8 @@ import numpy as np
 
 from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.place.modelled import log_likelihood
+from cbsr_qa.calibration.place.pairs import measures_at_driven
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
-from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.calibration.presses.registration import Registered, maximise_over_turns, register_presses
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain.numbers import Array, Indices

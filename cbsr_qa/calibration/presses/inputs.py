@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.special import fdtrc
 
+from cbsr_qa.calibration.place.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.number_tables import read_table
-from cbsr_qa.calibration.presses.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array, Indices, Mask

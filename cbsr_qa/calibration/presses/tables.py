@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place.pairs import measures_at_driven
 from cbsr_qa.calibration.presses.number_tables import NumberTable, read_table
-from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.press_calibration import SourceFile

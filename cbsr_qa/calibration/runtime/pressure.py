@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from cbsr_qa.calibration.force.inverse import LEFT_OUT, NO_FORCE
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel

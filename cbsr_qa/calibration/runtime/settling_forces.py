@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, Forces, range_flags
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.head_forces import HeadForces
 from cbsr_qa.calibration.runtime.track import kernel_at
 from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState, TrackedLoad
 from cbsr_qa.domain.numbers import Array
@@ -25,7 +25,7 @@ class SettlingForces:
     calibration : of the sensor.
     """
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, calibration: HeadForces) -> None:
         self._calibration, self._stream = calibration, ForceStream(calibration)
         self._diameter_mm = calibration.issued.indenter.diameter_mm
 
@@ -61,7 +61,7 @@ class SettlingForces:
     def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
         """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].
 
-        As :meth:`Calibration.force`, corrected as by calling this object: the same whoever asks, to the last bit.
+        As :meth:`HeadForces.force`, corrected as by calling this object: the same whoever asks, to the last bit.
         """
         return self(np.array([time_s]), frame[None], self._calibration.force(frame, place_mm=place_mm))
 

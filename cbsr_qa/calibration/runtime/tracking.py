@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.force.template_matching import Matches, add_scatter
 from cbsr_qa.calibration.runtime.fewer_readings import offset_between
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.head_forces import HeadForces
 from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
@@ -76,13 +76,13 @@ class ForceStream:
     flags : of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
     """
 
-    def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
+    def __init__(self, calibration: HeadForces, *, most: int = 12) -> None:
         if not (isinstance(most, int) and most >= 1):
             raise CalibrationError(f"a stream cannot follow {most} loads", remedy="follow at least 1")
         self._calibration = self._usable = calibration
         self._filter = calibration.filter
         self._model = calibration.model
-        self._before: tuple[Calibration | None, Array] = (None, np.zeros(0))
+        self._before: tuple[HeadForces | None, Array] = (None, np.zeros(0))
         self._moved = False
         self.flags = Flag(0)
         self._most = most
@@ -131,7 +131,7 @@ class ForceStream:
             self._follow(self._rows(usable, changes))
         return tuple(self._report(track, self.flags) for track in self._tracks)
 
-    def _rows(self, usable: Calibration, changes: Array) -> Array:
+    def _rows(self, usable: HeadForces, changes: Array) -> Array:
         """Rows (r,) of the usable readings of a frame, less an offset on all of them if there was one."""
         (alike, before), self._before = self._before, (usable, changes)
         jumped = alike is usable and bool(offset_between(usable.model, changes - before)[0])

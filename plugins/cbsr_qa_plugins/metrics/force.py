@@ -24,7 +24,7 @@ from cbsr_qa.analysis.verification import Verification, verify_calibration
 from cbsr_qa.calibration.file.hdf5 import read_contained
 from cbsr_qa.calibration.fits.estimates import Estimate
 from cbsr_qa.calibration.force.learning import LearnedForce
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.paths import calibrations_folder
 from cbsr_qa.plugin import CbsrError, ConfigError, Measurement, PluginOptions, Problem, RunObservation, WithOptions
 from cbsr_qa.system.words import quote_value

@@ -13,7 +13,7 @@ from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import CalibrationError, ConfigError

@@ -11,13 +11,18 @@ from made_once import made_once
 from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
+from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import write_recording
 from cbsr_qa.app.stream.source import FramesFrom
 from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
 from cbsr_qa.calibration.file.hdf5 import read_issued, stamp, write_calibration
+from cbsr_qa.calibration.force.inverse import flag_names
+from cbsr_qa.calibration.loading import load_calibration
 from cbsr_qa.cli.main import app
 from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.system.clock import VirtualClock
 
 
@@ -312,6 +317,25 @@ def test_a_stream_tells_the_places_and_forces_of_apply(of_recording, folder, mon
                 assert told.force_95_N == pytest.approx(tuple(one["force_95_N"]), rel=1e-6)
 
 
+def test_python_tells_the_places_and_forces_of_apply(of_recording):
+    folder, _ = of_recording
+    applied = json.loads(run("calibration", "apply", folder / "OUT.h5", folder / "dead.h5", "--json").stdout)
+    estimator = load_calibration(folder / "OUT.h5")
+    frames = read_recording_file(folder / "dead.h5", discover(), format_=None, dataset=None).frames
+    touches = estimator.estimate(frames.voltages)
+    assert (estimator.regions.q68, estimator.regions.q95) == (applied["q68"], applied["q95"])
+    for number, one in enumerate(applied["frames"]):
+        assert touches.place_mm[number].tolist() == [one["x_mm"], one["y_mm"]]
+        assert touches.covariance_mm2[number].tolist() == one["covariance_mm2"]
+        assert touches.force.values[number] == one["force_N"]
+        assert touches.force.within_95[number].tolist() == one["force_95_N"]
+        assert flag_names(int(touches.flags[number])) == tuple(one["flags"])
+    assert touches.depth is None
+    assert estimator.lacks["depth"] == "was learned from presses that had no depth"
+    with pytest.raises(CalibrationError, match=r"frames of shape \(3, 3\) are not of this calibration"):
+        estimator.estimate(np.zeros((3, 3)))
+
+
 def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):
     folder, sheet = of_recording
     done = run("calibration", "apply", folder / "OUT.h5", folder / "presses.h5", "--json")
@@ -346,6 +370,11 @@ def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, 
     assert "a reading of the first 6 frames of both.h5 is missing or saturated" in refused(
         *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "6"
     )
+    for option, why in (
+        (("--serial", "S-1"), "states no serial number"),
+        (("--place", 0, 0), "finds the places itself"),
+    ):
+        assert why in refused(*apply, recorded / "OUT.h5", recorded / "both.h5", *option)
     few = Path(recorded / "few.h5")
     block = FrameBlock(np.zeros(1), np.ones((1, 16, 4)), np.zeros((1, 16, 4), np.uint8), VoltageUnit.VOLT, 1e-3)
     write_recording(few, recording(block))

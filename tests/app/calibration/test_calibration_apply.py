@@ -13,11 +13,11 @@ from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis.recording_files import write_recording
-from cbsr_qa.app.calibration.apply import _is_increasing, flag_words
-from cbsr_qa.app.calibration.frame_scale import scale_frames
+from cbsr_qa.app.calibration.apply import flag_words, is_increasing
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
+from cbsr_qa.calibration.runtime.frame_scale import FrameScale, check_recording
 from cbsr_qa.cli.main import app
 from cbsr_qa.domain.errors import RecordingError, RefusedError
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
@@ -49,6 +49,13 @@ def _recording(voltages=None, *, flags=None, unit=VoltageUnit.VOLT, current_A=4e
         "sensor_type": SENSOR_TYPE.name,
     }
     return Recording(**(values | changes))
+
+
+def scale_frames(calibration, recording, reference):
+    """Voltages of a recording at the calibration's scale, and what was done to them."""
+    check_recording(calibration.issued, recording)
+    scale = FrameScale.from_frames(calibration.issued, recording.path.name, recording.frames, reference)
+    return scale.voltages(recording.frames), scale.remarks
 
 
 def _force(calibration, recording, reference=None):
@@ -145,7 +152,7 @@ def test_a_missing_or_saturated_reading_is_left_out(calibration):
     [([], True), ([0.0, 2.5], True), ([2.5, 0.0], False), ([1.0, 1.0], False), ([np.nan], False)],
 )
 def test_loads_are_followed_only_over_times_in_order(time_s, in_order):
-    assert _is_increasing(np.array(time_s)) is in_order
+    assert is_increasing(np.array(time_s)) is in_order
 
 
 def test_every_flag_has_words():

@@ -15,7 +15,7 @@ from cbsr_qa.calibration.file.content import Entry, content_digest, schema_versi
 from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.file.hdf5 import read_in_child, stamp, write_calibration
 from cbsr_qa.calibration.file.json import dataset, read_json_calibration
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.system.untrusted import CONTAINED
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
+from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
@@ -13,7 +14,6 @@ from cbsr_qa.calibration.presses.odd_labels import (
     list_unused_electrodes,
     off_the_sheet,
 )
-from cbsr_qa.calibration.presses.pairs import DistinctPairs, match_readings
 from cbsr_qa.domain.errors import CalibrationError
 
 
@@ -91,7 +91,7 @@ def test_readings_are_found_in_another_order_and_polarity():
     given[::3] = given[::3][:, [0, 1, 3, 2]]
     given[1::3] = given[1::3][:, [1, 0, 3, 2]]
     distinct = DistinctPairs.from_pairs(np.vstack([given, given[:7]]))
-    values = read(np.vstack([given, given[:7]])) @ distinct.merging @ match_readings(pairs, distinct)
+    values = read(np.vstack([given, given[:7]])) @ distinct.merging @ match_readings(pairs, distinct.pairs)
     np.testing.assert_allclose(values, read(pairs))
 
 
@@ -103,4 +103,4 @@ def test_readings_are_found_in_another_order_and_polarity():
 def test_a_reading_that_is_not_there_is_named(used, said):
     pairs = opposite_pairs()[used]
     with pytest.raises(CalibrationError, match=said):
-        match_readings(pairs, DistinctPairs.from_pairs(pairs[1:]))
+        match_readings(pairs, DistinctPairs.from_pairs(pairs[1:]).pairs)

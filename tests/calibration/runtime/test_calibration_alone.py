@@ -18,7 +18,7 @@ from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.force.templates import prepare_force, template_bank
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.kept import as_filed
 from cbsr_qa.domain.readings.loads import Indenter
@@ -54,8 +54,9 @@ class OnlyThese:
             raise ModuleNotFoundError(f"{name} is not on the robot", name=name)
 sys.meta_path.insert(0, OnlyThese())
 import numpy as np
-from cbsr_qa.calibration import Calibration, ForceStream
+from cbsr_qa.calibration import Calibration, ForceStream, load_calibration
 forces = Calibration.load(sys.argv[1]).force(np.load(sys.argv[2]))
+assert np.array_equal(load_calibration(sys.argv[1]).estimate(np.load(sys.argv[2])).force.values, forces.force_N)
 loads = [ForceStream(Calibration.load(sys.argv[1])).update(0.0, frame) for frame in np.load(sys.argv[2])]
 others = {name.partition(".")[0] for name in sys.modules if name.startswith("cbsr_qa.")}
 layers = {name.split(".")[1] for name in sys.modules if name.startswith("cbsr_qa.")}

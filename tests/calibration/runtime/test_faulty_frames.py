@@ -6,7 +6,7 @@ from force_calibration import NOISE_V, SCALE, force_calibration, frames
 from stored_runs import SENSOR_TYPE
 
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.runtime.tracking import ForceStream
 from cbsr_qa.eit.estimate.readings import load_model
 

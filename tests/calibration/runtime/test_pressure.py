@@ -9,8 +9,8 @@ from test_verification import observed
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.runtime.pressure import PressureMap
-from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.config.loader import load_scene_plan
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.limits import Outcome

@@ -1,14 +1,11 @@
-"""A sensor's calibration in use: frames in, newtons out. Needs only numpy, scipy and h5py."""
+"""Forces of heads that press on one calibrated sensor, each in one frame. Needs only numpy and scipy."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.file.hdf5 import read_calibration
-from cbsr_qa.calibration.file.signing import check_signed_file
 from cbsr_qa.calibration.force.inverse import (
     LARGEST,
     NO_FORCE,
@@ -53,10 +50,10 @@ _NEAREST: Final = 0.8
 _HEADS: Final = 8
 
 
-class Calibration(SensorFrames):
-    """One sensor's calibration, ready to be applied.
+class HeadForces(SensorFrames):
+    """Turns frames of one sensor into forces, by the model of its calibration.
 
-    CalibrationError if it has no force model: it was issued before there were any, or no load of its run gave one.
+    CalibrationError if that has no force model.
     """
 
     def _compare(self, model: ForceModel) -> None:
@@ -71,32 +68,6 @@ class Calibration(SensorFrames):
         learned = self.issued.place if model is self.issued.force else None
         self._pressed = None if learned is None else _make_pressed_place(learned.learned, model)
         self.least_force_N = self._least_force_N()
-
-    def __repr__(self) -> str:
-        validity, head = self.issued.validity, self.issued.indenter.words()
-        force = "" if validity.force_N is None else ", {:.3g} to {:.3g} N".format(*validity.force_N)
-        where = f"within {validity.radius_mm:.3g} mm of the centre"
-        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {where}, head: {head}>"
-
-    @classmethod
-    def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
-        """Read a calibration file.
-
-        Parameters
-        ----------
-        public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
-
-        Raises
-        ------
-        CalibrationError
-            If it is damaged, of a later version, without a force model, or not signed by that key.
-        RefusedError
-            If the key cannot be used.
-        """
-        issued = read_calibration(Path(path))
-        if public_key is not None:
-            check_signed_file(path, issued, public_key)
-        return cls(issued)
 
     def force(
         self,

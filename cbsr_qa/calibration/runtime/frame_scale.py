@@ -5,10 +5,11 @@ from typing import Final, Self
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.estimator import whole_readings
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.results.calibration import Calibration
 
 #: Largest relative difference, once scaled, of unloaded readings of the same sheet from the calibration's: more than
 #: drift, and far less than another order of electrodes causes. Chosen by us.
@@ -40,22 +41,30 @@ class FrameScale:
         return (whole_readings(frames) - self.own) * self.ratio + self.reference
 
     @classmethod
-    def from_frames(cls, calibration: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
-        """Find the scale of frames; see :func:`scale_frames`.
+    def from_frames(cls, issued: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
+        """Find the scale of frames.
 
         Parameters
         ----------
+        issued : calibration to whose current they are brought.
         name : of the frames, in messages.
+        reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
+            calibration's reference. None to keep the latter.
+
+        Raises
+        ------
+        RecordingError
+            If unit or current are not stated, or the first frames are not those of this sensor.
         """
         if reference is not None:
-            return cls._against_own(calibration, name, frames, reference)
+            return cls._against_own(issued, name, frames, reference)
         if frames.unit is not VoltageUnit.VOLT:
             raise RecordingError(
                 f"{name} holds readings in {frames.unit.value} without their scale; the calibration of"
-                f" sensor {calibration.issued.sensor.serial} is in volts",
+                f" sensor {issued.sensor.serial} is in volts",
                 remedy=_REFERENCE,
             )
-        current_A, own_A = frames.current_A, calibration.issued.current_A
+        current_A, own_A = frames.current_A, issued.current_A
         if current_A is None:
             raise RecordingError(
                 f"{name} does not say its drive current, which scales every reading", remedy=_REFERENCE
@@ -68,13 +77,13 @@ class FrameScale:
         return cls(own_A / current_A, remarks=(remark,))
 
     @classmethod
-    def _against_own(cls, calibration: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
+    def _against_own(cls, issued: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
         if not 1 <= count <= len(frames):
             raise RecordingError(
                 f"--reference {count} of {name}, which holds {len(frames)} frames; 1 to {len(frames)} are allowed"
             )
-        used = calibration.issued.reconstruction.problem.used
-        own, reference = whole_readings(frames)[:count].mean(axis=0), calibration.issued.reference
+        used = issued.reconstruction.problem.used
+        own, reference = whole_readings(frames)[:count].mean(axis=0), issued.reference
         seen, known = own[used], reference[used]
         if not np.isfinite(seen).all():
             raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")
@@ -83,7 +92,7 @@ class FrameScale:
         apart = float(np.linalg.norm(ratio * seen - known) / np.linalg.norm(known))
         if not (ratio > 0 and apart <= _MOST_APART):
             raise RecordingError(
-                f"the first {count} frames of {name} are not those of sensor {calibration.issued.sensor.serial}"
+                f"the first {count} frames of {name} are not those of sensor {issued.sensor.serial}"
                 f" unloaded: scaled as well as can be they differ from its reference by {apart:.0%};"
                 f" {_MOST_APART:.0%} is allowed",
                 remedy="check the sensor, the order of its electrodes, and that nothing pressed",
@@ -96,38 +105,9 @@ class FrameScale:
         return cls(ratio, own, reference, (remark,))
 
 
-def scale_frames(
-    calibration: Calibration, recording: Recording, reference: int | None
-) -> tuple[Array, tuple[str, ...]]:
-    """Bring the frames of a recording to the calibration's scale.
-
-    Parameters
-    ----------
-    reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
-        calibration's reference. None to keep the latter.
-
-    Returns
-    -------
-    (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and what was done to them.
-
-    Raises
-    ------
-    RecordingError
-        If the recording is of another sensor type, scan, geometry, unit or scale, or its first frames are not those
-        of this sensor.
-    """
-    _check(calibration, recording)
-    scale = FrameScale.from_frames(calibration, recording.path.name, recording.frames, reference)
-    return scale.voltages(recording.frames), scale.remarks
-
-
-def whole_readings(frames: FrameBlock) -> Array:
-    """Return readings (n, drives, measures) as they are, NaN where they say nothing of the sheet."""
-    return np.where((frames.flags & UNUSABLE) != 0, np.nan, frames.voltages)
-
-
-def _check(calibration: Calibration, recording: Recording) -> None:
-    issued, name = calibration.issued, recording.path.name
+def check_recording(issued: Calibration, recording: Recording) -> None:
+    """Refuse a recording of another sensor type, scan or geometry than a calibration: RecordingError names it."""
+    name = recording.path.name
     if recording.sensor_type not in (None, issued.sensor_type.name):
         raise RecordingError(
             f"{name} is of sensor type {recording.sensor_type}, the calibration is of a {issued.sensor_type.name}",

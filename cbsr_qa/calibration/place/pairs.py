@@ -6,6 +6,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: Reversed pairs of the same reading: order of source, sink, plus and minus, and its sign.
 _POLARITIES = (((0, 1, 2, 3), 1), ((0, 1, 3, 2), -1), ((1, 0, 2, 3), -1), ((1, 0, 3, 2), 1))
@@ -39,6 +40,13 @@ class DistinctPairs:
         merging[np.arange(len(pairs)), rank] = 1 / repeats[rank]
         return cls(pairs[first[order]], repeats, merging)
 
+    @classmethod
+    def from_pattern(cls, pattern: DrivePattern) -> "DistinctPairs":
+        """Return the pairs of the usable readings of a frame, in its order."""
+        return cls.from_pairs(
+            np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
+        )
+
 
 def measures_at_driven(pairs: Indices) -> Mask:
     """Which of pairs (m, 4) measure at an electrode that they drive."""
@@ -46,7 +54,7 @@ def measures_at_driven(pairs: Indices) -> Mask:
     return at_driven
 
 
-def match_readings(wanted: Indices, given: DistinctPairs) -> Array:
+def match_readings(wanted: Indices, given: Indices) -> Array:
     """Return the matrix (k, m) from rows of distinct readings (…, k) to those of a calibration.
 
     A reading is taken from the same pair, or from one with the measured, the driven or both pairs reversed, with the
@@ -56,15 +64,15 @@ def match_readings(wanted: Indices, given: DistinctPairs) -> Array:
     Parameters
     ----------
     wanted : (m, 4) pairs of the calibration.
-    given : pairs that were read.
+    given : (k, 4) distinct pairs that were read.
 
     Raises
     ------
     CalibrationError
         If a pair is missing, naming it.
     """
-    free = {tuple(pair): column for column, pair in enumerate(given.pairs.tolist())}
-    selection = np.zeros((len(given.pairs), len(wanted)))
+    free = {tuple(pair): column for column, pair in enumerate(given.tolist())}
+    selection = np.zeros((len(given), len(wanted)))
     left = dict(enumerate(map(tuple, wanted.tolist())))
     for order, sign in _POLARITIES:
         for reading, pair in list(left.items()):

@@ -1,0 +1,302 @@
+"""A calibration from labelled presses, in use: changes of readings in; place, force and depth out.
+
+Needs only numpy, scipy and h5py.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cbsr_qa.calibration.file.hdf5 import read_issued
+from cbsr_qa.calibration.file.signing import check_signed_file
+from cbsr_qa.calibration.force.faults import FaultFinder
+from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.modelled import ModelledEstimator
+from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.place.quantity import Quantities, QuantityEstimator
+from cbsr_qa.calibration.runtime.estimator import (
+    AS_CALIBRATED,
+    Ability,
+    CalibrationIdentity,
+    FrameSequence,
+    ModelledTouches,
+    Regions,
+    Touches,
+    TouchValues,
+    UnloadedFrames,
+    require_ability,
+    whole_readings,
+)
+from cbsr_qa.calibration.runtime.frames import volts
+from cbsr_qa.domain.errors import CalibrationError, RecordingError
+from cbsr_qa.domain.goodness import ALLOWANCE
+from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind
+from cbsr_qa.domain.results.press_calibration import PRESS_QUANTITIES, PressCalibration as Issued
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+
+_AXES: Final = "mm, in the frame of the labels of the presses that calibrated"
+_LACKS: Final = {
+    Ability.STDERR: "was learned from presses, which tell intervals and regions",
+    Ability.DETECTABILITY: "was learned from presses, and not from the noise of frames",
+    Ability.SETTLING: "was learned from presses, and not from how loads settle",
+    Ability.GIVEN_PLACE: "was learned from presses: it finds the places itself",
+    Ability.SERIAL: "states no serial number",
+}
+_UNCHECKED: Final = "a calibration from presses states no serial number: that it is of this sensor is not checked"
+
+
+class PressCalibration:
+    """What was learned from labelled presses, ready to be applied.
+
+    An :class:`~cbsr_qa.calibration.runtime.estimator.Estimator`. Changes of the calibrated readings alone are located
+    by :meth:`places`; faults are found in whole frames only.
+
+    Attributes
+    ----------
+    issued : content of the file; ``issued.pairs`` (m, 4) names each reading, ``issued.rest`` (m,) the unloaded frame.
+    q68, q95 : the region of that probability is all offsets d with dᵀΣ⁻¹d at most this, Σ of ``covariance_mm2``.
+    lacks, regions : as of the Protocol.
+    """
+
+    sensor_type: None = None
+    head: None = None
+
+    def __init__(self, issued: Issued) -> None:
+        self.issued = issued
+        self._modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
+        self._locate = PlaceEstimator(issued.place, self._modelled, issued.pairs, issued.held_out_mm)
+        self.q68, self.q95 = float(self._locate.q68), float(self._locate.q95)
+        self.regions = Regions(self.q68, self.q95)
+        learned = {name: getattr(issued, name) for name in PRESS_QUANTITIES}
+        self._quantities = {name: QuantityEstimator(each) for name, each in learned.items() if each is not None}
+        missing = PRESS_QUANTITIES.keys() - self._quantities.keys()
+        self.lacks: Mapping[Ability, str] = _LACKS | {
+            Ability(name): f"was learned from presses that had no {name}" for name in missing
+        }
+        if not issued.drive:
+            why = "does not state the order of the pairs in a frame: it was issued before calibrations did"
+            self.lacks = {**self.lacks, Ability.FRAMES: why}
+        self._find_faults: FaultFinder | None = None
+        if issued.rest is not None:
+            noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
+            self._find_faults = FaultFinder(issued.pairs, issued.rest, noise)
+
+    def __repr__(self) -> str:
+        issued = self.issued
+        return f"<PressCalibration of a {issued.sensor_type}, {issued.used} presses, {len(issued.pairs)} readings>"
+
+    @classmethod
+    def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
+        """Read a calibration file that ``cbsr-qa calibrate`` has learned from labelled presses.
+
+        Parameters
+        ----------
+        public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
+
+        Raises
+        ------
+        CalibrationError
+            If the file is missing, damaged, of a later version, was issued by a run, or is not signed by that key.
+        RefusedError
+            If the key cannot be used.
+        """
+        issued = read_issued(Path(path))
+        if public_key is not None:
+            check_signed_file(path, issued, public_key)
+        if not isinstance(issued, Issued):
+            raise CalibrationError(
+                f"calibration file {path}: issued by a run", remedy="Calibration.load or load_calibration reads it"
+            )
+        return cls(issued)
+
+    @property
+    def identity(self) -> CalibrationIdentity:
+        """Which calibration it is."""
+        issued = self.issued
+        return CalibrationIdentity(
+            "", issued.calibration, issued.digest, "presses", issued.sensor_type, issued.electrodes, _AXES
+        )
+
+    @cached_property
+    def pattern(self) -> DrivePattern | None:
+        """Pattern of the frames that it was learned from; None if it does not state it."""
+        issued = self.issued
+        return DrivePattern(issued.electrodes, issued.drive, issued.measure) if issued.drive else None
+
+    def places(self, changes: ArrayLike) -> Places:
+        """Locate touches in changes (n, m): frames minus the unloaded one, in the order of ``issued.pairs``.
+
+        CalibrationError if the shape is another.
+        """
+        return self._locate(np.asarray(changes, dtype=np.float64))
+
+    def force(self, places: Places) -> Quantities:
+        """Return the force [N] of each touch, with intervals. CalibrationError if the presses had no forces."""
+        require_ability(self, Ability.FORCE, "calibrate with labels of it")
+        return self._quantities["force"](places)
+
+    def depth(self, places: Places) -> Quantities:
+        """Return the depth [mm] of each touch, with intervals. CalibrationError if the presses had no depths."""
+        require_ability(self, Ability.DEPTH, "calibrate with labels of it")
+        return self._quantities["depth"](places)
+
+    def estimate(self, frames: ArrayLike) -> Touches:
+        """Estimate the touch in each frame, against the unloaded frame of the calibration; see :class:`Estimator`."""
+        pattern, read = self._require_pattern(), np.asarray(volts(frames))
+        if read.shape[-2:] != pattern.shape or read.ndim not in (2, 3):
+            raise CalibrationError(
+                f"frames of shape {read.shape} are not of this calibration",
+                remedy=f"its frames are (drives, measures) = {pattern.shape}, one or many",
+            )
+        rows = read.reshape(-1, *pattern.shape)[:, pattern.usable()]
+        return self._estimate_selected(rows, self._selection)
+
+    def prepare(self) -> None:
+        """Work out what is worked out once. CalibrationError if its readings are not those of frames."""
+        self.places(np.zeros((1, self._selection.shape[1])))
+
+    def check_recording(self, recording: Recording) -> None:
+        """Refuse a recording whose frames are not in the pattern of the calibration: RecordingError."""
+        check_pressed_recording(recording, self._require_pattern())
+
+    def follow(
+        self,
+        name: str,
+        first: FrameBlock,
+        unloaded: UnloadedFrames = AS_CALIBRATED,
+        *,
+        timed: bool = True,
+        place_mm: ArrayLike | None = None,
+    ) -> FrameSequence:
+        """Begin to estimate the frames of an instrument or a recording; see :class:`Estimator`."""
+        if place_mm is not None:
+            require_ability(self, Ability.GIVEN_PLACE, "leave the place out")
+        rest = unloaded.rest
+        if unloaded.first is not None:
+            if not 1 <= unloaded.first <= len(first):
+                raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
+            rest = first.select(slice(0, unloaded.first))
+        usable = self._require_pattern().usable()
+        at_rest = None if rest is None else whole_readings(rest)[:, usable]
+        if at_rest is not None and not np.isfinite(at_rest).all():
+            which = (
+                f"the first {unloaded.first} frames of {name}" if unloaded.first else f"the frames at rest of {name}"
+            )
+            raise RecordingError(f"a reading of {which} is missing or saturated")
+        if at_rest is None and not unloaded.differences:
+            self._require_rest()
+        estimate = partial(
+            self._estimate_selected,
+            selection=self._selection,
+            relative=at_rest is not None,
+            differences=unloaded.differences,
+        )
+        return _Sequence(usable, 0.0 if at_rest is None else at_rest.mean(axis=0), estimate)
+
+    def estimate_readings(
+        self, pairs: Indices, readings: Array, *, relative: bool = False, differences: bool = False
+    ) -> Touches:
+        """Estimate the touches in rows of readings of named pairs; see :class:`Estimator`."""
+        selection = match_readings(self.issued.pairs, pairs)
+        return self._estimate_selected(readings, selection, relative=relative, differences=differences)
+
+    def _estimate_selected(
+        self, readings: Array, selection: Array, *, relative: bool = False, differences: bool = False
+    ) -> Touches:
+        """Estimate the touches in rows of readings (n, k), which ``selection`` (k, m) makes the calibrated ones."""
+        missing = np.isnan(readings)
+        changes: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, readings) @ selection)
+        if not (relative or differences):
+            changes = changes - self._require_rest()
+        whole, faults = changes, None
+        if self._find_faults is not None and not differences:
+            faults = self._find_faults(self._require_rest() + changes)
+            whole = np.where(faults.left_out, np.nan, changes)
+        places = self._locate(changes, faults)
+        with np.errstate(over="ignore"):  # of frames without a touch, which have none
+            quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
+        modelled = None if self._modelled is None else self._modelled(whole)
+        return _make_touches(places, self.regions, quantities, modelled)
+
+    @cached_property
+    def _selection(self) -> Array:
+        """Matrix (k, m) from the usable readings of a frame to the calibrated ones.
+
+        CalibrationError if a calibrated pair is not among them.
+        """
+        return match_readings(self.issued.pairs, DistinctPairs.from_pattern(self._require_pattern()).pairs)
+
+    def _require_pattern(self) -> DrivePattern:
+        require_ability(self, Ability.FRAMES, "give readings with their pairs, or calibrate again")
+        assert self.pattern is not None
+        return self.pattern
+
+    def _require_rest(self) -> Array:
+        if self.issued.rest is None:
+            raise CalibrationError(
+                "the calibration was made from changes and holds no unloaded frame",
+                remedy="give --differences if the readings are changes, --rest FILE with frames of the unloaded"
+                " sheet, or --reference N if the first N frames of a recording are",
+            )
+        return self.issued.rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sequence:
+    usable: Mask
+    rest: Array | float
+    estimate_rows: Callable[[Array], Touches]
+    remarks: tuple[str, ...] = (_UNCHECKED,)
+
+    def estimate(self, frames: FrameBlock) -> Touches:
+        return self.estimate_rows(whole_readings(frames)[:, self.usable] - self.rest)
+
+
+def check_pressed_recording(recording: Recording, pattern: DrivePattern) -> None:
+    """Refuse a recording whose frames are not signed readings in a pattern: RecordingError says what was found."""
+    shape = recording.frames.voltages.shape[1:]
+    if recording.scan is not ScanKind.FULL or shape != pattern.shape or recording.magnitudes_only:
+        raise RecordingError(
+            f"{recording.path.name} holds frames of {shape[0]} × {shape[1]} readings; signed ones of"
+            f" {pattern.shape[0]} × {pattern.shape[1]} are needed for the sensor type's pattern",
+            remedy="give the sensor type that was recorded",
+        )
+
+
+def _make_touches(
+    places: Places, regions: Regions, quantities: Mapping[str, Quantities], modelled: Places | None
+) -> Touches:
+    flags = places.flags.copy()
+    for each in quantities.values():
+        told = np.isfinite(each.values)
+        flags |= (told & each.below) * int(Flag.BELOW_RANGE) | (told & each.above) * int(Flag.ABOVE_RANGE)
+    placed: Mask = np.asarray(np.isfinite(places.place_mm).all(axis=1))
+    longest = np.full(len(placed), np.nan)
+    longest[placed] = np.linalg.eigvalsh(places.covariance_mm2[placed])[:, -1]
+    half_axis_mm = np.sqrt(np.maximum(longest, 0.0))
+    values = {name: TouchValues(each.values, each.within_68, each.within_95) for name, each in quantities.items()}
+    return Touches(
+        touch=(flags & int(Flag.UNREADABLE | Flag.NOT_DETECTED)) == 0,
+        flags=flags,
+        place_mm=places.place_mm,
+        place_stderr_mm=None,
+        radius_68_mm=half_axis_mm * float(np.sqrt(regions.q68)),
+        radius_95_mm=None if regions.q95 is None else half_axis_mm * float(np.sqrt(regions.q95)),
+        covariance_mm2=places.covariance_mm2,
+        force=values.get("force"),
+        depth=values.get("depth"),
+        modelled=None if modelled is None else _make_modelled(modelled),
+    )
+
+
+def _make_modelled(places: Places) -> ModelledTouches:
+    explained: Array = 1 / (1 + ALLOWANCE * places.misfit)
+    return ModelledTouches(places.place_mm, places.covariance_mm2, explained, places.in_model)
