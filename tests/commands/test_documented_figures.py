@@ -18,7 +18,7 @@ from cbsr_qa.studies.frontier.station import EVEN, PAPER
 from cbsr_qa.studies.hard_cases.stability import examine_cases
 
 EXPLAINED = TOP / "docs" / "explanation"
-COSTS = (EXPLAINED / "what-accuracy-costs.md").read_text(encoding="utf-8")
+COSTS = (TOP / "docs" / "reference" / "frontier.md").read_text(encoding="utf-8")
 
 
 def said(page, pattern):
