@@ -1,6 +1,6 @@
 """Whether places learned from a run's own presses pay, on simulated sensors that are as modelled and that are not.
 
-``python -m benchmarks.run_places`` prints the table of docs/explanation/place.md. Each sensor is pressed at the 39
+``python -m benchmarks.run_places`` measures what docs/explanation/place.md states. Each sensor is pressed at the 39
 places of the recipe ``campaign`` and by thirty random loads, as in :mod:`benchmarks.force_sensors` (10 s each).
 """
 

@@ -1,6 +1,6 @@
 """Forces of recorded frames against the load cell, each frame alone and with loads that have not settled flagged.
 
-``python -m benchmarks.settled CALIBRATION RECORDING...`` prints rows of the table of docs/explanation/force.md.
+``python -m benchmarks.settled CALIBRATION RECORDING...`` counts what docs/explanation/force.md states.
 """
 
 import sys

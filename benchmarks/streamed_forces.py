@@ -1,6 +1,6 @@
 """Forces streamed to other programs: how late they are.
 
-``python -m benchmarks.streamed_forces`` prints the table of docs/how-to/stream-forces.md: frames of a recording
+``python -m benchmarks.streamed_forces`` measures what docs/how-to/stream-forces.md states: frames of a recording
 that is played at 32 Hz, from the end of a frame until a client has its newtons, on one computer, by a calibration
 with the physical estimate and by one from labelled presses. Mosquitto must answer at 127.0.0.1:1883.
 """

@@ -1,4 +1,4 @@
-"""Write the tables of docs/explanation/what-accuracy-costs.md.
+"""Write docs/reference/frontier.md, the tables of what accuracy costs.
 
 ``cbsr-qa frontier --json > frontier.json`` measures everything; ``python docs/figures/write_frontier_tables.py
 frontier.json`` puts its tables between the page's markers, ``<!-- table: series -->`` and ``<!-- end -->``. Tables of
@@ -20,8 +20,8 @@ from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.studies.frontier.report import table_of
 from cbsr_qa.studies.frontier.station import worth_the_station
 
-PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
-FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"
+PAGE: Final = Path(__file__).resolve().parents[1] / "reference" / "frontier.md"
+FIGURE: Final = PAGE.parents[1] / "explanation" / "figures" / "frontier" / "station.svg"
 
 _TABLE: Final = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- end -->)", re.S)
 #: Of methods and smoothing the page shows all λ of one method, and of the others their own choice.

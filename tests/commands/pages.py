@@ -124,7 +124,7 @@ def assert_same_figures(stated, computed, where):
         assert float(shown[0]) == pytest.approx(float(found[0]), rel=0.05, abs=1.01 * last), (where, stated, computed)
 
 
-#: Columns of ``what-accuracy-costs.md`` that a machine decides, and words of those that are measured on the sheet.
+#: Columns of ``frontier.md`` that a machine decides, and words of those that are measured on the sheet.
 _OF_A_MACHINE = ("set-up", "•", "worth it")
 _MEASURED = ("error", "map", "gauge", "settling", "E_CoM", "A_OL", "SD", "missed", "inclusion")
 _COSTS = (*_OF_A_MACHINE, "unknowns", "memory", "time")

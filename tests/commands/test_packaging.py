@@ -6,6 +6,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import cbsr_qa
+
 _TOP = Path(__file__).resolve().parents[2]
 _PROJECT = tomllib.loads((_TOP / "pyproject.toml").read_text())
 _SETUPTOOLS = _PROJECT["tool"]["setuptools"]
@@ -100,6 +102,8 @@ def test_the_licence_is_stated_and_goes_into_the_wheel():
     )
 
 
-def test_the_citation_states_version_and_licence():
+def test_citation_changelog_and_the_page_on_installing_state_the_version():
     cited = dict(re.findall(r"^(version|license): (.*)$", (_TOP / "CITATION.cff").read_text(), re.M))
-    assert cited == {"version": _PROJECT["project"]["version"], "license": _PROJECT["project"]["license"]}
+    assert cited == {"version": cbsr_qa.__version__, "license": _PROJECT["project"]["license"]}
+    assert f"## [{cbsr_qa.__version__}]" in (_TOP / "CHANGELOG.md").read_text(), "the changelog has no such version"
+    assert f"cbsr_qa-{cbsr_qa.__version__}-py3-none-any.whl" in (_TOP / "docs" / "how-to" / "install.md").read_text()

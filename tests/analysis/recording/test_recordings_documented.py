@@ -1,4 +1,4 @@
-"""The manual's table of known recordings: what it says of each is what ``analyse`` finds in it."""
+"""The table of known recordings: what it says of each is what ``analyse`` finds in it."""
 
 import re
 from pathlib import Path
@@ -7,11 +7,11 @@ import pytest
 
 pytestmark = pytest.mark.shared
 
-PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "recordings.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parent / "known_recordings.md").read_text(encoding="utf-8")
 
 
 def row(name):
-    """The line of the manual's table that begins with this name, in plain words."""
+    """The line of the table that begins with this name, in plain words."""
     (found,) = [
         line for line in PAGE.splitlines() if line.startswith(f"| `{name}") or line.startswith(f"| … `{name}")
     ]
@@ -31,7 +31,7 @@ def where(event):
     return f"{event['electrode']:.2f}", f"{event['r_over_R']:.2f}"
 
 
-def test_the_manual_says_what_is_found_of_the_150_mm_sheet(board):
+def test_the_table_says_what_is_found_of_the_150_mm_sheet(board):
     found, said = board("expABCX_150mm_8.5wt_6"), row("expABCX_150mm_8.5wt_6")
     assert cells("expABCX_150mm_8.5wt_6")[1:3] == ["199", f"{found['recording']['frame_rate_hz']:.2f}"]
     for event in found["events"]:
@@ -52,7 +52,7 @@ def memory_in_words(channels):
     return f"memory {100 * share:.1f} %, {error}{before:.2f} → {after:.2f} |"
 
 
-def test_the_manual_says_what_is_found_of_the_100_mm_sheet(board):
+def test_the_table_says_what_is_found_of_the_100_mm_sheet(board):
     found, said = board("expABX_100mm_9.5wt_6"), row("expABX_100mm_9.5wt_6")
     (event,) = found["events"]
     assert f"from {event['start_s']:.1f} s to the end, electrode {where(event)[0]}, r/R {where(event)[1]}" in said
@@ -60,7 +60,7 @@ def test_the_manual_says_what_is_found_of_the_100_mm_sheet(board):
 
 
 @pytest.mark.rest
-def test_the_manual_says_the_noise_and_why_there_is_no_event(board):
+def test_the_table_says_the_noise_and_why_there_is_no_event(board):
     found = board("expABX_100mm_9.5wt_5")
     said = row("expABX_100mm_9.5wt_5")
     assert re.search(r"the largest step is [\d.]+ times its noise, [\d.]+ is needed", found["events_why"])[0] in said
@@ -72,14 +72,14 @@ def test_the_manual_says_the_noise_and_why_there_is_no_event(board):
 
 
 @pytest.mark.parametrize("name", ["test_expABCD2_100mm_7.5wt_10s_3", "test", "steady_state_UoA1"])
-def test_the_manual_says_the_reciprocity_error_that_hinders(board, name):
+def test_the_table_says_the_reciprocity_error_that_hinders(board, name):
     found, said = board(name), row(f"{name}.csv")
     assert f"({found['channels']['reciprocity_error']:.2f}" in said
     assert f"{found['channels']['reciprocity_error']:.2f};" in found["events_why"]
     assert f"{found['recording']['frame_rate_hz']:.2f}" in cells(f"{name}.csv")[2]
 
 
-def test_the_manual_says_what_hinders_in_the_short_recordings(board):
+def test_the_table_says_what_hinders_in_the_short_recordings(board):
     late, said = board("testv2_12"), row("testv2_12.csv")
     assert re.search(r"change at [\d.]+ s", late["events_why"])[0].removeprefix("change ") in said
     assert int(re.search(r"explain (\d+)%", late["events_why"])[1]) < 25
@@ -90,7 +90,7 @@ def test_the_manual_says_what_hinders_in_the_short_recordings(board):
 
 
 @pytest.mark.rest
-def test_the_manual_says_frames_rates_and_rejected_lines_of_the_one_row_recordings(board):
+def test_the_table_says_frames_rates_and_rejected_lines_of_the_one_row_recordings(board):
     numbers = (1, 3, 4, 6, 8, 12, 14, 16)
     _, frames, rates, rejected, result = cells("res1k3_cal1")
     found = [board(f"res1k3_cal{k}") for k in numbers]
@@ -107,7 +107,7 @@ def test_the_manual_says_frames_rates_and_rejected_lines_of_the_one_row_recordin
 
 
 @pytest.mark.rest
-def test_the_manual_says_how_many_rows_the_short_files_have(board):
+def test_the_table_says_how_many_rows_the_short_files_have(board):
     files = ("testv2_2", "testv2_3", "testv2_9")
     said = row("testv2_2.csv")
     reasons = [board(name)["refused"]["reason"] for name in files]
@@ -123,7 +123,7 @@ def test_the_manual_says_how_many_rows_the_short_files_have(board):
 
 
 @pytest.mark.parametrize("dataset", ["vvAvg1", "vvAvg2", "vvAvg3"])
-def test_the_manual_says_where_the_balls_are(tank, dataset):
+def test_the_table_says_where_the_balls_are(tank, dataset):
     found, said = tank("phantom_16elec_1planeB.mat", dataset=dataset), row(dataset)
     events = sorted(found["events"], key=lambda event: (event["electrode"] + 2) % 16)
     electrodes, radii = zip(*(where(event) for event in events), strict=True)
@@ -146,7 +146,7 @@ def test_the_manual_says_where_the_balls_are(tank, dataset):
         ("plastic_2_90", "electrodes {0} and {1}, conduct less"),
     ],
 )
-def test_the_manual_says_where_the_rods_are(tank, shared, name, told):
+def test_the_table_says_where_the_rods_are(tank, shared, name, told):
     empty = shared / "data" / "tank" / "ds_data_2004" / "homogeneous" / "water_1.txt"
     found = tank(f"ds_data_2004/objects/{name}.txt", reference=empty)
     electrodes = [f"{event['electrode']:.1f}" for event in found["events"]]

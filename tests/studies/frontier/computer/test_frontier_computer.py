@@ -261,7 +261,7 @@ def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision(
 
 
 def test_the_page_has_a_table_of_every_series():
-    page = Path(__file__).parents[4] / "docs" / "explanation" / "what-accuracy-costs.md"
+    page = Path(__file__).parents[4] / "docs" / "reference" / "frontier.md"
     tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
     computer = {work.what.split(": ")[0] for work in computer_work()}
     ways = (*parts_of_paper(), *parts_of_even(quick=False), *choices_of_even(), *ways_by_simulation(quick=False))
