@@ -280,7 +280,7 @@ def test_stored_runs_take_less_room_and_keep_their_chain_and_every_bit_up_and_do
     store = Repository(engine, lambda: dt.datetime.now(dt.UTC))
     run = store.new_id()
     journalled(store, short_run(run))
-    measured = store.load_run(run)
+    measured = store.runs.load(run)
     compact, links = content(engine), cells(engine, LINKS, "number", "document", "sha256")
 
     schema.downgrade(engine, "0016")
@@ -299,7 +299,7 @@ def test_stored_runs_take_less_room_and_keep_their_chain_and_every_bit_up_and_do
     assert (len(compact.pop("runs_begun")), again.pop("runs_begun")) == (1, [])
     assert [row[:3] for row in again.pop("outbox")] == [row[:3] for row in compact.pop("outbox")]
     assert again == compact
-    again = store.load_run(run)
+    again = store.runs.load(run)
     assert again.chain.chained
     for phase, same in zip(measured.phases, again.phases, strict=True):
         for name in ("time_s", "voltages", "flags", "reading_time_s"):

@@ -34,9 +34,9 @@ def of_before(repository, *, forces=False, observation=None, **changes):
     if forces:
         model = sample_force(int(made.reconstruction.problem.used.sum()))
         made = stamp(replace(made, force=model, digest="", record_digest=""))
-    result = RunResult(repository.load_run(run), observation, (), Verdict(Outcome.PASS, "why"), None, "")
-    store_as_rows(repository, made, repository.save_result(result))
-    assert repository.calibration_file(made.calibration) is None
+    result = RunResult(repository.runs.load(run), observation, (), Verdict(Outcome.PASS, "why"), None, "")
+    store_as_rows(repository, made, repository.analyses.save(result))
+    assert repository.calibrations.load_file(made.calibration) is None
     return made
 
 

@@ -44,7 +44,7 @@ def database(filled, tmp_path):
 
 def runs(path):
     with open_store(url(path), create=False) as store:
-        return [run.serial for run in store.find_runs()]
+        return [run.serial for run in store.runs.find()]
 
 
 def edit(path, statement):
@@ -83,12 +83,12 @@ def test_a_backup_is_one_state_while_a_run_is_written(database, tmp_path, monkey
         back_up(str(database), tmp_path / "b.db", count)
         for event in events:
             write(event)
-        store.load_run(run)
+        store.runs.load(run)
     assert len(written) > 3
     with open_store(url(tmp_path / "b.db"), create=False) as copy:
-        assert [one.serial for one in copy.find_runs()] == ["S-3", "S-2", "S-1"]
-        copy.check_stored_run(run, frames=True)
-        assert not copy.load_run(run).phases  # as it was when the backup began
+        assert [one.serial for one in copy.runs.find()] == ["S-3", "S-2", "S-1"]
+        copy.soundness.check_run(run, frames=True)
+        assert not copy.runs.load(run).phases  # as it was when the backup began
     assert check_database(str(database), None, quiet, quick=False).exit_code == 0
 
 
@@ -183,7 +183,7 @@ def test_a_database_that_is_used_is_not_replaced(database, tmp_path):
         reader.stdin.close()
     with (
         open_store(url(database)) as store,
-        store.writing_alone("a-run", "Zoë"),
+        store.claims.hold_run("a-run", "Zoë"),
         pytest.raises(StoreError, match="a-run is held by Zoë"),
     ):
         restore_backup(str(database), tmp_path / "b.db", quiet)

@@ -33,7 +33,7 @@ def started(barrier):
 def opened(url, _):
     _TOGETHER[0].wait(60)
     with open_store(url) as store:
-        return store.counts()["runs"]
+        return store.count_rows()["runs"]
 
 
 def upgraded(url, _):
@@ -92,7 +92,7 @@ def test_runs_that_begin_together_each_follow_one_other(stations, database_url):
     open_store(database_url).close()
     stations(partial(five_begun, database_url))
     with open_store(database_url) as store, reading(store._engine) as connection:
-        assert store.order_problems() == ((), ())
+        assert store.soundness.find_order_problems() == ((), ())
         begun = connection.exec_driver_sql("SELECT run FROM runs_begun ORDER BY number").scalars().all()
         before = dict(map(tuple, connection.exec_driver_sql("SELECT run, before_run FROM runs").all()))
     assert [before[run] for run in begun] == [None, *begun[:-1]]
@@ -122,14 +122,14 @@ def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_ur
 def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
     with open_store(database_url) as store, ExitStack() as held:
         claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
-        claimed = [held.enter_context(store.seed_claimed(*claim)) for claim in claims]
+        claimed = [held.enter_context(store.claims.claim_seed(*claim)) for claim in claims]
         assert claimed == [True, False, True, True]
 
 
 CLAIM = """
 import sys
 from cbsr_qa.store.opening import open_store
-with open_store(sys.argv[1]) as store, store.seed_claimed("S-1", 7) as claimed:
+with open_store(sys.argv[1]) as store, store.claims.claim_seed("S-1", 7) as claimed:
     print(claimed, flush=True)
     sys.stdin.read()
 """
@@ -141,11 +141,11 @@ def test_the_lock_file_of_a_claim_that_was_killed_is_removed_by_the_next_run(tmp
         [sys.executable, "-c", CLAIM, url], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "True\n"
-        with open_store(url) as store, store.seed_claimed("S-1", 7) as claimed:
+        with open_store(url) as store, store.claims.claim_seed("S-1", 7) as claimed:
             assert not claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
         process.kill()
-    with open_store(url) as store, store.seed_claimed("S-2", 8) as claimed:
+    with open_store(url) as store, store.claims.claim_seed("S-2", 8) as claimed:
         assert claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
     assert not list(tmp_path.glob("*.lock"))

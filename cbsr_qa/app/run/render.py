@@ -76,7 +76,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     """
     plugins = discover()
     with open_store(database_url(database), create=False) as store:
-        run = store.resolve(run_or_serial)
+        run = store.runs.resolve(run_or_serial)
         result, names = rebuilt(run, store, plugins)
     path = calibration_path(result.record.identity)
     if result.calibration is not None and not path.exists():
@@ -143,7 +143,7 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
         calibration=calibration if result.calibration is not None and calibration.exists() else None,
         material=(material if material is not None and material.exists() else None, why),
         warnings=result.warnings,
-        seed=restore(store.configuration(run)).seed,
+        seed=restore(store.runs.read_configuration(run)).seed,
         resume=resume_command(run, store) if result.missing or result.record.end is not EndReason.FINISHED else "",
     )
 
@@ -165,12 +165,12 @@ def rebuilt(
     -------
     The result, and the sections its recipe names.
     """
-    record, analyses = store.load_run(run), store.analyses(run)
+    record, analyses = store.runs.load(run), store.analyses.load(run)
     stored = next(iter(analyses), None)
     recipe = judging_recipe(store, run, stored)
-    check = store.latest_station_check(record.identity.station, record.identity.started_at)
-    history = store.change_history(record)
-    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
+    check = store.stations.read_latest_check(record.identity.station, record.identity.started_at)
+    history = store.changes.read_history(record)
+    earlier = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
         known = _describe_unanalysed(record, resume_command(run, store))
         return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
@@ -201,7 +201,7 @@ def rebuilt(
         station_check=check,
         station_charts=charts_after(store, record.identity.station, until=stored.analysis),
         history=history,
-        overrides=store.overrides(run),
+        overrides=store.changes.list_overrides(run),
         sensor_history=earlier,
     )
     return result, recipe.sections
@@ -236,7 +236,7 @@ def _calibration(
     """Load the calibration an analysis issued, or say why it cannot be shown."""
     if stored.calibration is None:
         return None, ""
-    file = store.calibration_file(stored.calibration)
+    file = store.calibrations.load_file(stored.calibration)
     if file is None:  # stored as rows, which are checked even if they cannot be shown
         store.calibration_of_before(stored.calibration, None, prepare_force)
         if observation is None:

@@ -28,6 +28,44 @@ class CalibrationSummary:
     superseded_by: str | None
 
 
+class Calibrations:
+    """Issued calibrations."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def list_issued(self, serial: str) -> tuple[CalibrationSummary, ...]:
+        """Return a sensor's calibrations, the latest first; the first is the valid one."""
+        row = CalibrationRow
+        later = func.lead(row.calibration).over(order_by=row.calibration).label("superseded_by")
+        columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
+        query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
+        with reading(self._engine) as connection:
+            return tuple(CalibrationSummary(*found) for found in connection.execute(query))
+
+    def load_file(self, calibration: str) -> tuple[bytes, str] | None:
+        """Return a calibration's file as issued, and its content's digest; None for one stored as rows.
+
+        Raises
+        ------
+        StoreError
+            If the calibration does not exist, or it or its run was altered.
+        """
+        row = CalibrationRow
+        with reading(self._engine) as connection:
+            query = select(row.run, row.file, row.file_sha256, row.content_sha256).where(
+                row.calibration == calibration
+            )
+            found = connection.execute(query).one_or_none()
+            if found is None:
+                raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
+            check_run(connection, found.run, RESULTS)
+        if found.file_sha256 is None and found.file is None:
+            return None
+        _check_file(calibration, found.file, found.file_sha256)
+        return found.file, found.content_sha256
+
+
 def insert_calibration(connection: Connection, calibration: Calibration, analysis: str) -> None:
     """Insert a calibration, which from then on is the valid one of its sensor.
 
@@ -55,37 +93,6 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
     add_rows(connection, calibration.run, CalibrationRow, [row])
     places = [{"calibration": name, "number": k, **asdict(place)} for k, place in enumerate(calibration.baseline)]
     add_rows(connection, calibration.run, BaselineRow, places)
-
-
-def calibrations_of(engine: Engine, serial: str) -> tuple[CalibrationSummary, ...]:
-    """Return a sensor's calibrations, the latest first; the first is the valid one."""
-    row = CalibrationRow
-    later = func.lead(row.calibration).over(order_by=row.calibration).label("superseded_by")
-    columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
-    query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
-    with reading(engine) as connection:
-        return tuple(CalibrationSummary(*found) for found in connection.execute(query))
-
-
-def calibration_file(engine: Engine, calibration: str) -> tuple[bytes, str] | None:
-    """Return a calibration's file as issued, and its content's digest; None for one stored as rows.
-
-    Raises
-    ------
-    StoreError
-        If the calibration does not exist, or it or its run was altered.
-    """
-    row = CalibrationRow
-    with reading(engine) as connection:
-        query = select(row.run, row.file, row.file_sha256, row.content_sha256).where(row.calibration == calibration)
-        found = connection.execute(query).one_or_none()
-        if found is None:
-            raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
-        check_run(connection, found.run, RESULTS)
-    if found.file_sha256 is None and found.file is None:
-        return None
-    _check_file(calibration, found.file, found.file_sha256)
-    return found.file, found.content_sha256
 
 
 def check_files(rows: Iterable[Any]) -> None:

@@ -171,8 +171,8 @@ def test_each_alteration_is_named(station, centre, statement, why):
 def test_frames_archived_before_they_were_sent_are_read_from_their_file(station, centre, tmp_path, spoil):
     judged(station.store, run_of(station.store))
     before = content(station.engine)
-    (one,) = station.store.archivable(LATER)
-    file = Path(station.store.archive_run(one, tmp_path / "kept", LATER).file)
+    (one,) = station.store.archives.find_archivable(LATER)
+    file = Path(station.store.archives.archive(one, tmp_path / "kept", LATER).file)
     if spoil is None:
         sent(station, centre)
         assert content(centre.engine) == before
@@ -185,8 +185,8 @@ def test_frames_archived_before_they_were_sent_are_read_from_their_file(station,
 def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, centre, tmp_path, monkeypatch):
     judged(station.store, run_of(station.store))
     before = content(station.engine)
-    (one,) = station.store.archivable(LATER)
-    station.store.archive_run(one, tmp_path / "kept", LATER)
+    (one,) = station.store.archives.find_archivable(LATER)
+    station.store.archives.archive(one, tmp_path / "kept", LATER)
     read, parcelled = [], []
     monkeypatch.setattr(archives, "read_checked", counted(archives.read_checked, read))
     monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(storing.store_parcel, parcelled))
@@ -258,7 +258,7 @@ def test_of_calibrations_from_several_stations_one_is_valid(place, centre):
     for station in reversed(stations):
         sent(station, centre)
     assert centre.said("SELECT calibration FROM v_calibrations") == [(max(issued),)]
-    assert [one.calibration for one in centre.store.calibrations("S-1")] == sorted(issued, reverse=True)
+    assert [one.calibration for one in centre.store.calibrations.list_issued("S-1")] == sorted(issued, reverse=True)
 
 
 def test_what_refers_to_a_quarantined_run_waits_for_it(station, centre):
