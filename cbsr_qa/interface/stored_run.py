@@ -117,8 +117,8 @@ class Run(Result[RunOutcome]):
                 f"run {self.run} of sensor {self.serial} issued no calibration: {self.result.calibration_why}"
             )
         with open_store(self._url, create=False) as store:
-            file = store.calibrations.load_file(issued.calibration)
-        return Calibration(issued if file is None else calibration_of(file[0], issued=file[1]))
+            file, digest = store.calibrations.load_file(issued.calibration)
+        return Calibration(calibration_of(file, issued=digest))
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":
         """Draw the force against time, holds shaded; returns the axes. RefusedError if it holds no force."""

@@ -66,7 +66,7 @@ def _values(one: ChartReference) -> dict[str, Any]:
     settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
     return {
         **row_of(ChartReferenceRow, one, golden=one.golden or "", kind=str(one.chart)),
-        # Only where set, so that rows of earlier versions of this program read the same.
+        # Only where set: most references are of charts in use.
         "settings": settings | ({"retired": True} if one.retired else {}),
     }
 

@@ -7,9 +7,7 @@ from typing import Final, Self
 
 from sqlalchemy import Engine, func, select
 
-from cbsr_qa.domain.imaging import LinearReconstruction
 from cbsr_qa.domain.readings.loads import Indenter
-from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.store.chain.links import KEY_OPTION
@@ -23,7 +21,6 @@ from cbsr_qa.store.listed import RunLists
 from cbsr_qa.store.releases import Releases
 from cbsr_qa.store.results.analyses import Analyses
 from cbsr_qa.store.results.calibrations import Calibrations
-from cbsr_qa.store.results.calibrations_of_before import PrepareForce, load_calibration_of_before
 from cbsr_qa.store.results.reanalyses import Reanalyses
 from cbsr_qa.store.runs.archiving import RunArchives
 from cbsr_qa.store.runs.journal import Journal
@@ -217,9 +214,3 @@ class Repository:
     def name_unread_entries(self) -> tuple[str, ...]:
         """Return in words which rows of the outbox cannot be read; what they announce is not sent."""
         return name_unread(self._engine)
-
-    def calibration_of_before(
-        self, calibration: str, reconstruction: LinearReconstruction | None, prepare: PrepareForce
-    ) -> Calibration | None:
-        """Return a calibration that is stored as rows, without a file."""
-        return load_calibration_of_before(self._engine, calibration, reconstruction, prepare)

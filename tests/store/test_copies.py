@@ -9,6 +9,7 @@ from contextlib import closing
 from datetime import date
 
 import pytest
+from later_schema import LATER, add_revision
 from stored_runs import journalled, short_run
 
 from cbsr_qa.app.database import upgrade_database
@@ -219,18 +220,19 @@ def test_an_unusable_backup_changes_nothing(database, tmp_path, spoil, said):
     assert not list(tmp_path.glob("*replaced*"))
 
 
-def test_an_upgrade_is_undone_by_its_backup(tmp_path, database):
+def test_an_upgrade_is_undone_by_its_backup(tmp_path, database, monkeypatch):
     old = tmp_path / "old.db"
     engine = open_engine(parse_url(url(old)))
-    schema.upgrade(engine, "0015")
+    schema.upgrade(engine)
+    add_revision(monkeypatch, tmp_path)
     done = upgrade_database(str(old))
-    assert (done.result.before, done.result.after) == ("0015", HEAD)
+    assert (done.result.before, done.result.after) == (HEAD, LATER)
     backup = done.result.backup
-    assert backup.name.startswith("old-schema-0015-")
+    assert backup.name.startswith(f"old-schema-{HEAD}-")
     assert f"cbsr-qa db restore {backup}" in dict(done.page.printed)["Undone by"]
     engine.dispose()
     restored = restore_backup(str(old), backup, quiet)
-    assert restored.result.schema == "0015" == read_version(engine).revision
+    assert restored.result.schema == HEAD == read_version(engine).revision
     assert "cbsr-qa db upgrade" in dict(restored.page.printed)["Go on with"]
     engine.dispose()
     assert upgrade_database(str(old), backup=False).result.backup is None

@@ -17,7 +17,6 @@ from cbsr_qa.domain.run.run import RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.runs import archiving
-from cbsr_qa.store.schema import downgrade
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 AFTER = -1
@@ -192,15 +191,6 @@ def killed_at(module, name, call, work):
             os._exit(1)
     _, status = os.waitpid(child, 0)
     return os.WIFSIGNALED(status)
-
-
-def test_an_archived_run_keeps_its_database_from_an_earlier_schema(kept):
-    path, run, before = kept
-    with open_store(f"sqlite:///{path}") as store:
-        archived(store, run, path.parent / "a")
-        with pytest.raises(StoreError, match="archived runs: 1; an earlier schema has no archives"):
-            downgrade(store._engine, "0017")
-        assert bits(store, run) == before
 
 
 STEPS = ("check_run", "write_archive", "_verify", "place_of", "insert", "_empty", "update")

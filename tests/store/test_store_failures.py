@@ -6,6 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from later_schema import LATER, add_revision
 from sqlalchemy import event
 from stored_runs import CONFIGURATION, SETTING, frames, journalled, short_run
 
@@ -118,14 +119,13 @@ def test_a_file_system_that_makes_no_files_is_refused():
         open_store("sqlite:////proc/cbsr-qa-test.db")
 
 
-def test_an_older_schema_says_what_to_run_and_running_it_helps(filled):
-    engine = open_engine(parse_url(f"sqlite:///{filled}"))
-    schema.downgrade(engine, "0001")
-    engine.dispose()
+def test_an_older_schema_says_what_to_run_and_running_it_helps(filled, tmp_path, monkeypatch):
+    before = schema.HEAD
+    add_revision(monkeypatch, tmp_path)
     assert "cbsr-qa db upgrade" in refused(filled)
     assert database_status(str(filled)).result.state == "older"
     done = upgrade_database(str(filled)).result
-    assert (done.before, done.after, done.changed) == ("0001", schema.HEAD, True)
+    assert (done.before, done.after, done.changed) == (before, LATER, True)
     with open_store(f"sqlite:///{filled}") as repository:
         assert len(repository.runs.load("run-1").phases[0].frames) == 9
     assert not upgrade_database(str(filled)).result.changed
@@ -190,18 +190,20 @@ def test_a_full_disk_keeps_what_was_committed_and_the_journal_goes_on_when_there
     assert kept.time_s.tolist() == [10.0 + number for number in stored] + [9999.0]
 
 
-def test_an_upgrade_that_fails_half_way_changes_nothing(path):
+def test_an_upgrade_that_fails_half_way_changes_nothing(path, tmp_path, monkeypatch):
     engine = open_engine(parse_url(f"sqlite:///{path}"))
-    schema.upgrade(engine, "0001")
+    schema.upgrade(engine)
     engine.dispose()
+    made_by = schema.HEAD
+    add_revision(monkeypatch, tmp_path)
     with sqlite3.connect(path) as other:
-        other.execute("create table calibration_settling (in_the_way)")  # the migration makes others before it
+        other.execute("create table cases (in_the_way)")  # the migration makes another before it
         before = other.execute("select name from sqlite_master order by name").fetchall()
-    with pytest.raises(StoreError, match="calibration_settling already exists"):
+    with pytest.raises(StoreError, match="cases already exists"):
         upgrade_database(str(path))
     with sqlite3.connect(path) as other:
         assert other.execute("select name from sqlite_master order by name").fetchall() == before
-        assert other.execute("select version_num from alembic_version").fetchone() == ("0001",)
+        assert other.execute("select version_num from alembic_version").fetchone() == (made_by,)
 
 
 @pytest.mark.parametrize("url", ["postgresql://u:geheim@:port/x", "mysql://u:geheim@host/x", "://geheim"])

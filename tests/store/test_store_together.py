@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from functools import partial
 
 import pytest
+from later_schema import LATER, add_revision
 from stored_runs import journalled, short_run
 
 from cbsr_qa.app.run.run import RunRequest, default_seed, run_sensor
@@ -36,10 +37,12 @@ def opened(url, _):
         return store.count_rows()["runs"]
 
 
-def upgraded(url, _):
-    _TOGETHER[0].wait(60)
+def upgraded(url, folder, _):
     engine = open_engine(parse_url(url))
-    before = schema.upgrade(engine).revision
+    with pytest.MonkeyPatch.context() as patch:
+        add_revision(patch, folder)
+        _TOGETHER[0].wait(60)
+        before = schema.upgrade(engine).revision
     engine.dispose()
     return before
 
@@ -71,11 +74,13 @@ def test_stations_that_create_one_database_together_all_find_it_made(stations, d
     assert stations(partial(opened, database_url)) == [0] * STATIONS
 
 
-def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url):
+def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url, tmp_path, monkeypatch):
     engine = open_engine(parse_url(database_url))
-    schema.upgrade(engine, "0001")
-    before = stations(partial(upgraded, database_url))
-    assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
+    schema.upgrade(engine)
+    made_by = schema.HEAD
+    add_revision(monkeypatch, tmp_path)  # which writes the scripts once
+    before = stations(partial(upgraded, database_url, tmp_path))
+    assert sorted(before) == [made_by, *[LATER] * (STATIONS - 1)]
     engine.dispose()
 
 

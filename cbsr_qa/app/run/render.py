@@ -16,11 +16,9 @@ from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.calibration.file.hdf5 import calibration_of, write_calibration
-from cbsr_qa.calibration.force.templates import prepare_force
 from cbsr_qa.config.merging import restore
 from cbsr_qa.config.paths import database_url, reports_folder
-from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
-from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.plan.plan import Recipe
 from cbsr_qa.domain.results.calibration import Calibration
@@ -176,7 +174,7 @@ def rebuilt(
         return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
     observation, characterisation, why = _analyse_frames(record, recipe, plugins if imaged else None)
-    calibration, unseen = _calibration(store, stored, observation)
+    calibration, unseen = _calibration(store, stored)
     result = RunResult(
         record=record,
         observation=observation,
@@ -230,23 +228,14 @@ def _analyse_frames(
         return None, None, f"the frames cannot be imaged: {error.reason}"
 
 
-def _calibration(
-    store: Repository, stored: StoredAnalysis, observation: RunObservation | None
-) -> tuple[Calibration | None, str]:
+def _calibration(store: Repository, stored: StoredAnalysis) -> tuple[Calibration | None, str]:
     """Load the calibration an analysis issued, or say why it cannot be shown."""
     if stored.calibration is None:
         return None, ""
-    file = store.calibrations.load_file(stored.calibration)
-    if file is None:  # stored as rows, which are checked even if they cannot be shown
-        store.calibration_of_before(stored.calibration, None, prepare_force)
-        if observation is None:
-            return None, f"{stored.calibration} was issued, but cannot be shown without images"
+    file, digest = store.calibrations.load_file(stored.calibration)
     try:
-        if file is not None:
-            return calibration_of(file[0], issued=file[1]), ""
-        prepared = None if observation is None else as_filed(observation.reconstruction)
-        return store.calibration_of_before(stored.calibration, prepared, prepare_force), ""
-    except (StoreError, CalibrationError) as error:
+        return calibration_of(file, issued=digest), ""
+    except CalibrationError as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 

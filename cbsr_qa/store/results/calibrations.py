@@ -43,8 +43,8 @@ class Calibrations:
         with reading(self._engine) as connection:
             return tuple(CalibrationSummary(*found) for found in connection.execute(query))
 
-    def load_file(self, calibration: str) -> tuple[bytes, str] | None:
-        """Return a calibration's file as issued, and its content's digest; None for one stored as rows.
+    def load_file(self, calibration: str) -> tuple[bytes, str]:
+        """Return a calibration's file as issued, and its content's digest.
 
         Raises
         ------
@@ -60,8 +60,6 @@ class Calibrations:
             if found is None:
                 raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
             check_run(connection, found.run, RESULTS)
-        if found.file_sha256 is None and found.file is None:
-            return None
         _check_file(calibration, found.file, found.file_sha256)
         return found.file, found.content_sha256
 
@@ -98,8 +96,7 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
 def check_files(rows: Iterable[Any]) -> None:
     """Check the files in rows of calibrations, digests as text. StoreError names the calibration that has another."""
     for row in rows:
-        if row.file_sha256 is not None or row.file is not None:
-            _check_file(row.calibration, row.file, row.file_sha256)
+        _check_file(row.calibration, row.file, row.file_sha256)
 
 
 def _check_file(calibration: str, file: bytes | None, sha256: str | None) -> None:

@@ -15,7 +15,7 @@ from cbsr_qa.store.runs.rows import current_state
 from cbsr_qa.store.tables.records import FEW_LINKS
 from cbsr_qa.store.tables.results import AnalysisRow
 
-#: Links give the order of what was stored. A run without links was stored before there were any: its clock has to do,
+#: Links give the order of what was stored. Of a run whose links were removed, the clock has to do,
 #: and a stopped session leaves no measurement. The first session has states 0 and 1, and no analysis before them.
 _OUTDATED: Final = f"""EXISTS (
     SELECT 1 FROM run_states AS later

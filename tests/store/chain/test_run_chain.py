@@ -214,7 +214,6 @@ READ_ALL = (
 EMPTY = (
     *("sensors", "configuration_changes", "releases", "archives", "outbox", "sync_accepts", "sync_refusals"),
     *("sync_settlements", "runs_begun"),
-    *(f"calibration_{what}" for what in ("settling", "relaxations", "parameters", "overlap_bands", "forces")),
 )
 
 
@@ -285,7 +284,7 @@ READERS = {
     "identity": (RUN, lambda store, run, _: store.runs.read_identity(run)),
     "analyses": (VALUE, lambda store, run, _: store.analyses.load(run)),
     "calibration": (
-        "update calibrations set scale = 1",
+        "update calibrations set record_sha256 = '1'",
         lambda store, _, issued: store.calibrations.load_file(issued),
     ),
     "override": (
@@ -373,7 +372,7 @@ def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
 # Keys
 
 
-def test_a_run_of_before_is_unchained_and_goes_on_so(tmp_path):
+def test_a_run_whose_chain_was_removed_is_unchained_and_goes_on_so(tmp_path):
     url = f"sqlite:///{tmp_path / 'runs.db'}"
     with open_store(url) as store:
         run = store.new_id()
