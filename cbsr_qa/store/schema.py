@@ -29,7 +29,7 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-#: They are compared as text, also by programs of before 0.1.0, whose own went from 0001 to 0024: counted from 1001,
+#: They are compared as text, also by programs from before 0.1.0, whose own went from 0001 to 0024: counted from 1001,
 #: none can be taken for one of those, and all come after them.
 REVISIONS: Final = ("1001",)
 HEAD: Final = REVISIONS[-1]
@@ -48,7 +48,7 @@ class Age(Enum):
     CURRENT = "current"
     OLDER = "older"
     NEWER = "newer"
-    UNRELEASED = "of before 0.1.0"
+    UNRELEASED = "from before 0.1.0"
     FOREIGN = "of another program"
 
 
@@ -106,7 +106,7 @@ def upgrade(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Sch
     Raises
     ------
     StoreError
-        If it is newer than this program or of before 0.1.0, belongs to another one, or cannot be written.
+        If it is newer than this program or from before 0.1.0, belongs to another one, or cannot be written.
     """
     _upgradable(engine, read_version(engine))
     _make_folder(engine)
@@ -161,7 +161,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
             )
         case Age.UNRELEASED:
             return StoreError(
-                f"{name_database(engine.url)} has schema {version.revision}, of before version 0.1.0, which this"
+                f"{name_database(engine.url)} has schema {version.revision}, from before version 0.1.0, which this"
                 " program does not read",
                 remedy=f"use another database; commit {LAST_UNRELEASED} of cbsr-qa still reads and exports this one",
             )

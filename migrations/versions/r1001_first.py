@@ -9,7 +9,7 @@ from typing import Final
 
 from alembic import op
 
-# Programs of before 0.1.0 counted their schemas from 0001 to 0024, and compare them as text.
+# Programs from before 0.1.0 counted their schemas from 0001 to 0024, and compare them as text.
 revision = "1001"
 down_revision = None
 branch_labels = None

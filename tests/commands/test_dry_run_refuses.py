@@ -83,7 +83,7 @@ def files(folder):
     [
         (overdue, "was due on 2020-01-31"),
         (no_folder, "folder var/reports cannot be written to"),
-        (unreleased_database, "has schema 0024, of before version 0.1.0"),
+        (unreleased_database, "has schema 0024, from before version 0.1.0"),
         (too_long, "the head is down for 60 s; the station allows 30 s"),
         (damaged_database, "cbsr-qa.db"),
         *(

@@ -82,7 +82,7 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
 
 
 def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp_path):
-    forged = "metric: from cbsr_qa.store.results import analyses; analyses.add_analysis = lambda *_, **__: None"
+    forged = "metric: from cbsr_qa.store.results import analyses; analyses.Analyses.save = lambda *_, **__: 'none'"
     done = run_hostile(bench, tmp_path, forged)
     assert done.returncode == 3
     assert "reported success, and the database holds no verdict" in document(done)["reason"]

@@ -196,7 +196,7 @@ def test_a_database_of_before_the_first_version_is_refused_by_its_schema_and_sta
         connection.execute(sa.text(f"UPDATE {schema.VERSION_TABLE} SET version_num = '{number:04}'"))
     before = content(engine)
     assert schema.read_version(engine).age is schema.Age.UNRELEASED
-    with pytest.raises(StoreError, match=rf"has schema {number:04}, of before version 0\.1\.0") as caught:
+    with pytest.raises(StoreError, match=rf"has schema {number:04}, from before version 0\.1\.0") as caught:
         schema.upgrade(engine)
     assert f"commit {LAST_UNRELEASED} of cbsr-qa still reads and exports this one" in caught.value.remedy
     assert content(engine) == before
@@ -222,7 +222,7 @@ def test_no_command_takes_or_changes_a_file_of_before_the_first_version(tmp_path
     before = hashlib.sha256(path.read_bytes()).hexdigest()
     done = cbsr_qa(tmp_path, *" ".join(arguments).split(), check=False)
     assert done.returncode == 2
-    assert "has schema 0019, of before version 0.1.0" in done.stderr
+    assert "has schema 0019, from before version 0.1.0" in done.stderr
     assert LAST_UNRELEASED in done.stderr
     assert hashlib.sha256(path.read_bytes()).hexdigest() == before
     assert [one.name for one in tmp_path.rglob("*") if one.is_file()] == [path.name]

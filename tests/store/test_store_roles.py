@@ -219,8 +219,8 @@ def test_a_calibration_is_withdrawn_by_no_row_that_a_login_may_change(filled):
     assert before
     refused(url, "UPDATE calibrations SET serial = 'S-9'")
     forged = (
-        "INSERT INTO calibrations (calibration, run, analysis, serial, issued_at, content_sha256, record_sha256, file,"
-        " file_sha256) SELECT 'f' || substr(calibration, 2), run, analysis, serial, issued_at, content_sha256,"
+        "INSERT INTO calibrations (calibration, run, analysis, serial, issued_at, content_sha256, record_sha256,"
+        " file, file_sha256) SELECT 'f' || substr(calibration, 2), run, analysis, serial, issued_at, content_sha256,"
         " record_sha256, file, file_sha256 FROM calibrations c WHERE calibration IN (SELECT calibration FROM"
         " v_calibrations)"
     )

@@ -147,7 +147,7 @@ def apply_to_presses(
             remedy="apply it to recordings, without --pattern",
         )
     if pattern is None:
-        read = read_pressed_frames(readings, pattern_of(calibration, issued), rest, reference)
+        read = read_pressed_frames(readings, pattern_of(issued), rest, reference)
     else:
         read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
     estimate = PressedPlaces(issued, read.distinct, differences=differences)
@@ -214,13 +214,8 @@ class PressedPlaces:
         return matched - self._issued.rest
 
 
-def pattern_of(calibration: Path, issued: PressCalibration) -> DrivePattern:
-    """Return the pattern of frames that a calibration was learned from; CalibrationError if it does not state it."""
-    if not issued.drive:
-        raise CalibrationError(
-            f"{calibration} does not state the order of the pairs in a frame: it was issued before calibrations did",
-            remedy="give the readings as a table, with --pattern, or calibrate again",
-        )
+def pattern_of(issued: PressCalibration) -> DrivePattern:
+    """Return the pattern of frames that a calibration was learned from."""
     return DrivePattern(issued.electrodes, issued.drive, issued.measure)
 
 

@@ -142,7 +142,7 @@ class _OfRun:
 class _OfPresses:
     def __init__(self, file: Path, issued: PressCalibration, sensor_type: SensorType) -> None:
         self.sensor_type, self.indenter = sensor_type, Indenter(13.0)
-        pattern, given = pattern_of(file, issued), sensor_type.pattern
+        pattern, given = pattern_of(issued), sensor_type.pattern
         if (given.drive, given.measure) != (pattern.drive, pattern.measure):
             raise CalibrationError(
                 f"sensor type {sensor_type.name!r} has another pattern than the calibration {file}",

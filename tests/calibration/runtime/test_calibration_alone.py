@@ -231,8 +231,6 @@ def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
     issued = force_calibration()
     with pytest.raises(CalibrationError, match="0193-c of sensor S-1 holds no force model: too few loads"):
         Calibration(replace(issued, force=None, no_force="too few loads"))
-    with pytest.raises(CalibrationError, match="issued before calibrations held force models"):
-        Calibration(replace(issued, force=None))
 
 
 def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calibration):

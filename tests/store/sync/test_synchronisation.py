@@ -307,7 +307,7 @@ def test_runs_without_a_chain_are_compared_as_a_whole(full, centre, place):
 @on_both
 def test_nothing_is_sent_to_a_centre_of_before_the_first_version(full, centre):
     centre.change("UPDATE alembic_version SET version_num = '0024'")
-    with pytest.raises(StoreError, match=r"has schema 0024, of before version 0\.1\.0") as caught:
+    with pytest.raises(StoreError, match=r"has schema 0024, from before version 0\.1\.0") as caught:
         sent(full, centre)
     assert LAST_UNRELEASED in caught.value.remedy
     assert centre.said("SELECT count(*) FROM runs") == [(0,)]
