@@ -55,7 +55,7 @@ def fill(url: str, sensors: int, metrics: int, on_all: int, seed: int = 41) -> i
 
     setting = encode_setting(load_sensor_type("disc-100mm").value, Indenter(13.0), load_material("cbsr-8wt").value)
     with open_store(url, durable=False) as store:
-        store.counts()
+        store.count_rows()
     engine, random, runs = open_engine(parse_url(url), durable=False), np.random.default_rng(seed), 0
     for first in range(0, sensors, 250):
         tables: dict[Any, Rows] = {t: [] for t in (SensorRow, RunRow, RunStateRow, AnalysisRow, MeasurementRow)}
@@ -197,7 +197,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         url = given.database or f"sqlite:///{folder}{os.sep}fleet.db"
         with open_store(url) as store:
-            filled = bool(store.counts().get("runs"))
+            filled = bool(store.count_rows().get("runs"))
         if not filled:
             print(
                 f"{fill(url, given.sensors, given.metrics, given.on_all)} runs of {given.sensors} sensors", flush=True

@@ -82,16 +82,16 @@ class Line:
         check_usable(self.url)
         with open_existing(self.url) or nullcontext() as earlier:
             if earlier is not None:
-                earlier.seeds_of(serial)
+                earlier.sensors.list_seeds(serial)
         with (
             open_store(self.url, durable=False) as store,
-            store.seed_claimed(serial, self._runs, "Ada"),
-            store.sensor_claimed(serial, "nine-locations", "Ada"),
+            store.claims.claim_seed(serial, self._runs, "Ada"),
+            store.claims.claim_sensor(serial, "nine-locations", "Ada"),
         ):
             identity = self._identity(store.new_id(), serial)
             sensor = self.configuration
-            with store.writing_alone(identity.run, "Ada"):
-                journal = store.journal(
+            with store.claims.hold_run(identity.run, "Ada"):
+                journal = store.open_journal(
                     configuration=sensor.canonical,
                     sensor_type=sensor.sensor_type,
                     material=sensor.material,
@@ -123,13 +123,15 @@ class Line:
         return {
             "open the database": lambda: open_store(self.url, create=False).close(),
             "list the latest 50 runs": lambda: self._listed(list_runs, latest=50),
-            "list the runs of a day": lambda: self._read(lambda store: store.list_runs(shift)),
-            "list the runs of a day and station": lambda: self._read(lambda store: store.list_runs(own)),
+            "list the runs of a day": lambda: self._read(lambda store: store.lists.read_runs(shift)),
+            "list the runs of a day and station": lambda: self._read(lambda store: store.lists.read_runs(own)),
             "list the latest 50 sensors of a day": lambda: self._listed(
                 list_sensors, latest=50, since=day.date(), until=day.date()
             ),
             "list the runs of a sensor": lambda: self._read(lambda store: sensor_runs(store, "S-00001")),
-            "open a run": lambda: self._read(lambda store: (store.identity(latest), store.analyses(latest))),
+            "open a run": lambda: self._read(
+                lambda store: (store.runs.read_identity(latest), store.analyses.load(latest))
+            ),
             "all checks of the gate": self.gate,
             **{f"gate: {check}": lambda check=check: self.check(check) for check in GateCheck},  # type: ignore[misc]
             "start a run, to its first row": self.start,
@@ -146,9 +148,9 @@ class Line:
 def prepare(url: str) -> tuple[str, datetime]:
     """Add what a gate asks for: a golden sensor, control charts, an outbox; return the latest run and its day."""
     with open_store(url) as store:
-        runs = store.run_names(RunSelection(stations=(_STATION,)))
-        latest = store.identity(runs[-1]) if runs else None
-        if latest is not None and store.latest_golden_check(_STATION) is None:
+        runs = store.lists.read_names(RunSelection(stations=(_STATION,)))
+        latest = store.runs.read_identity(runs[-1]) if runs else None
+        if latest is not None and store.stations.read_latest_golden_check(_STATION) is None:
             _equip(store, runs)
             engine = open_engine(parse_url(url), durable=False)
             with writing(engine) as connection:
@@ -180,9 +182,9 @@ def _equip(store: Repository, runs: tuple[str, ...]) -> None:
         results=(CheckResult("its own mean", CheckOutcome.OK, subject="golden sensor S-7"),),
         golden_run=runs[-40],
     )
-    store.save_station_check(check)
+    store.stations.save_check(check)
     period = {"runs": 30, "first_run": runs[-130], "last_run": runs[-100], "made_at": datetime.now(UTC)}
-    store.save_chart_references(
+    store.charts.save(
         [
             ChartReference(
                 reference=store.new_id(),
@@ -247,7 +249,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, _databases(folder, given.database) as urls:
         for name, url in urls.items():
             with open_store(url) as store:
-                known = store.run_count()
+                known = store.lists.count_runs()
             if not known:
                 known = fill(url, given.runs, metrics=4, on_all=given.runs)
             print(f"== {name}: {known} runs of 20 measurements", flush=True)

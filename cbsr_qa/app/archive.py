@@ -61,14 +61,18 @@ def archive_runs(
     now = datetime.now(UTC)
     before = now - _age(older_than)
     with open_store(database_url(database), create=False) as store:
-        folder, runs, size = store.archive_folder(to), store.archivable(before), store.size_bytes()
+        folder, runs, size = (
+            store.archives.choose_folder(to),
+            store.archives.find_archivable(before),
+            store.measure_size_bytes(),
+        )
         if dry_run:
             return _laid_out(Archived(runs, (), size, size, 0, dry_run=True), folder, database)
         moved, problems = _archive_each(store, runs, folder, now)
         if moved:
             problems += _shrunk(store)
         written = sum(run.file_bytes for run in moved)
-        return _laid_out(Archived(moved, problems, size, store.size_bytes(), written), folder, database)
+        return _laid_out(Archived(moved, problems, size, store.measure_size_bytes(), written), folder, database)
 
 
 def _age(text: str) -> timedelta:
@@ -87,7 +91,7 @@ def _archive_each(
     for number, run in enumerate(runs):
         on_stderr(f"archiving run {number + 1} of {len(runs)} …")
         try:
-            moved.append(store.archive_run(run, folder, at))
+            moved.append(store.archives.archive(run, folder, at))
         except StoreError as error:
             problems.append(error.reason)
     return tuple(moved), tuple(problems)
@@ -104,9 +108,9 @@ def _shrunk(store: Repository) -> tuple[str, ...]:
 def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[Archived]:
     """Bring the frames of a run back. StoreError if it is not archived, or its file is missing or altered."""
     with open_store(database_url(database), create=False) as store:
-        size = store.size_bytes()
-        run = store.unarchive_run(store.resolve(run_or_serial))
-        done = Archived((run,), (), size, store.size_bytes(), 0)
+        size = store.measure_size_bytes()
+        run = store.archives.unarchive(store.runs.resolve(run_or_serial))
+        done = Archived((run,), (), size, store.measure_size_bytes(), 0)
     facts = (
         ("Run", _describe_run(run)),
         ("File", f"{run.file} stays: copies of the database may need it"),

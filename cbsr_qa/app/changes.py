@@ -50,16 +50,16 @@ class Changes:
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
-        charts = tuple(_chart_changes(store.all_chart_references()))
-        altered = store.find_altered_records()
+        charts = tuple(_chart_changes(store.charts.read_all()))
+        altered = store.changes.find_altered()
         changes = Changes(
-            store.changes(tuple(altered)),
+            store.changes.list_all(tuple(altered)),
             charts,
-            store.overrides(without=tuple(altered)),
-            store.adoptions(tuple(altered)),
+            store.changes.list_overrides(without=tuple(altered)),
+            store.reanalyses.list_adoptions(tuple(altered)),
             tuple(altered.values()),
         )
-        names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
+        names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.runs.find()}
     found = {
         "file": len(changes.changes),
         "control chart": len(changes.chart_references),
@@ -162,12 +162,12 @@ def override_verdict(
             raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
-        analyses = store.analyses(run)
+        analyses = store.analyses.load(run)
         for latest in analyses[:1]:
-            check_decided(store.load_run(run), latest, judging_recipe(store, run, latest).limits)
-        override = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
+            check_decided(store.runs.load(run), latest, judging_recipe(store, run, latest).limits)
+        override = store.changes.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
         calibration = next((one.calibration for one in analyses if one.calibration is not None), None)
-        identity, report = store.identity(run), report_command(run, store)
+        identity, report = store.runs.read_identity(run), report_command(run, store)
     note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:
         note = (

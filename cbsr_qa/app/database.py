@@ -18,10 +18,12 @@ from cbsr_qa.store.copies import copy_database
 from cbsr_qa.store.damage import address
 from cbsr_qa.store.engine import open_engine, parse_url, sqlite_file
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.roles import READER, STATION, roles_script
-from cbsr_qa.store.runs.sessions import IncompleteRun, counts, incomplete_runs, runs_without_result
+from cbsr_qa.store.runs.sessions import IncompleteRun
 from cbsr_qa.store.schema import HEAD, Age, read_version, refusal, upgrade
 from cbsr_qa.store.types import time_of_id
+from cbsr_qa.system.clock import RealClock
 
 #: Ends of runs that were stopped, unlike those that were interrupted.
 _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
@@ -164,7 +166,8 @@ def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
     try:
         version = read_version(engine)
         current = version.age is Age.CURRENT
-        runs = incomplete_runs(engine) if current else ()
+        store = Repository(engine, RealClock().wall) if current else None
+        runs = store.unfinished.list_incomplete() if store else ()
         if runs:
             runs = _with_next(runs, database_url(option))
         status = DatabaseStatus(
@@ -172,13 +175,15 @@ def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
             schema=version.revision,
             head=HEAD,
             state=version.age.value,
-            remedy="" if current else refusal(engine, version).remedy,
-            counts=counts(engine) if current else {},
+            remedy="" if store else refusal(engine, version).remedy,
+            counts=store.count_rows() if store else {},
             incomplete=tuple(
                 fill_from_object(UnfinishedRun, run, state=_state(run)) for run in runs if run.end not in _STOPPED
             ),
             stopped=tuple(fill_from_object(StoppedRun, run) for run in runs if run.end in _STOPPED),
-            without_result=tuple(UnconcludedRun(*run) for run in runs_without_result(engine)) if current else (),
+            without_result=tuple(UnconcludedRun(*run) for run in store.unfinished.list_without_result())
+            if store
+            else (),
         )
     finally:
         engine.dispose()

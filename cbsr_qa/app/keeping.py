@@ -159,24 +159,24 @@ def check_database(
     checked = unchained = unsigned = 0
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
-        problems += _list_problems(store.file_problems)
-        problems += _list_problems(store.find_odd_rows)
+        problems += _list_problems(store.soundness.find_file_problems)
+        problems += _list_problems(store.soundness.find_odd_rows)
         problems += _list_problems(store.name_unread_entries)
-        problems += _list_problems(store.find_misplaced_rows)
+        problems += _list_problems(store.soundness.find_misplaced_rows)
         missing, notes = _order_problems(store)
         problems += missing
-        runs = store.run_names(RunSelection(since=since))
+        runs = store.lists.read_names(RunSelection(since=since))
         for run in runs:
             count("checking runs", checked, len(runs))
             try:
-                chain = store.check_stored_run(run, frames=not quick)
+                chain = store.soundness.check_run(run, frames=not quick)
                 unchained, unsigned = unchained + (not chain.chained), unsigned + (chain.signature != "checked")
             except StoreError as error:
                 problems.append(FoundProblem(run, error.reason.removeprefix(f"run {run}: ")))
             checked += 1
-        problems += _list_problems(store.seal_problems)
+        problems += _list_problems(store.soundness.find_seal_problems)
         if not quick:
-            problems += _list_problems(store.ring_problems)
+            problems += _list_problems(store.soundness.find_ring_problems)
         without_key = unsigned if store.key_id else None
         done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
     of_file = sqlite_file(parse_url(database_url(option))) is not None
@@ -195,7 +195,7 @@ def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
 def _order_problems(store: Repository) -> tuple[list[FoundProblem], tuple[str, ...]]:
     """Return runs that are missing between others, and notes on the order of runs."""
     try:
-        missing, notes = store.order_problems()
+        missing, notes = store.soundness.find_order_problems()
     except OddCellError as error:
         return [FoundProblem(None, error.reason)], ()
     return [FoundProblem(gap.after or None, gap.words) for gap in missing], notes

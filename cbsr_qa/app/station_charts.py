@@ -41,14 +41,14 @@ def charts_after(
     -------
     None if no reference is stored for the station.
     """
-    references = store.chart_references(station, until)
+    references = store.charts.read_current(station, until)
     if not references:
         return None
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
         members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
-        table = store.fleet(_select_chart_runs(station, members, until))
+        table = store.fleet.read_table(_select_chart_runs(station, members, until))
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))

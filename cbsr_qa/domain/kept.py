@@ -35,8 +35,9 @@ class Kept:
     ----------
     path : within its parent's group, or from the root of the file if it begins with ``/``; a group's ends with ``/``.
     units : of a value; of a group, those its fields inherit by :data:`OWN`.
-    since : first version of the file that has it. Files without it are read with the default, which is not written.
-    omitted : not written if it is the default, though the first version had it.
+    since : version of the file that brought it; 0: every version has it. Earlier files are read with the default,
+        which is not written, so that they keep their digests.
+    omitted : not written if it is the default, though every version has it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
     steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`round_to_steps`.
@@ -50,7 +51,7 @@ class Kept:
 
     path: str | None = None
     units: str = ""
-    since: int = 1
+    since: int = 0
     omitted: bool = False
     prepared: bool = False
     single: bool = False
@@ -97,8 +98,8 @@ class KeptField:
         return of_group if found == OWN else found
 
     def is_left_out(self, value: object) -> bool:
-        """Whether earlier files had no such field, and the value is its default."""
-        optional = self.kept.omitted or self.kept.since > 1
+        """Whether a field that files may lack has its default."""
+        optional = self.kept.omitted or self.kept.since > 0
         return optional and (value is self.default or (type(value) is type(self.default) and value == self.default))
 
     def _suffix(self) -> str:

@@ -48,7 +48,7 @@ class Run(Result[RunOutcome]):
         self._given = outcome
         with open_store(self._url, create=False) as store:
             #: Identifier of the run.
-            self.run: str = store.resolve(run)
+            self.run: str = store.runs.resolve(run)
 
     @cached_property
     def _read(self) -> CommandOutcome[RunOutcome]:
@@ -65,7 +65,7 @@ class Run(Result[RunOutcome]):
     def record(self) -> RunRecord:
         """Everything that was recorded: identity, phases, frames, samples, presses."""
         with open_store(self._url, create=False) as store:
-            return store.load_run(self.run)
+            return store.runs.load(self.run)
 
     @property
     def serial(self) -> str:
@@ -79,7 +79,7 @@ class Run(Result[RunOutcome]):
         StoreError if the run was altered since it was stored.
         """
         with open_store(self._url, create=False) as store:
-            (listed,) = store.list_runs(self._only)
+            (listed,) = store.lists.read_runs(self._only)
         if listed.altered:
             raise StoreError(listed.altered, remedy="restore the database from a copy")
         return listed.verdict
@@ -117,8 +117,8 @@ class Run(Result[RunOutcome]):
                 f"run {self.run} of sensor {self.serial} issued no calibration: {self.result.calibration_why}"
             )
         with open_store(self._url, create=False) as store:
-            file = store.calibration_file(issued.calibration)
-        return Calibration(issued if file is None else calibration_of(file[0], issued=file[1]))
+            file, digest = store.calibrations.load_file(issued.calibration)
+        return Calibration(calibration_of(file, issued=digest))
 
     def plot(self, axes: "Axes | None" = None) -> "Axes":
         """Draw the force against time, holds shaded; returns the axes. RefusedError if it holds no force."""

@@ -87,7 +87,7 @@ def file_at(engine: Engine, place: str) -> Path:
             f"{place} is in the folder of archives, and {root} is not reached from this computer", remedy=_NAME_ROOT
         )
     try:
-        file = (root / place).resolve()  # earlier versions wrote full paths
+        file = (root / place).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a NUL
         raise StoreError(f"{place!r} is not the path of an archive: {error}") from error
     _check_inside(root, file)

@@ -1,6 +1,6 @@
 """Configuration changes noted with each run, and overrides of verdicts. Neither alters earlier rows."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from functools import partial
 from typing import Final
@@ -16,7 +16,7 @@ from cbsr_qa.domain.run.changes import (
     FileKind,
     VerdictOverride,
 )
-from cbsr_qa.domain.run.run import RunIdentity
+from cbsr_qa.domain.run.run import RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.chain.check import RESTORE, check_run
 from cbsr_qa.store.chain.links import add_rows, few_links
@@ -37,23 +37,98 @@ from cbsr_qa.store.unreadable_runs import read_apart
 _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
 
 
-def find_altered_records(engine: Engine) -> dict[str, str]:
-    """Return what is wrong with what people changed or decided, by run: notes of files, overrides and adoptions.
+class Changes:
+    """Changed configuration files, and overridden verdicts."""
 
-    Runs that have only links of such records are looked at too: their rows may have been removed.
-    """
-    kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
-    names = [one.__tablename__ for one in kinds[:3]]
-    with reading(engine) as connection:
-        linked = select(LinkRow.run).where(LinkRow.kind.in_(names), few_links()).distinct()
-        runs = {*connection.scalars(linked), *connection.scalars(select(ConfigurationChangeRow.run))}
-        runs |= {*connection.scalars(select(VerdictOverrideRow.run))}
-        runs |= {
-            *connection.scalars(
-                select(AnalysisRow.run).join(AdoptionRow, AdoptionRow.analysis == AnalysisRow.analysis)
+    def __init__(self, engine: Engine, new_id: Callable[[], str], wall: Callable[[], datetime]) -> None:
+        self._engine = engine
+        self._new_id = new_id
+        self._wall = wall
+
+    def find_altered(self) -> dict[str, str]:
+        """Return what is wrong with what people changed or decided, by run: notes of files, overrides and adoptions.
+
+        Runs that have only links of such records are looked at too: their rows may have been removed.
+        """
+        kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
+        names = [one.__tablename__ for one in kinds[:3]]
+        with reading(self._engine) as connection:
+            linked = select(LinkRow.run).where(LinkRow.kind.in_(names), few_links()).distinct()
+            runs = {*connection.scalars(linked), *connection.scalars(select(ConfigurationChangeRow.run))}
+            runs |= {*connection.scalars(select(VerdictOverrideRow.run))}
+            runs |= {
+                *connection.scalars(
+                    select(AnalysisRow.run).join(AdoptionRow, AdoptionRow.analysis == AnalysisRow.analysis)
+                )
+            }
+            return _find_altered(connection, sorted(runs), kinds)
+
+    def list_all(self, without: Collection[str] = ()) -> tuple[ConfigurationChange, ...]:
+        """Return the noted changes of all runs, oldest first, without those of some runs."""
+        with reading(self._engine) as connection:
+            return _changes(connection, ConfigurationChangeRow.run.not_in(without))
+
+    def read_history(self, record: RunRecord) -> ChangeHistory:
+        """Return the changes of a run's files since its sensor type last passed its recipe, including its own.
+
+        Changes noted with other runs are left out, and named, where these were altered.
+        """
+        row, identity = ConfigurationChangeRow, record.identity
+        named = list_files(identity, record.material.name)
+        files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in named))
+        with reading(self._engine) as connection:
+            since = _last_accepted(connection, identity)
+            changes = _changes(connection, files, row.run > since, row.run <= identity.run)
+            altered = _find_altered(connection, sorted({change.run for change in changes}), [ConfigurationChangeRow])
+        return ChangeHistory(
+            since, tuple(change for change in changes if change.run not in altered), tuple(altered.values())
+        )
+
+    def override_verdict(self, run: str, outcome: Outcome, *, operator: str, why: str) -> VerdictOverride:
+        """Store a decision beside the verdict of a run's latest analysis, which is kept; the latest decision holds.
+
+        Raises
+        ------
+        StoreError
+            If the run does not exist, was altered, has not finished, or has no result yet; nothing is stored then.
+        """
+        override, noted_at = self._new_id(), self._wall()
+        with writing(self._engine) as connection:
+            analysis, verdict = _read_verdict(connection, run)
+            made = VerdictOverride(override, run, analysis, verdict, outcome, operator, noted_at, why)
+            values = {"run": run, "analysis": analysis, "outcome": str(outcome), "operator": operator, "why": why}
+            row = {"override_id": override, "noted_at": noted_at, **values}
+            add_rows(connection, run, VerdictOverrideRow, [row])
+        return made
+
+    def list_overrides(self, run: str | None = None, *, without: Collection[str] = ()) -> tuple[VerdictOverride, ...]:
+        """Return the overrides of one run's verdicts, or of all but some, oldest first.
+
+        StoreError if the run was altered; of all runs, :meth:`find_altered` says which not to believe.
+        """
+        row = VerdictOverrideRow
+        query = select(*row.__table__.columns, AnalysisRow.outcome.label("verdict")).join(
+            AnalysisRow, AnalysisRow.analysis == row.analysis
+        )
+        query = query.where(row.run.not_in(without) if run is None else row.run == run)
+        with reading(self._engine) as connection:
+            altered = {} if run is None else _find_altered(connection, [run], [VerdictOverrideRow, AnalysisRow])
+            for problem in altered.values():
+                raise StoreError(problem, remedy=RESTORE)
+            found = connection.execute(query.order_by(row.override_id)).all()
+        return tuple(
+            VerdictOverride(
+                one.override_id,
+                one.run,
+                one.analysis,
+                read_word(Outcome, one.verdict, "analyses.outcome", f"analysis {one.analysis}"),
+                read_word(Outcome, one.outcome, "verdict_overrides.outcome", f"override {one.override_id}"),
+                one.operator,
+                one.noted_at,
+                one.why,
             )
-        }
-        return _find_altered(connection, sorted(runs), kinds)
+            for one in found
+        )
 
 
 def _find_altered(connection: Connection, runs: Sequence[str], kinds: Sequence[type[Base]]) -> dict[str, str]:
@@ -74,28 +149,6 @@ def _find_altered_page(connection: Connection, kinds: Sequence[type[Base]], runs
         for word in one.columns.get("outcome", ()):
             read_word(Outcome, word, f"{one.table.name}.outcome", f"run {runs[0]}")  # named once it is alone
     return find_altered(connection, chains, read, ended=True)
-
-
-def all_changes(engine: Engine, without: Collection[str] = ()) -> tuple[ConfigurationChange, ...]:
-    """Return the noted changes of all runs, oldest first, without those of some runs."""
-    with reading(engine) as connection:
-        return _changes(connection, ConfigurationChangeRow.run.not_in(without))
-
-
-def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
-    """Return the changes of a run's files since its sensor type last passed its recipe, including its own.
-
-    Changes noted with other runs are left out, and named, where these were altered.
-    """
-    row = ConfigurationChangeRow
-    files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in list_files(identity, material)))
-    with reading(engine) as connection:
-        since = _last_accepted(connection, identity)
-        changes = _changes(connection, files, row.run > since, row.run <= identity.run)
-        altered = _find_altered(connection, sorted({change.run for change in changes}), [ConfigurationChangeRow])
-    return ChangeHistory(
-        since, tuple(change for change in changes if change.run not in altered), tuple(altered.values())
-    )
 
 
 def _last_accepted(connection: Connection, identity: RunIdentity) -> str:
@@ -129,61 +182,6 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
             at=found.noted_at,
         )
         for found in connection.execute(query)
-    )
-
-
-def save_override(
-    engine: Engine, run: str, outcome: Outcome, *, override: str, operator: str, why: str, noted_at: datetime
-) -> VerdictOverride:
-    """Store a decision against the verdict of a run's latest analysis.
-
-    Parameters
-    ----------
-    override : new time-ordered identifier; the latest override of an analysis holds.
-
-    Raises
-    ------
-    StoreError
-        If the run does not exist, was altered, has not finished, or has no result yet; nothing is stored then.
-    """
-    with writing(engine) as connection:
-        analysis, verdict = _read_verdict(connection, run)
-        made = VerdictOverride(override, run, analysis, verdict, outcome, operator, noted_at, why)
-        values = {"run": run, "analysis": analysis, "outcome": str(outcome), "operator": operator, "why": why}
-        row = {"override_id": override, "noted_at": noted_at, **values}
-        add_rows(connection, run, VerdictOverrideRow, [row])
-    return made
-
-
-def overrides(
-    engine: Engine, run: str | None = None, *, without: Collection[str] = ()
-) -> tuple[VerdictOverride, ...]:
-    """Return the overrides of one run's verdicts, or of all but some, oldest first.
-
-    StoreError if the run was altered; of all runs, :func:`find_altered_records` says which not to believe.
-    """
-    row = VerdictOverrideRow
-    query = select(*row.__table__.columns, AnalysisRow.outcome.label("verdict")).join(
-        AnalysisRow, AnalysisRow.analysis == row.analysis
-    )
-    query = query.where(row.run.not_in(without) if run is None else row.run == run)
-    with reading(engine) as connection:
-        altered = {} if run is None else _find_altered(connection, [run], [VerdictOverrideRow, AnalysisRow])
-        for problem in altered.values():
-            raise StoreError(problem, remedy=RESTORE)
-        found = connection.execute(query.order_by(row.override_id)).all()
-    return tuple(
-        VerdictOverride(
-            one.override_id,
-            one.run,
-            one.analysis,
-            read_word(Outcome, one.verdict, "analyses.outcome", f"analysis {one.analysis}"),
-            read_word(Outcome, one.outcome, "verdict_overrides.outcome", f"override {one.override_id}"),
-            one.operator,
-            one.noted_at,
-            one.why,
-        )
-        for one in found
     )
 
 

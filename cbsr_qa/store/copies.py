@@ -154,7 +154,7 @@ def _verify(partial: Path, heads: dict[str, str], to: Path) -> None:
 
 
 def _heads(connection: sqlite3.Connection) -> dict[str, str]:
-    """Return the last link's digest of each run; of a database from before chains, nothing."""
+    """Return the last link's digest of each run; nothing where their table is missing."""
     if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (LinkRow.__tablename__,)).fetchone():
         return {}
     link, later = LinkRow, aliased(LinkRow)

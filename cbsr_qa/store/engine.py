@@ -216,32 +216,6 @@ def use_write_ahead_log(engine: Engine) -> None:
             connection.close()
 
 
-def size_bytes(engine: Engine) -> int:
-    """Return the size of a database: of a SQLite file with its log, or of a whole PostgreSQL database."""
-    file = sqlite_file(engine.url)
-    if file is not None:
-        log = file.with_name(f"{file.name}-wal")
-        return file.stat().st_size + (log.stat().st_size if log.exists() else 0)
-    with reading(engine) as connection:
-        return int(connection.exec_driver_sql("SELECT pg_database_size(current_database())").scalar() or 0)
-
-
-def shrink(engine: Engine) -> None:
-    """Give the free pages of a SQLite file back to the disk, which needs room for a copy of what remains.
-
-    StoreError if the disk has no room, or another program reads the file; the file is unchanged then.
-    """
-    if sqlite_file(engine.url) is None:
-        return
-    with translate_errors(engine.url):
-        connection = engine.raw_connection()
-        try:
-            connection.cursor().execute("VACUUM")
-            connection.cursor().execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        finally:
-            connection.close()
-
-
 #: Up to this size indexes are compared with their tables too, which doubles the time (2 s per GB, in the cache) [B].
 _COMPARED: Final = 2_000_000_000
 

@@ -33,43 +33,48 @@ _STATES: Final = {
 _EVERY: Final = RunSelection()
 
 
-def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
-    """Return the selected runs in the order they were made in; those that were altered are marked.
+class Fleet:
+    """Runs of a fleet."""
 
-    Raises
-    ------
-    StoreError
-        If the database cannot be read.
-    """
-    with reading(engine) as connection:
-        return tuple(line for line, _ in _lines(connection, _select_runs(connection, selection)))
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
 
+    def read_lines(self, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
+        """Return the selected runs in the order they were made in; those that were altered are marked.
 
-def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
-    """Return runs with the values of their latest analyses.
+        Raises
+        ------
+        StoreError
+            If the database cannot be read.
+        """
+        with reading(self._engine) as connection:
+            return tuple(line for line, _ in _lines(connection, _select_runs(connection, selection)))
 
-    Raises
-    ------
-    StoreError
-        If the database cannot be read, holds an unknown outcome or bound or a cell of the wrong type, or rows of a
-        chained run were altered.
-    """
+    def read_table(self, selection: RunSelection = _EVERY) -> FleetTable:
+        """Return runs with the values of their latest analyses.
 
-    def table(connection: Connection, chosen: Conditions) -> FleetTable:
-        runs: list[RunLine] = []
-        places: dict[str, int] = {}
-        known: list[Known | None] = []
-        for line, one in _lines(connection, _select_runs(connection, selection, chosen)):
-            one.validate()
-            if one.analysis:
-                places[one.analysis] = len(runs)
-            known.append(_link_content(line, one))
-            runs.append(line)
-        kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
-        return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
+        Raises
+        ------
+        StoreError
+            If the database cannot be read, holds an unknown outcome or bound or a cell of the wrong type, or rows of
+            a chained run were altered.
+        """
 
-    with reading(engine) as connection:
-        return naming_runs(connection, conditions(selection), table)
+        def table(connection: Connection, chosen: Conditions) -> FleetTable:
+            runs: list[RunLine] = []
+            places: dict[str, int] = {}
+            known: list[Known | None] = []
+            for line, one in _lines(connection, _select_runs(connection, selection, chosen)):
+                one.validate()
+                if one.analysis:
+                    places[one.analysis] = len(runs)
+                known.append(_link_content(line, one))
+                runs.append(line)
+            kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
+            return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
+
+        with reading(self._engine) as connection:
+            return naming_runs(connection, conditions(selection), table)
 
 
 def _select_runs(connection: Connection, selection: RunSelection, chosen: Conditions | None = None) -> list[str]:

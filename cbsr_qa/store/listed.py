@@ -35,40 +35,6 @@ _FEW: Final = 1000
 _WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map(str, Bound))}
 
 
-def list_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
-    """Return the selected runs in the order they were made in; those that were altered are marked.
-
-    An altered run is also returned where the selection leaves it out, as what selects may be what was altered.
-    What is shown of a run is compared with the links of its rows, not the whole chain: see docs/explanation.
-
-    Raises
-    ------
-    StoreError
-        If the database cannot be read.
-    """
-    with reading(engine) as connection:
-        return _list_runs(connection, _names(connection, selection))
-
-
-def runs_named(engine: Engine, runs: Sequence[str]) -> tuple[ListedRun, ...]:
-    """Return some runs as :func:`list_runs`; names of no stored run are passed over."""
-    with reading(engine) as connection:
-        return _list_runs(connection, runs)
-
-
-def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
-    """Return how many runs are selected. StoreError if the database cannot be read."""
-    with reading(engine) as connection:
-        query = select(func.count()).select_from(RunRow).where(*conditions(selection))
-        return connection.scalar(query) or 0
-
-
-def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ...]:
-    """Return the identifiers of the runs that :func:`list_runs` returns, in the order they were made in."""
-    with reading(engine) as connection:
-        return tuple(_names(connection, selection))
-
-
 def _names(connection: Connection, selection: RunSelection) -> list[str]:
     query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
     return with_left_out(connection, selection, list(connection.scalars(query)))
@@ -90,41 +56,76 @@ class MeasuredRuns:
     altered: Mapping[str, str]
 
 
-def read_measurements(engine: Engine, runs: Sequence[str]) -> MeasuredRuns:
-    """Read what runs measured, compared with their chains.
+class RunLists:
+    """Lists of runs, and what they measured."""
 
-    Raises
-    ------
-    StoreError
-        If the database cannot be read.
-    """
-    with reading(engine) as connection:
-        parts = (
-            list(read_apart(connection, runs, partial(_read_measurements, connection), _mark_unreadable))
-            if runs
-            else []
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def read_runs(self, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
+        """Return the selected runs in the order they were made in; those that were altered are marked.
+
+        An altered run is also returned where the selection leaves it out, as what selects may be what was altered.
+        What is shown of a run is compared with the links of its rows, not the whole chain: see docs/explanation.
+
+        Raises
+        ------
+        StoreError
+            If the database cannot be read.
+        """
+        with reading(self._engine) as connection:
+            return _list_runs(connection, _names(connection, selection))
+
+    def read_named(self, runs: Sequence[str]) -> tuple[ListedRun, ...]:
+        """Return some runs as :meth:`read_runs`; names of no stored run are passed over."""
+        with reading(self._engine) as connection:
+            return _list_runs(connection, runs)
+
+    def count_runs(self, selection: RunSelection = _EVERY) -> int:
+        """Return how many runs are selected. StoreError if the database cannot be read."""
+        with reading(self._engine) as connection:
+            query = select(func.count()).select_from(RunRow).where(*conditions(selection))
+            return connection.scalar(query) or 0
+
+    def read_names(self, selection: RunSelection = _EVERY) -> tuple[str, ...]:
+        """Return the identifiers of the runs that :meth:`read_runs` returns, in the order they were made in."""
+        with reading(self._engine) as connection:
+            return tuple(_names(connection, selection))
+
+    def read_measurements(self, runs: Sequence[str]) -> MeasuredRuns:
+        """Read what runs measured, compared with their chains.
+
+        Raises
+        ------
+        StoreError
+            If the database cannot be read.
+        """
+        with reading(self._engine) as connection:
+            parts = (
+                list(read_apart(connection, runs, partial(_read_measurements, connection), _mark_unreadable))
+                if runs
+                else []
+            )
+        names = [column.name for column in list_covered(Base.metadata.tables[MeasurementRow.__tablename__])]
+        return MeasuredRuns(
+            [run for part in parts for run in part.runs],
+            {name: [cell for part in parts for cell in part.columns.get(name, ())] for name in names},
+            {run: problem for part in parts for run, problem in part.altered.items()},
         )
-    names = [column.name for column in list_covered(Base.metadata.tables[MeasurementRow.__tablename__])]
-    return MeasuredRuns(
-        [run for part in parts for run in part.runs],
-        {name: [cell for part in parts for cell in part.columns.get(name, ())] for name in names},
-        {run: problem for part in parts for run, problem in part.altered.items()},
-    )
 
-
-def read_limited_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
-    """Return the measurements with a limit by run. StoreError as for measured_runs, and if a run was altered."""
-    measured = read_measurements(engine, runs)
-    for problem in measured.altered.values():
-        raise StoreError(problem, remedy=RESTORE)
-    found: dict[str, list[Measurement]] = {}
-    names, limited = list(measured.columns), measured.columns["limited"]
-    for at, cells in enumerate(zip(*measured.columns.values(), strict=True)):
-        if limited[at]:
-            values = dict(zip(names, cells, strict=True))
-            where = f"analysis {values['analysis']}, measurement {values['number']},"
-            found.setdefault(measured.runs[at], []).append(restore_measurement(values, where))
-    return found
+    def read_limited_measurements(self, runs: Sequence[str]) -> dict[str, list[Measurement]]:
+        """Return the measurements with a limit by run. StoreError also if a run was altered."""
+        measured = self.read_measurements(runs)
+        for problem in measured.altered.values():
+            raise StoreError(problem, remedy=RESTORE)
+        found: dict[str, list[Measurement]] = {}
+        names, limited = list(measured.columns), measured.columns["limited"]
+        for at, cells in enumerate(zip(*measured.columns.values(), strict=True)):
+            if limited[at]:
+                values = dict(zip(names, cells, strict=True))
+                where = f"analysis {values['analysis']}, measurement {values['number']},"
+                found.setdefault(measured.runs[at], []).append(restore_measurement(values, where))
+        return found
 
 
 def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:

@@ -19,46 +19,57 @@ from cbsr_qa.store.types import time_of_id
 _LATEST: Final = "~"
 
 
-def save_release(engine: Engine, release: Release) -> None:
-    """Store a release or a withdrawal. StoreError if it is already stored, or the database cannot be written."""
-    values = row_of(
-        ReleaseRow,
-        release,
-        release_id=release.release,
-        outcome=release.action,
-        operator=release.by,
-        noted_at=release.at,
-    )
-    with writing(engine) as connection:
-        connection.execute(insert(ReleaseRow), values)
-        announce(connection, Kind.RELEASE, [release.release])
+class Releases:
+    """Releases and withdrawals of configuration files."""
 
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
 
-def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
-    """Return what was last said about a file of this content; None if nothing was.
+    def save(self, release: Release) -> None:
+        """Store a release or a withdrawal. StoreError if it is already stored, or the database cannot be written."""
+        values = row_of(
+            ReleaseRow,
+            release,
+            release_id=release.release,
+            outcome=release.action,
+            operator=release.by,
+            noted_at=release.at,
+        )
+        with writing(self._engine) as connection:
+            connection.execute(insert(ReleaseRow), values)
+            announce(connection, Kind.RELEASE, [release.release])
 
-    A release that cannot be read does not count: the state before it stays. Any other row that cannot be read
-    withdraws the release.
-    """
-    row = ReleaseRow
-    with reading(engine) as connection:
-        said = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
-    return max(said, key=lambda one: one.release, default=None)
+    def read_latest(self, kind: str, sha256: str) -> Release | None:
+        """Return what was last said about a file of this content; None if nothing was.
 
+        A release that cannot be read does not count: the state before it stays. Any other row that cannot be read
+        withdraws the release.
+        """
+        row = ReleaseRow
+        with reading(self._engine) as connection:
+            said = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
+        return max(said, key=lambda one: one.release, default=None)
 
-def all_releases(engine: Engine) -> tuple[Release, ...]:
-    """Return all releases and withdrawals in the order they were made in.
+    def read_all(self) -> tuple[Release, ...]:
+        """Return all releases and withdrawals in the order they were made in.
 
-    A release that cannot be read is left out; a withdrawal is there all the same.
+        A release that cannot be read is left out; a withdrawal is there all the same.
 
-    Raises
-    ------
-    StoreError
-        If the database cannot be read.
-    """
-    with reading(engine) as connection:
-        said = _list_said(read_rows_apart(connection, ReleaseRow))
-    return tuple(sorted(said, key=lambda one: one.release))
+        Raises
+        ------
+        StoreError
+            If the database cannot be read.
+        """
+        with reading(self._engine) as connection:
+            said = _list_said(read_rows_apart(connection, ReleaseRow))
+        return tuple(sorted(said, key=lambda one: one.release))
+
+    def name_unread(self, kind: str = "", sha256: str = "") -> tuple[str, ...]:
+        """Return in words which rows of releases cannot be read: of a content, or all."""
+        row = ReleaseRow
+        of_content = (row.sha256 == sha256, row.kind == kind) if sha256 else ()
+        with reading(self._engine) as connection:
+            return read_rows_apart(connection, row, *of_content).problems
 
 
 def _list_said(found: RowsApart) -> list[Release]:
@@ -67,14 +78,6 @@ def _list_said(found: RowsApart) -> list[Release]:
         odd for odd in found.odd if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}
     )
     return [*map(_release, found.rows), *map(_stand_in, withdrawing)]
-
-
-def name_unread_releases(engine: Engine, kind: str = "", sha256: str = "") -> tuple[str, ...]:
-    """Return in words which rows of releases cannot be read: of a content, or all."""
-    row = ReleaseRow
-    of_content = (row.sha256 == sha256, row.kind == kind) if sha256 else ()
-    with reading(engine) as connection:
-        return read_rows_apart(connection, row, *of_content).problems
 
 
 def _release(cells: Mapping[str, Any]) -> Release:

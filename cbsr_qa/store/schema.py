@@ -21,7 +21,7 @@ from sqlalchemy import (
     text,
 )
 
-from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, LAST_UNRELEASED, StoreError
 from cbsr_qa.store.damage import address, name_database
 from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
 from cbsr_qa.store.locks import changing_schema
@@ -29,20 +29,26 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 25))
+#: They are compared as text, also by programs from before 0.1.0, whose own went from 0001 to 0024: counted from 1001,
+#: none can be taken for one of those, and all come after them.
+REVISIONS: Final = ("1001",)
 HEAD: Final = REVISIONS[-1]
+_UNRELEASED: Final = frozenset(f"{number:04}" for number in range(1, 25))
+#: Where Alembic finds the migrations.
+SCRIPTS: Final = "cbsr_qa._migrations:"
 VERSION_TABLE: Final = "alembic_version"
 #: Oldest schema of databases that may send to one of schema HEAD; the migrations set it too.
-OLDEST_SENDER: Final = "0022"
+OLDEST_SENDER: Final = "1001"
 
 
 class Age(Enum):
-    """Whether a database's schema is older or newer than this program's."""
+    """Whether a database's schema is older or newer than this program's, or was never in a released version."""
 
     EMPTY = "empty"
     CURRENT = "current"
     OLDER = "older"
     NEWER = "newer"
+    UNRELEASED = "from before 0.1.0"
     FOREIGN = "of another program"
 
 
@@ -86,8 +92,8 @@ def _refuse_dangling(engine: Engine, file: Path) -> None:
         )
 
 
-def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None) -> SchemaVersion:
-    """Upgrade a database to a revision in one transaction; an error leaves it unchanged.
+def upgrade(engine: Engine, *, tell: Callable[[str], None] | None = None) -> SchemaVersion:
+    """Upgrade a database to this program's schema in one transaction; an error leaves it unchanged.
 
     Parameters
     ----------
@@ -100,7 +106,7 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
     Raises
     ------
     StoreError
-        If it is newer than this program, belongs to another one, or cannot be written.
+        If it is newer than this program or from before 0.1.0, belongs to another one, or cannot be written.
     """
     _upgradable(engine, read_version(engine))
     _make_folder(engine)
@@ -108,20 +114,14 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
         use_write_ahead_log(engine)
         with writing(engine) as connection:
             before = _upgradable(engine, _read_version(connection))  # again: another program may have been faster
-            if before.revision is None and target == HEAD:
+            if before.revision is None:
                 _create(connection)
-            elif before.revision != target:
-                _alembic(connection, "upgrade", target)
-            elif target == HEAD and views_missing(connection):
+            elif before.revision != HEAD:
+                _migrate(connection)
+            elif views_missing(connection):
                 drop_views(connection)
                 create_views(connection)
     return before
-
-
-def downgrade(engine: Engine, target: str) -> None:
-    """Downgrade a database to a revision (``"base"``: no tables); data that only later ones hold are lost."""
-    with changing_schema(engine), writing(engine) as connection:
-        _alembic(connection, "downgrade", target)
 
 
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
@@ -159,6 +159,12 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
                 f"{name_database(engine.url)} has schema {version.revision}, unknown to this program ({HEAD})",
                 remedy="use the newer version of cbsr-qa that made it",
             )
+        case Age.UNRELEASED:
+            return StoreError(
+                f"{name_database(engine.url)} has schema {version.revision}, from before version 0.1.0, which this"
+                " program does not read",
+                remedy=f"use another database; commit {LAST_UNRELEASED} of cbsr-qa still reads and exports this one",
+            )
         case Age.FOREIGN:
             return StoreError(
                 f"{name_database(engine.url)} belongs to another program: it has tables but no schema version of"
@@ -173,7 +179,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
 
 
 def _upgradable(engine: Engine, version: SchemaVersion) -> SchemaVersion:
-    if version.age in (Age.NEWER, Age.FOREIGN):
+    if version.age in (Age.NEWER, Age.UNRELEASED, Age.FOREIGN):
         raise refusal(engine, version)
     return version
 
@@ -187,6 +193,8 @@ def _read_version(connection: Connection) -> SchemaVersion:
         return SchemaVersion(Age.EMPTY if looked_at.get_table_names() == [VERSION_TABLE] else Age.FOREIGN, None)
     if revision == HEAD:
         return SchemaVersion(Age.CURRENT, revision)
+    if revision in _UNRELEASED:
+        return SchemaVersion(Age.UNRELEASED, revision)
     return SchemaVersion(Age.OLDER if revision in REVISIONS else Age.NEWER, revision)
 
 
@@ -240,11 +248,11 @@ def _create(connection: Connection) -> None:
     create_views(connection)
 
 
-def _alembic(connection: Connection, direction: str, target: str) -> None:
+def _migrate(connection: Connection) -> None:
     from alembic import command
     from alembic.config import Config
 
     config = Config()
-    config.set_main_option("script_location", "cbsr_qa._migrations:")
+    config.set_main_option("script_location", SCRIPTS)
     config.attributes["connection"] = connection
-    getattr(command, direction)(config, target)
+    command.upgrade(config, HEAD)

@@ -39,7 +39,7 @@ def check_seal(connection: Connection, check: str, seal: str | None) -> tuple[Ch
 
     Returns
     -------
-    State of the seal, and what does not match; empty if all does, and for a check of before seals.
+    State of the seal, and what does not match; empty if all does, and for a check without a seal.
     """
     return check_seals(connection, {check: seal})[check]
 

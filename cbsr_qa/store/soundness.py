@@ -14,10 +14,11 @@ from cbsr_qa.store.chain.run_documents import KEYS
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.golden import find_doubtful_checks
 from cbsr_qa.store.odd_rows import keep_odd_text, read_rows_apart
-from cbsr_qa.store.results import calibrations
-from cbsr_qa.store.runs import begun, runs
+from cbsr_qa.store.results.calibrations import Calibrations
+from cbsr_qa.store.runs import begun
+from cbsr_qa.store.runs.runs import Runs
 from cbsr_qa.store.seals import check_seals
-from cbsr_qa.store.stations import ring_of
+from cbsr_qa.store.stations import StationChecks
 from cbsr_qa.store.tables.records import LinkRow, StationCheckFramesRow, StationCheckRow
 from cbsr_qa.store.tables.results import CalibrationRow
 from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
@@ -27,81 +28,133 @@ from cbsr_qa.store.tables.sync import OutboxRow
 _MOST_NAMED = 10
 
 
-def file_problems(engine: Engine) -> Iterator[str]:
-    """Yield what is wrong with a SQLite file as a whole: its pages, and rows that refer to rows that are missing.
+class Soundness:
+    """Whether a database is sound."""
 
-    A PostgreSQL server keeps both itself.
-    """
-    if sqlite_file(engine.url) is None:
-        return
-    if problem := file_problem(engine):
-        yield problem
-        return
-    with reading(engine) as connection:
-        for number, row in enumerate(connection.exec_driver_sql("PRAGMA foreign_key_check")):
-            if number >= _MOST_NAMED:
-                yield "more rows refer to rows that are missing"
-                return
-            yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
 
+    def find_file_problems(self) -> Iterator[str]:
+        """Yield what is wrong with a SQLite file as a whole: its pages, and rows that refer to rows that are missing.
 
-def order_problems(engine: Engine) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
-    """Return the runs that are missing between others, and in words what explains a gap or a doubled place.
+        A PostgreSQL server keeps both itself.
+        """
+        if sqlite_file(self._engine.url) is None:
+            return
+        if problem := file_problem(self._engine):
+            yield problem
+            return
+        with reading(self._engine) as connection:
+            for number, row in enumerate(connection.exec_driver_sql("PRAGMA foreign_key_check")):
+                if number >= _MOST_NAMED:
+                    yield "more rows refer to rows that are missing"
+                    return
+                yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
 
-    A run that this database refused when it was sent here is explained, and so are runs that a copy of a database
-    went on with.
-    """
-    with reading(engine) as connection:
-        missing = begun.gaps(connection)
-        refused = tuple(
-            f"run {gap.run} is not here: it was refused when it was sent, see cbsr-qa db sync --status"
-            for gap in missing
-            if gap.refused
+    def find_order_problems(self) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
+        """Return the runs that are missing between others, and in words what explains a gap or a doubled place.
+
+        A run that this database refused when it was sent here is explained, and so are runs that a copy of a database
+        went on with.
+        """
+        with reading(self._engine) as connection:
+            missing = begun.gaps(connection)
+            refused = tuple(
+                f"run {gap.run} is not here: it was refused when it was sent, see cbsr-qa db sync --status"
+                for gap in missing
+                if gap.refused
+            )
+            return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
+
+    def find_odd_rows(self) -> Iterator[str]:
+        """Yield which rows outside of runs hold what their columns cannot, and are passed over.
+
+        Rows of runs are read with their runs, and frames of reference rings with their checks.
+        """
+        left_out = {*KEYS, LinkRow.__tablename__, StationCheckFramesRow.__tablename__, OutboxRow.__tablename__}
+        with reading(self._engine) as connection:
+            for mapper in sorted(Base.registry.mappers, key=lambda one: one.class_.__tablename__):
+                if mapper.class_.__tablename__ not in left_out:
+                    yield from read_rows_apart(connection, mapper.class_).problems
+            yield from begun.name_odd_rows(connection)
+
+    def find_misplaced_rows(self) -> Iterator[str]:
+        """Yield which rows, none of which a link contradicts, do not go together with others.
+
+        They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and
+        runs that have no chain, or are not signed, though earlier ones of their station have or are.
+        """
+        of_sensor = RunRow.serial == SensorRow.serial
+        same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
+        serial: Any = type_coerce(SensorRow.serial, NullType())
+        foreign = select(serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
+        swapped = (
+            select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
+            .join(RunRow, RunRow.run == CalibrationRow.run)
+            .where(RunRow.serial != CalibrationRow.serial)
         )
-        return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
+        with reading(self._engine) as connection:
+            with keep_odd_text(connection):
+                serials = [one for one in connection.scalars(foreign) if isinstance(one, str)]  # others are odd rows
+            for serial in serials:
+                yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
+            for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
+                issued = f"calibration {row.calibration} is of sensor {row.serial}"
+                yield f"{issued}; its run {row.run} tested {row.tested}"
+            for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
+                yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
+            if signing_key(connection) is not None:
+                signed = RunRow.chain == new_chain(connection)
+                for run, earlier in _unlike_earlier(connection, signed, RunRow.chain == PLAIN):
+                    yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
 
+    def check_run(self, run: str, *, frames: bool) -> ChainState:
+        """Check every link and row of a run, and return the state of its chain.
 
-def find_odd_rows(engine: Engine) -> Iterator[str]:
-    """Yield which rows outside of runs hold what their columns cannot, and are passed over.
+        Parameters
+        ----------
+        frames : check every frame and sample too, and the files of its calibrations.
 
-    Rows of runs are read with their runs, and frames of reference rings with their checks.
-    """
-    left_out = {*KEYS, LinkRow.__tablename__, StationCheckFramesRow.__tablename__, OutboxRow.__tablename__}
-    with reading(engine) as connection:
-        for mapper in sorted(Base.registry.mappers, key=lambda one: one.class_.__tablename__):
-            if mapper.class_.__tablename__ not in left_out:
-                yield from read_rows_apart(connection, mapper.class_).problems
-        yield from begun.name_odd_rows(connection)
+        Raises
+        ------
+        StoreError
+            If something was altered or is damaged; it names table and row.
+        """
+        if not frames:
+            with reading(self._engine) as connection:
+                return check_run(connection, run)
+        chain = Runs(self._engine).load(run).chain
+        with reading(self._engine) as connection:
+            issued = list(connection.scalars(select(CalibrationRow.calibration).where(CalibrationRow.run == run)))
+        calibrations = Calibrations(self._engine)
+        for calibration in issued:
+            calibrations.load_file(calibration)
+        return chain
 
+    def find_seal_problems(self) -> Iterator[str]:
+        """Yield which checks of stations do not match their seals, or the run they name as their golden sensor's."""
+        row = StationCheckRow
+        with reading(self._engine) as connection:
+            seals: dict[str, str | None] = dict(
+                connection.execute(select(row.check_id, row.seal).order_by(row.check_id)).all()
+            )
+            altered = {check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem}
+            doubted = find_doubtful_checks(connection)
+        yield from altered.values()
+        for check in doubted.keys() - altered.keys():
+            yield f"{doubted[check]}: the run is listed all the same"
 
-def find_misplaced_rows(engine: Engine) -> Iterator[str]:
-    """Yield which rows, none of which a link contradicts, do not go together with others.
-
-    They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and runs
-    that have no chain, or are not signed, though earlier ones of their station have or are.
-    """
-    of_sensor = RunRow.serial == SensorRow.serial
-    same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
-    serial: Any = type_coerce(SensorRow.serial, NullType())
-    foreign = select(serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
-    swapped = (
-        select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
-        .join(RunRow, RunRow.run == CalibrationRow.run)
-        .where(RunRow.serial != CalibrationRow.serial)
-    )
-    with reading(engine) as connection:
-        with keep_odd_text(connection):
-            serials = [one for one in connection.scalars(foreign) if isinstance(one, str)]  # others are odd rows
-        for serial in serials:
-            yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
-        for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
-            yield f"calibration {row.calibration} is of sensor {row.serial}; its run {row.run} tested {row.tested}"
-        for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
-            yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
-        if signing_key(connection) is not None:
-            signed = RunRow.chain == new_chain(connection)
-            for run, earlier in _unlike_earlier(connection, signed, RunRow.chain == PLAIN):
-                yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
+    def find_ring_problems(self) -> Iterator[str]:
+        """Yield which frames of reference rings, taken by checks of stations, are not what was stored."""
+        with reading(self._engine) as connection:
+            checks = list(
+                connection.scalars(select(StationCheckFramesRow.check_id).order_by(StationCheckFramesRow.check_id))
+            )
+        for check in checks:
+            try:
+                StationChecks(self._engine).read_ring(check)
+            except StoreError as error:
+                yield error.reason
 
 
 def _unlike_earlier(
@@ -122,49 +175,3 @@ def _row(connection: Connection, table: str, rowid: int | None) -> str:
     key = [column.name for column in Base.metadata.tables[table].primary_key]
     found = connection.execute(text(f"SELECT {', '.join(key)} FROM {table} WHERE rowid = :rowid"), {"rowid": rowid})
     return f"{table} ({', '.join(f'{name} {value}' for name, value in zip(key, found.one(), strict=True))})"
-
-
-def check_stored_run(engine: Engine, run: str, *, frames: bool) -> ChainState:
-    """Check every link and row of a run; with ``frames`` also every frame and sample, and its calibrations' files.
-
-    Raises
-    ------
-    StoreError
-        If something was altered or is damaged; it names table and row.
-    """
-    if not frames:
-        with reading(engine) as connection:
-            return check_run(connection, run)
-    chain = runs.load_run(engine, run).chain
-    with reading(engine) as connection:
-        issued = list(connection.scalars(select(CalibrationRow.calibration).where(CalibrationRow.run == run)))
-    for calibration in issued:
-        calibrations.calibration_file(engine, calibration)
-    return chain
-
-
-def seal_problems(engine: Engine) -> Iterator[str]:
-    """Yield which checks of stations do not match their seals, or the run that they name as their golden sensor's."""
-    row = StationCheckRow
-    with reading(engine) as connection:
-        seals: dict[str, str | None] = dict(
-            connection.execute(select(row.check_id, row.seal).order_by(row.check_id)).all()
-        )
-        altered = {check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem}
-        doubted = find_doubtful_checks(connection)
-    yield from altered.values()
-    for check in doubted.keys() - altered.keys():
-        yield f"{doubted[check]}: the run is listed all the same"
-
-
-def ring_problems(engine: Engine) -> Iterator[str]:
-    """Yield which frames of reference rings, taken by checks of stations, are not what was stored."""
-    with reading(engine) as connection:
-        checks = list(
-            connection.scalars(select(StationCheckFramesRow.check_id).order_by(StationCheckFramesRow.check_id))
-        )
-    for check in checks:
-        try:
-            ring_of(engine, check)
-        except StoreError as error:
-            yield error.reason

@@ -56,8 +56,8 @@ JOIN measurements AS m
     ON m.analysis = a.analysis
 """
 
-#: A row that was added without a link, or to a run of another sensor, is no calibration. Runs from before chains have
-#: no links.
+#: A row that was added without a link, or to a run of another sensor, is no calibration. Of a run
+#: whose chain was removed, no link says so.
 _ISSUED: Final = f"""{{run}}.run = {{row}}.run AND {{run}}.serial = {{row}}.serial AND (
         {{run}}.chain IS NULL OR EXISTS (
             SELECT 1 FROM run_links AS l

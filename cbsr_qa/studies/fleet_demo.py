@@ -155,7 +155,7 @@ def _make_room(path: Path) -> None:
     if not path.exists():
         return
     with open_store(f"sqlite:///{path}", create=False) as store:
-        strange = [run.run for run in store.find_runs() if run.recipe not in _LETTERS]
+        strange = [run.run for run in store.runs.find() if run.recipe not in _LETTERS]
     if strange:
         raise RefusedError(
             f"{path} holds runs that are not of the demonstration, e.g. {strange[0]}",
@@ -207,7 +207,7 @@ def _store(
         instruments=(InstrumentIdentity("bench", "none", "statistical model", "", "", True),),
         simulated=(SAID,),
     )
-    journal = store.journal(
+    journal = store.open_journal(
         configuration=configuration.canonical,
         sensor_type=configuration.sensor_type,
         material=configuration.material,
@@ -217,7 +217,7 @@ def _store(
         journal(document)
     measured = _measurements(figures, configuration)
     result = RunResult(
-        record=store.load_run(identity.run),
+        record=store.runs.load(identity.run),
         observation=None,
         measurements=measured,
         verdict=decide(measured),
@@ -225,7 +225,7 @@ def _store(
         calibration_why=SAID,
         warnings=(SAID,),
     )
-    store.save_result(result)
+    store.analyses.save(result)
 
 
 def _documents(identity: RunIdentity) -> Iterator[RunEvent]:

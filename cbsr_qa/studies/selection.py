@@ -63,7 +63,7 @@ def check_names(store: Repository, selection: RunSelection, at: Callable[[str], 
     ----------
     at : position of a selection's field in a file, at the beginning of the message.
     """
-    absent = list(absent_names(selection, store.run_lines()))
+    absent = list(absent_names(selection, store.fleet.read_lines()))
     if absent:
         noun, _, name, known = absent[0]
         raise RefusedError(
@@ -111,7 +111,9 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
             f"the runs were analysed with several versions of cbsr-qa: {counts}; a change may be the software's"
         )
     first, last = runs[0], runs[-1]
-    if measuring_digest(store.configuration(first.run)) != measuring_digest(store.configuration(last.run)):
+    if measuring_digest(store.runs.read_configuration(first.run)) != measuring_digest(
+        store.runs.read_configuration(last.run)
+    ):
         notes.append(
             f"recipe {last.recipe}, sensor type, material or head was not the same at the first of these runs, "
             f"{first.words}, and at the last, {last.words}; a change may be theirs"

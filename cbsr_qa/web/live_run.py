@@ -88,7 +88,7 @@ class LiveRun:
     def __init__(self, store: Repository, plugins: Plugins, run: str) -> None:
         self.run = run
         self._store, self._plugins = store, plugins
-        self.configuration: Configuration = restore(store.configuration(run))
+        self.configuration: Configuration = restore(store.runs.read_configuration(run))
         self._schedule: tuple[ScheduledPhase, ...] = schedule(plan_of(self.configuration, plugins))
         self._sheet = SheetDrawing.from_sensor_type(
             self.configuration.sensor_type, self.configuration.station.indenter
@@ -111,7 +111,7 @@ class LiveRun:
         """Read what is new, and image the latest frame. StoreError if the database cannot be read."""
         last = self._tail
         seen = {} if last is None else {"frames_after": last.frames_seen, "samples_after": last.samples_seen}
-        self._tail = tail = self._store.run_tail(self.run, **seen)
+        self._tail = tail = self._store.live.read_tail(self.run, **seen)
         self._take_frames(tail)
         for _, block in tail.samples:
             if block.channel == "force":
@@ -187,7 +187,7 @@ class LiveRun:
             return
         pressed = min((load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S)
         settings = self.configuration.recipe.analysis
-        unloaded = self._store.frames_between(self.run, phase.index, phase.unloaded_from_s, pressed)
+        unloaded = self._store.live.read_frames(self.run, phase.index, phase.unloaded_from_s, pressed)
         if unloaded is None or len(unloaded) <= settings.noise_floor_frames:
             return
         unloaded = unloaded.select(slice(0, settings.noise_floor_frames + settings.reference_frames))
@@ -222,7 +222,7 @@ class LiveRun:
             key = (phase, record.index)
             if key not in self._seen and self._role(phase) is Role.GRID:
                 start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
-                steady = self._store.frames_between(self.run, phase, start_s, record.release_start_s)
+                steady = self._store.live.read_frames(self.run, phase, start_s, record.release_start_s)
                 if steady is not None:
                     self._seen[key] = preview.place(record.load, steady)
 

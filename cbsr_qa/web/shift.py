@@ -61,8 +61,8 @@ def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any
     selection = RunSelection(stations=stations, from_moment=since, before_moment=until, checks=False)
     with open_store(database_url(database)) as store:
         summary = shift_summary(store, selection)
-        runs = store.list_runs(selection)
-        references = {name: store.chart_references(name) for name in stations}
+        runs = store.lists.read_runs(selection)
+        references = {name: store.charts.read_current(name) for name in stations}
     groups = dict.fromkeys((name, one.recipe, one.golden or "") for name, held in references.items() for one in held)
     charts = tuple(_charts(database, *group) for group in groups)
     return {"day": since, "summary": summary, "runs": tuple(reversed(runs)), "charts": charts}

@@ -94,7 +94,7 @@ class StationWatch:
             self._due = self._due or self.busy
             return
         try:
-            links = store.links_of(self.live.run)
+            links = store.live.count_links(self.live.run)
         except CbsrError:  # the look itself says what is wrong
             self._due = True
             return
@@ -132,7 +132,7 @@ class StationWatch:
         """Read the latest run and check; return what went wrong."""
         try:
             if not self._followed or now_s >= self._look_s:
-                self.look, self._look_s = store.latest_run_at(self.served.name), now_s + _END_S
+                self.look, self._look_s = store.live.find_latest(self.served.name), now_s + _END_S
             self._look_after(store, now_s)
         except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
             self.failure = error
@@ -173,7 +173,7 @@ class StationWatch:
     def _look_after(self, store: Repository, now_s: float) -> None:
         if now_s < self._health_s:
             return
-        check = store.latest_station_check(self.served.name)
+        check = store.stations.read_latest_check(self.served.name)
         self._health_s = now_s + _HEALTH_S
         if check is None:
             self._health, self._healthy = text("health.unchecked"), True
@@ -182,7 +182,7 @@ class StationWatch:
             key = "health.passed" if self._healthy else "health.failed"
             self._health = text(key, when=f"{check.checked_at:%Y-%m-%d %H:%M}")
         limit_h = self.served.station.sync.backlog_hours
-        if limit_h is not None and (backlog := store.backlog()).late(limit_h):
+        if limit_h is not None and (backlog := store.read_backlog()).late(limit_h):
             self._healthy = False
             self._health += f"; {text('health.backlog', backlog=backlog.words, hours=f'{limit_h:g}')}"
 
@@ -231,7 +231,7 @@ class Watcher(threading.Thread):
             self._woken.clear()
 
     def _watch(self, store: Repository, plugins: Plugins) -> None:
-        notice: ChangeNotice = store.change_notice()
+        notice: ChangeNotice = store.live.make_notice()
         with closing(notice):
             while not self._stopped:
                 self._woken.wait(_LOOK_S)

@@ -54,4 +54,4 @@ def test_a_database_of_such_a_name_is_refused(where, capsys):
 
 def test_what_is_looked_for_in_a_database_is_refused_or_not_found(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store, pytest.raises(StoreError, match="udcff"):
-        store.resolve(os.fsdecode(b"a\xffb"))
+        store.runs.resolve(os.fsdecode(b"a\xffb"))

@@ -146,12 +146,12 @@ class Struck:
 
 
 #: What is stored and written after a run was computed.
-WRITTEN = ("save_result", "write_calibration", "write_report")
+WRITTEN = ("save", "write_calibration", "write_report")
 
 
 def _with_a_striker(folder, arguments, out, at, number, after_s):
     from cbsr_qa.app.run import outputs
-    from cbsr_qa.store.repository import Repository
+    from cbsr_qa.store.results.analyses import Analyses
     from cbsr_qa.system.clock import Stages
 
     passed, told = 0, os.open(f"{folder}/moments", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
@@ -174,7 +174,7 @@ def _with_a_striker(folder, arguments, out, at, number, after_s):
 
         setattr(place, name, acted)
 
-    for place, name in zip((Repository, outputs, outputs), WRITTEN, strict=True):
+    for place, name in zip((Analyses, outputs, outputs), WRITTEN, strict=True):
         watch(place, name)
     watch(Journal, "__call__")
     watch(Stages, "announce")
@@ -212,7 +212,7 @@ def came_of(folder, run, file="var/cbsr-qa.db"):
     """Load a run with its latest result."""
     path = Path(folder) / file
     with open_store(f"sqlite:///{path}", create=False) as store:
-        record = store.load_run(run)
+        record = store.runs.load(run)
     with sqlite3.connect(path) as database:
         latest = database.execute("select max(analysis) from analyses where run = ?", (run,)).fetchone()
         columns = "name, qualifier, phase, location, trial, value, uncertainty, outcome"

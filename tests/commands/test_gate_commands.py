@@ -68,8 +68,8 @@ def test_an_override_is_stored_and_shown_in_report_and_document(tested):
         assert "Checks before the run." in html
         assert "a second disk is mounted" in html
     with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}", create=False) as store:
-        assert [one.session for one in store.load_run(run["run"]).gate] == [0] * len(run["gate"])
-        assert "scrypt" not in store.configuration(run["run"])
+        assert [one.session for one in store.runs.load(run["run"]).gate] == [0] * len(run["gate"])
+        assert "scrypt" not in store.runs.read_configuration(run["run"])
 
 
 def test_the_gate_and_a_dry_run_give_the_same_answers(tested):
@@ -134,7 +134,7 @@ def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(
     name = request.configuration(0).recipe.name
     asked = []
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
-        with store.sensor_claimed("S-1", name, "Ada") as nobody:
+        with store.claims.claim_sensor("S-1", name, "Ada") as nobody:
             assert nobody == ""
             with pytest.raises(RefusedError, match=f"S-1 is being tested with {name} now, by Ada on "):
                 run_sensor(request, tell=asked.append)
@@ -149,4 +149,4 @@ def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(
         with pytest.raises(RefusedError, match=f"S-1 already passed {name}"):
             run_sensor(request, tell=asked.append)
         assert "running the station" not in asked
-        assert len(store.list_runs()) == 1
+        assert len(store.lists.read_runs()) == 1

@@ -82,7 +82,7 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
 
 
 def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp_path):
-    forged = "metric: from cbsr_qa.store.results import analyses; analyses.save_result = lambda *given, **named: None"
+    forged = "metric: from cbsr_qa.store.results import analyses; analyses.Analyses.save = lambda *_, **__: 'none'"
     done = run_hostile(bench, tmp_path, forged)
     assert done.returncode == 3
     assert "reported success, and the database holds no verdict" in document(done)["reason"]
@@ -233,10 +233,7 @@ def test_a_plugin_that_lowers_the_limit_of_open_files_is_no_damaged_database(pla
 
 
 def test_a_run_killed_before_it_is_stored_is_started_again_not_continued(bench, tmp_path):
-    kill = (
-        "import: from cbsr_qa.store.repository import Repository;"
-        " Repository.writing_alone = lambda *_: os.kill(os.getpid(), 9)"
-    )
+    kill = "import: from cbsr_qa.store.claims import Claims; Claims.hold_run = lambda *_: os.kill(os.getpid(), 9)"
     done = run_hostile(bench, tmp_path, kill)
     assert done.returncode == 3
     assert "was killed by SIGKILL; nothing of the run was stored" in done.stderr

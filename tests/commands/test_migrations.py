@@ -1,6 +1,8 @@
-"""Migrations, up and down with data in every table, on SQLite and on PostgreSQL."""
+"""Migrations, with a second revision that the tests make, on SQLite and on PostgreSQL."""
 
 import datetime as dt
+import hashlib
+import sqlite3
 from contextlib import closing
 
 import pytest
@@ -9,32 +11,27 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from command import cbsr_qa
+from later_schema import add_revision, take_back
 from stored_runs import journalled, short_run
 
-from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, StoreError
 from cbsr_qa.store import schema, views
 from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
 from cbsr_qa.store.repository import Repository
-from cbsr_qa.store.tables import records
-from cbsr_qa.store.tables.runs import AttendanceRow, Base
+from cbsr_qa.store.tables.runs import Base
 
 pytestmark = pytest.mark.rest
 
-CHECKS = {
-    table.__tablename__
-    for table in (records.StationCheckRow, records.StationCheckLineRow, records.StationCheckFramesRow)
-}
-
-CHANGES = {table.__tablename__ for table in (records.ConfigurationChangeRow, records.VerdictOverrideRow)}
-
-LINKS = records.LinkRow.__tablename__
+#: What the second revision adds.
+ADDED = {"lots", "cases"}
 
 
 @pytest.fixture(autouse=True)
-def at_once(monkeypatch):
+def migrated(monkeypatch):
     """Here every database is migrated; returns what makes the tables of a new one."""
     at_once = schema._create
-    monkeypatch.setattr(schema, "_create", lambda connection: schema._alembic(connection, "upgrade", schema.HEAD))
+    monkeypatch.setattr(schema, "_create", schema._migrate)
     return at_once
 
 
@@ -84,229 +81,48 @@ def table_names(engine):
     return {table.name for table in reflected(engine)}
 
 
-@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
-def test_data_survive_every_step_up_and_down(engine):
-    schema.upgrade(engine, "0001")
-    measured = table_names(engine)
-    fill(engine, measured)
-    before = content(engine)
-    assert all(len(rows) == 1 for rows in before.values())
-
-    schema.upgrade(engine, "0002")
-    concluded = table_names(engine) - measured
-    assert concluded
-    assert content(engine) == before | {name: [] for name in concluded}
-    fill(engine, concluded)
-    full = content(engine)
-    assert all(len(rows) == 1 for rows in full.values())
-
-    schema.upgrade(engine, "0003")
-    schema.downgrade(engine, "0002")
-    assert content(engine) == full
-
-    schema.downgrade(engine, "0001")
-    assert content(engine) == before
-    schema.upgrade(engine)
-    concluded |= {"calibration_forces", *CHECKS, *CHANGES, records.ChartReferenceRow.__tablename__}
-    concluded |= {
-        LINKS,
-        AttendanceRow.__tablename__,
-        "gate_answers",
-        "releases",
-        "archives",
-        "reanalyses",
-        "adoptions",
-    }
-    announced = {name: content(engine)[name] for name in ("outbox", "sync_accepts")}
-    concluded |= {*announced, "sync_refusals", "sync_settlements", "phase_ends", "runs_begun"}
-    # Eased, notes; chain, the run before; operator, software and time of a session.
-    later = {
-        name: [(*row, *[None] * columns) for row in before[name]]
-        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 4), ("run_states", 3))
-    }
-    # The end of a phase has a row of its own, and the runs of a sensor say when it was first seen.
-    later |= {name: [row[:-1] for row in before[name]] for name in ("sensors", "phases")}
-    later["phase_ends"] = [("x", 7, before["phases"][0][-1])]
-    # Digests are bytes; the arrays of these rows have no length that fits, and stay as they are.
-    later |= {name: [(*row[:-1], b"x") for row in before[name]] for name in ("frame_blocks", "sample_blocks")}
-    assert content(engine) == before | {name: [] for name in concluded} | later | announced
-    assert [row[:2] for row in announced["outbox"]] == [("run", "x")]
-    assert announced["sync_accepts"] == [(schema.OLDEST_SENDER,)]
-
-    schema.downgrade(engine, "base")
-    assert table_names(engine) == set()
-    assert schema.read_version(engine).age is schema.Age.EMPTY
-    schema.upgrade(engine)
-    assert table_names(engine) == measured | concluded
-
-
 def view_names(engine):
     with reading(engine) as connection:
         return set(sa.inspect(connection).get_view_names())
 
 
-CALLED = {"truncated-svd": "components kept", "pyeit-greit": "pyEIT's lamb", "gauss-newton-noser": "λ", "x": "λ"}
-
-
-def test_the_parameter_of_an_old_calibration_is_named_as_its_method_did(engine):
-    schema.upgrade(engine, "0002")
-    fill(engine, table_names(engine))
-    tables = {table.name: table for table in reflected(engine)}
-    row = {column.name: sample(column) for column in tables["calibrations"].columns}
-    with writing(engine) as connection:
-        for method in CALLED:
-            if method != "x":  # the row that is there already
-                connection.execute(tables["calibrations"].insert(), row | {"calibration": method, "method": method})
-    before = sorted(content(engine)["calibrations"], key=repr)
-
-    schema.upgrade(engine, "0003")
-    with reading(engine) as connection:
-        found = connection.execute(
-            sa.text("SELECT method, regularisation_name, regularisation_criterion FROM calibrations")
-        )
-        assert {method: (name, criterion) for method, name, criterion in found} == {
-            method: (name, "") for method, name in CALLED.items()
-        }
-    schema.downgrade(engine, "0002")
-    assert sorted(content(engine)["calibrations"], key=repr) == before
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "tables", "columns", "said"),
-    [
-        ("0003", "0004", set(), "noise_weighting, weight_ratio FROM analyses", ("equal", None)),
-        ("0004", "0005", {"calibration_forces"}, "no_force FROM calibrations", ("",)),
-        ("0005", "0006", set(), "eased FROM loads", (None,)),
-        ("0006", "0007", CHECKS, "notes FROM instruments", (None,)),
-        ("0008", "0009", CHANGES, "COUNT(*) FROM runs", (1,)),
-        ("0010", "0011", {LINKS}, "chain FROM runs", (None,)),
-    ],
-)
-def test_rows_of_before_say_nothing_of_what_came_later_which_is_lost_on_the_way_back(
-    engine, before, after, tables, columns, said
-):
-    schema.upgrade(engine, before)
-    fill(engine, table_names(engine))
-    rows = content(engine)
-    schema.upgrade(engine, after)
-    assert {name: content(engine)[name] for name in tables} == {name: [] for name in tables}
-    with reading(engine) as connection:
-        assert [tuple(row) for row in connection.execute(sa.text(f"SELECT {columns}"))] == [said]
-    fill(engine, tables)
-    assert {name: len(content(engine)[name]) for name in tables} == dict.fromkeys(tables, 1)
-    schema.downgrade(engine, before)
-    assert content(engine) == rows
-
-
-@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
-def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_back(engine):
-    schema.upgrade(engine, "0011")
-    fill(engine, table_names(engine))
-    before = content(engine)
-    schema.upgrade(engine, "0012")
-    (row,) = before["calibrations"]
-    assert content(engine) == before | {"calibrations": [(*row, None, None)]}
-    tables = {table.name: table for table in reflected(engine)}
-    searched = ("run", "analysis", "serial", "issued_at", "content_sha256", "record_sha256", "file", "file_sha256")
-    issued = {name: sample(tables["calibrations"].columns[name]) for name in searched} | {"calibration": "y"}
-    baseline = {column.name: sample(column) for column in tables["calibration_baselines"].columns}
-    with writing(engine) as connection:
-        connection.execute(tables["calibrations"].insert(), issued)
-        connection.execute(tables["calibrations"].update().values(superseded_by="y"))
-        connection.execute(tables["calibration_baselines"].insert(), baseline | {"calibration": "y"})
-    with reading(engine) as connection:
-        files = sa.text("SELECT scale, no_force, file_sha256 FROM calibrations WHERE calibration = 'y'")
-        assert connection.execute(files).one() == (None, None, "x")
-    schema.downgrade(engine, "0011")
-    lost = {column.name: value for column, value in zip(tables["calibrations"].columns, row, strict=False)}
-    lost["superseded_by"] = None
-    assert content(engine) == before | {"calibrations": [tuple(lost.values())]}
-    with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)not.null"):
-        raw.cursor().execute("UPDATE calibrations SET scale = NULL")
-
-
-REFUSED = {"kind": "run", "station": "s", "station_sha256": "", "centre_sha256": "", "run": None, "why": "so"}
-
-
-@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
-def test_what_was_changed_in_its_row_is_added_beside_it_and_changed_again_on_the_way_back(engine):
-    schema.upgrade(engine, "0021")
-    fill(engine, table_names(engine))
-    tables = {table.name: table for table in reflected(engine)}
-    calibration = {column.name: sample(column) for column in tables["calibrations"].columns}
-    at = [dt.datetime(2026, 11, day) for day in (1, 2)]
-    with writing(engine) as connection:
-        connection.execute(tables["sync_refusals"].delete())
-        connection.execute(tables["runs"].update().values(chain=None))  # of a chained one, a link must name them
-        connection.execute(tables["calibrations"].update().values(superseded_by=None))
-        connection.execute(tables["calibrations"].insert(), calibration | {"calibration": "y", "superseded_by": None})
-        connection.execute(
-            tables["calibrations"].update().where(sa.text("calibration = 'x'")).values(superseded_by="y")
-        )
-        for item, settled_at in (("open", None), ("settled", at[1])):
-            row = REFUSED | {"item": item, "noted_at": at[0], "settled_at": settled_at}
-            connection.execute(tables["sync_refusals"].insert(), row)
-    before = content(engine)
-
+def test_data_survive_a_step_up_and_down(engine, tmp_path, monkeypatch):
     schema.upgrade(engine)
-    assert cells(engine, "v_calibrations", "calibration", "serial") == [("y", "x")]
-    assert cells(engine, "sync_settlements", "kind", "item") == [("run", "settled")]
-    assert cells(engine, "phase_ends", "run", "phase", "ended_s") == [("x", 7, 0.1 + 0.2)]
-    with writing(engine) as connection:
-        refused = sa.table("sync_refusals", *map(sa.column, [*REFUSED, "item", "noted_at"]))
-        again = REFUSED | {"item": "settled", "noted_at": dt.datetime(2026, 11, 3)}
-        connection.execute(refused.insert(), again)
+    first, made = schema.HEAD, table_names(engine)
+    fill(engine, made - {"runs_begun"})
+    before = content(engine)
+    assert all(rows for name, rows in before.items() if name != "runs_begun")
+    add_revision(monkeypatch, tmp_path)
+    assert schema.read_version(engine).age is schema.Age.OLDER
+    assert schema.upgrade(engine) == schema.SchemaVersion(schema.Age.OLDER, first)
+    later = content(engine)
+    assert {name: later.pop(name) for name in ADDED} == {name: [] for name in ADDED}
+    assert later == before | {"runs": [(*row, None) for row in before["runs"]]}
+    assert view_names(engine) == set(views.VIEWS)
 
-    schema.downgrade(engine, "0021")
-    for name in ("calibrations", "phases"):
-        again = sa.select(*(sa.column(one.name, one.type) for one in tables[name].columns)).select_from(
-            sa.table(name)
-        )
-        with reading(engine) as connection:
-            assert sorted(map(tuple, connection.execute(again)), key=repr) == sorted(before[name], key=repr), name
-    assert dict(map(tuple, cells(engine, "sync_refusals", "item", "settled_at"))) == {"open": None, "settled": None}
-    with reading(engine) as connection:  # from now on it is when the first run of the sensor began
-        seen = "SELECT count(*) FROM sensors JOIN runs USING (serial) WHERE first_seen = started_at"
-        assert connection.exec_driver_sql(seen).scalar() == 1
-
-
-def cells(engine, table, *names):
-    with reading(engine) as connection:
-        return connection.execute(sa.text(f"SELECT {', '.join(names)} FROM {table} ORDER BY 1, 2")).all()
+    take_back(engine, first)
+    assert content(engine) == before
+    assert view_names(engine) == set()
+    take_back(engine, "base")
+    assert table_names(engine) == set()
+    assert schema.read_version(engine).age is schema.Age.EMPTY
+    schema.upgrade(engine)  # Alembic leaves an empty table of versions
+    assert table_names(engine) == made | ADDED
 
 
-def test_stored_runs_take_less_room_and_keep_their_chain_and_every_bit_up_and_down(engine):
+def test_a_stored_run_keeps_its_chain_in_a_later_schema(engine, tmp_path, monkeypatch):
     schema.upgrade(engine)
     store = Repository(engine, lambda: dt.datetime.now(dt.UTC))
     run = store.new_id()
     journalled(store, short_run(run))
-    measured = store.load_run(run)
-    compact, links = content(engine), cells(engine, LINKS, "number", "document", "sha256")
-
-    schema.downgrade(engine, "0016")
-    arrays = "frames * drives * measures", "voltages", "reading_time_s", "flags", "time_s", "frames", "sha256"
-    before = content(engine)
-    for readings, voltages, own, flags, time_s, frames, sha256 in cells(engine, "frame_blocks", *arrays):
-        assert (len(voltages), len(flags), len(time_s)) == (8 * readings, readings, 8 * frames)
-        assert own is None or len(own) == 8 * readings
-        assert len(sha256) == 64
-    assert [(*place, bytes.fromhex(sha)) for *place, sha in cells(engine, LINKS, "number", "document", "sha256")] == [
-        tuple(row) for row in links
-    ]
+    measured = store.runs.load(run)
+    add_revision(monkeypatch, tmp_path)
     schema.upgrade(engine)
-    again = content(engine)
-    # Which runs were begun here is forgotten, and runs are announced again to a central database, at a later time.
-    assert (len(compact.pop("runs_begun")), again.pop("runs_begun")) == (1, [])
-    assert [row[:3] for row in again.pop("outbox")] == [row[:3] for row in compact.pop("outbox")]
-    assert again == compact
-    again = store.load_run(run)
-    assert again.chain.chained
-    for phase, same in zip(measured.phases, again.phases, strict=True):
-        for name in ("time_s", "voltages", "flags", "reading_time_s"):
-            one, other = getattr(phase.frames, name), getattr(same.frames, name)
-            assert (one is None and other is None) or one.tobytes() == other.tobytes()
-    schema.downgrade(engine, "0016")
-    assert content(engine) == before
+    again = store.runs.load(run)
+    assert (again.chain.chained, again.chain_head) == (True, measured.chain_head)
+    with writing(engine) as connection:  # a column that the program does not know is covered by no link
+        connection.execute(sa.text("UPDATE runs SET loudness = 'loud'"))
+    assert store.runs.load(run).chain_head == measured.chain_head
 
 
 def _index(found):
@@ -331,31 +147,19 @@ def described(engine):
         }
 
 
-def test_a_new_database_has_the_tables_that_the_migrations_make(engine, monkeypatch, at_once):
+def test_a_new_database_has_the_tables_that_the_migrations_make(engine, monkeypatch, migrated):
     schema.upgrade(engine)
-    migrated = described(engine)
-    assert schema.VERSION_TABLE in migrated
-    assert set(views.VIEWS) <= set(migrated)
+    by_migration = described(engine)
+    assert schema.VERSION_TABLE in by_migration
+    assert set(views.VIEWS) <= set(by_migration)
     with writing(engine) as connection:
         views.drop_views(connection)
         for table in [*reversed(Base.metadata.sorted_tables), sa.table(schema.VERSION_TABLE)]:
             connection.execute(sa.text(f"DROP TABLE {table.name}"))
-    monkeypatch.setattr(schema, "_create", at_once)
+    monkeypatch.setattr(schema, "_create", migrated)
     schema.upgrade(engine)
     assert schema.read_version(engine) == schema.SchemaVersion(schema.Age.CURRENT, schema.HEAD)
-    assert described(engine) == migrated
-
-
-def test_a_new_database_can_be_taken_back_to_every_schema(engine, monkeypatch, at_once):
-    monkeypatch.setattr(schema, "_create", at_once)
-    schema.upgrade(engine)
-    for revision in reversed(schema.REVISIONS[:-1]):
-        schema.downgrade(engine, revision)
-        assert view_names(engine) == set()
-    schema.downgrade(engine, "base")
-    assert table_names(engine) == set()
-    schema.upgrade(engine)  # Alembic leaves an empty table of versions
-    assert schema.read_version(engine).age is schema.Age.CURRENT
+    assert described(engine) == by_migration
 
 
 def test_the_migrations_make_what_the_program_uses(engine):
@@ -372,20 +176,61 @@ def test_an_upgrade_makes_views_that_a_later_version_took_away(engine):
     assert view_names(engine) == set(views.VIEWS)
 
 
-def test_a_migration_that_fails_half_way_leaves_no_trace(engine):
-    schema.upgrade(engine, "0001")
+def test_a_migration_that_fails_half_way_leaves_no_trace(engine, tmp_path, monkeypatch):
+    schema.upgrade(engine)
+    first = schema.HEAD
+    add_revision(monkeypatch, tmp_path)
     with writing(engine) as connection:
-        connection.exec_driver_sql("CREATE TABLE calibration_settling (in_the_way INTEGER)")
+        connection.exec_driver_sql("CREATE TABLE cases (in_the_way INTEGER)")
     before = table_names(engine)
-    with pytest.raises(StoreError, match="calibration_settling"):
+    with pytest.raises(StoreError, match="cases"):
         schema.upgrade(engine)
     assert table_names(engine) == before
-    assert schema.read_version(engine).revision == "0001"
+    assert schema.read_version(engine).revision == first
+
+
+@pytest.mark.parametrize("number", [1, 21, 24])
+def test_a_database_of_before_the_first_version_is_refused_by_its_schema_and_stays_as_it_is(engine, number):
+    schema.upgrade(engine)
+    with writing(engine) as connection:
+        connection.execute(sa.text(f"UPDATE {schema.VERSION_TABLE} SET version_num = '{number:04}'"))
+    before = content(engine)
+    assert schema.read_version(engine).age is schema.Age.UNRELEASED
+    with pytest.raises(StoreError, match=rf"has schema {number:04}, from before version 0\.1\.0") as caught:
+        schema.upgrade(engine)
+    assert f"commit {LAST_UNRELEASED} of cbsr-qa still reads and exports this one" in caught.value.remedy
+    assert content(engine) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        *(["db", one] for one in ("upgrade", "check", "sync --to other.db")),
+        ["db", "backup", "to.db"],
+        ["db", "restore", "var/cbsr-qa.db", "--database", "other.db"],
+        ["runs"],
+        ["report", "S-1"],
+    ],
+    ids=" ".join,
+)
+def test_no_command_takes_or_changes_a_file_of_before_the_first_version(tmp_path, arguments):
+    path = tmp_path / "var" / "cbsr-qa.db"
+    schema.upgrade(file := open_engine(parse_url(f"sqlite:///{path}")))
+    file.dispose()
+    with closing(sqlite3.connect(path)) as other, other:
+        other.execute("UPDATE alembic_version SET version_num = '0019'")
+    before = hashlib.sha256(path.read_bytes()).hexdigest()
+    done = cbsr_qa(tmp_path, *" ".join(arguments).split(), check=False)
+    assert done.returncode == 2
+    assert "has schema 0019, from before version 0.1.0" in done.stderr
+    assert LAST_UNRELEASED in done.stderr
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == before
+    assert [one.name for one in tmp_path.rglob("*") if one.is_file()] == [path.name]
 
 
 def test_the_programs_list_of_revisions_is_the_scripts():
     config = Config()
-    config.set_main_option("script_location", "cbsr_qa._migrations:")
+    config.set_main_option("script_location", schema.SCRIPTS)
     scripts = ScriptDirectory.from_config(config)
     walked = [script.revision for script in scripts.walk_revisions()]
     assert tuple(reversed(walked)) == schema.REVISIONS

@@ -343,7 +343,7 @@ def test_the_page_on_what_to_do_runs_as_printed(cut_off):
 @pytest.mark.rest
 def test_a_second_program_is_told_who_writes_the_run(cut_off):
     folder, run = cut_off
-    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store, store.writing_alone(run, "Alex"):
+    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store, store.claims.hold_run(run, "Alex"):
         assert "is being written by Alex on" in refused(folder, "run", "--resume", run)
         status = document(cbsr_qa(folder, "db", "status", "--json"))
     assert status["incomplete"][0]["state"].startswith("under way: Alex on")
@@ -402,7 +402,7 @@ def test_a_run_that_was_stopped_resumed_and_killed_while_it_was_computed_gets_it
 @pytest.mark.rest
 def test_a_run_killed_once_its_result_is_stored_is_told_to_write_its_files(brief, tmp_path):
     write_files(tmp_path, recipe=BRIEF)
-    cut = strike(tmp_path, [*BEGIN, "--serial", "S-1"], at="save_result done", number=signal.SIGKILL)
+    cut = strike(tmp_path, [*BEGIN, "--serial", "S-1"], at="save done", number=signal.SIGKILL)
     run = latest_run(tmp_path, "S-1")
     assert cut.code == 3
     assert f"continue with: cbsr-qa report {run}" in cut.said

@@ -18,8 +18,8 @@ RUN = ("run", "--station", "simulated", "--recipe", "golden-check")
 def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
     cbsr_qa(tmp_path, *RUN, "--serial", "G-1", "--json")
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
-        (before,) = store.find_runs()
-        measured = next(m for m in store.analyses(before.run)[0].measurements if m.name == "noise_floor")
+        (before,) = store.runs.find()
+        measured = next(m for m in store.analyses.load(before.run)[0].measurements if m.name == "noise_floor")
         reference = ChartReference(
             reference=store.new_id(),
             station=before.station,
@@ -39,11 +39,11 @@ def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
             why="too low by half",
         )
         well = replace(reference, reference=store.new_id(), name="unknown_metric", mean=1.0, deviation=1.0)
-        store.save_chart_references([reference, well])
+        store.charts.save([reference, well])
     cbsr_qa(tmp_path, *RUN, "--serial", "G-2", "--json")
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
-        latest = store.find_runs()[0]
-        warnings = store.analyses(latest.run)[0].warnings
+        latest = store.runs.find()[0]
+        warnings = store.analyses.load(latest.run)[0].warnings
     said = "noise floor, chart i-mr, signals since the run of sensor G-2 on "
     assert any("station simulated is out of control" in words and said in words for words in warnings)
     (page,) = (tmp_path / "var" / "reports").glob("G-2-*.html")

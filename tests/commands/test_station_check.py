@@ -43,8 +43,8 @@ def check(capsys):
 
 def stored(station="simulated"):
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
-        found = store.latest_station_check(station)
-        return found, store.station_check_ring(found.check)
+        found = store.stations.read_latest_check(station)
+        return found, store.stations.read_ring(found.check)
 
 
 def outcomes(document):
@@ -139,8 +139,8 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
     found, ring = stored()
     assert (found.golden_run, ring) == (documents[-1][1]["golden_run"], None)
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
-        assert len(store.find_runs("G-1")) == 3
-        assert store.identity(found.golden_run).recipe == "golden-check"
+        assert len(store.runs.find("G-1")) == 3
+        assert store.runs.read_identity(found.golden_run).recipe == "golden-check"
     # Another station, whose load cell is at its limit: it is not like the others, whatever it thinks of itself.
     wrong = faulty(tmp_path, 'name = "load-cell-saturation"\nlimit_N = 2.0')
     code, document = check(wrong, "--no-ring", "--golden", "G-1")
@@ -252,7 +252,7 @@ def test_the_first_signal_ends_a_check_and_a_second_waits_until_the_bench_is_saf
     assert safe == [name]
     assert signal.getsignal(signal.SIGTERM) is before
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
-        assert store.latest_station_check("simulated") is None
+        assert store.stations.read_latest_check("simulated") is None
 
 
 @pytest.mark.parametrize("ring", [True, False])

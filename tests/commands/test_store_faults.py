@@ -144,11 +144,11 @@ def test_a_full_disk(here, benches, whole, monkeypatch, pages, ends):
     kept = stored_frames(path, run)
     assert len(kept) > 20
     with open_store(f"sqlite:///{path}") as store:
-        state = store.state_of(run)
+        state = store.runs.read_last_session(run)
         # The end of the run is a small row, for which there may be room.
         assert str(state.end) in ends
         assert state.end is not EndReason.BROKEN or "rule 'journal': the journal could not store" in state.detail
-        assert store.writer_of(run) == ""
+        assert store.claims.name_writer(run) == ""
     assert_goes_on(run, whole)
     assert kept <= stored_frames(path, run)
 
@@ -208,9 +208,9 @@ def test_damage_beside_a_run_is_told_from_damage_of_the_run(here, whole, undistu
         file.write(b"\xff" * 64)
     with open_store(f"sqlite:///{path}") as store:
         with pytest.raises(StoreError, match="every row and frame of this run was checked and is intact") as refused:
-            store.whole_run(run)
+            store.runs.load_with_file_check(run)
         assert f"sqlite3 {path} .recover" in refused.value.remedy
-        assert store.load_run(run).end is EndReason.FINISHED
+        assert store.runs.load(run).end is EndReason.FINISHED
 
 
 def test_a_database_that_another_program_does_not_let_go(here, benches, whole, monkeypatch, capfd):
@@ -273,10 +273,10 @@ def test_a_server_that_hangs_up(here, benches, whole, monkeypatch, postgres_serv
 @pytest.mark.postgres
 def test_on_postgresql_one_process_writes_a_run_at_a_time(postgres_database):
     with open_store(postgres_database) as one, open_store(postgres_database) as other:
-        with one.writing_alone("run-1", "Kim"):
-            assert other.writer_of("run-1").startswith("Kim on ")
-            with pytest.raises(StoreError, match="is being written by Kim on"), other.writing_alone("run-1", "Jo"):
+        with one.claims.hold_run("run-1", "Kim"):
+            assert other.claims.name_writer("run-1").startswith("Kim on ")
+            with pytest.raises(StoreError, match="is being written by Kim on"), other.claims.hold_run("run-1", "Jo"):
                 pass
-            with other.writing_alone("run-2", "Jo"):
+            with other.claims.hold_run("run-2", "Jo"):
                 pass
-        assert other.writer_of("run-1") == ""
+        assert other.claims.name_writer("run-1") == ""

@@ -131,7 +131,7 @@ class Trial:
         watch = Watch(self._injected, lambda injected: self._strike(injected, bench, store))
         bench.safe_state = told_to_stop
         identity = _identity(store.new_id(), here, bench)
-        journal = store.journal(
+        journal = store.open_journal(
             configuration=here.canonical,
             sensor_type=here.sensor_type,
             material=here.material,
@@ -167,7 +167,7 @@ class Trial:
         kind = "rode through" if finished else "broken" if safe_after_s is not None else "broken, not safe"
         outcome = Outcome(kind, ended.detail, max(len(watch.steps) - 1, 0), safe_after_s or 0.0)
         outcome.wrong += bench_is_wrong(self._emulation.rig, ended, safe_after_s)
-        record = store.load_run(run)
+        record = store.runs.load(run)
         outcome.wrong += record_is_wrong(record, ended, watch.frames)
         if finished:
             self.measured = measured(record)

@@ -272,7 +272,7 @@ def test_a_file_says_what_it_is_and_other_programs_open_it_as_before(issued, tmp
     assert again.read_bytes() == issued.read_bytes()
 
 
-def test_a_file_of_before_is_read_and_verify_says_that_its_bytes_were_not_checked(issued):
+def test_a_file_that_another_program_copied_is_read_and_verify_says_that_its_bytes_were_not_checked(issued):
     assert verify_file(issued).result.bytes_checked
     with edited(issued):
         pass

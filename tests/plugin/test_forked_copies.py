@@ -117,7 +117,7 @@ def test_a_copy_neither_reads_nor_stores_and_leaves_the_original_its_database(da
         out, into = os.pipe()
         if (copy := fork()) == 0:
             said = []
-            for act in (lambda: journal(events[0]), lambda: store.analyses(run)):
+            for act in (lambda: journal(events[0]), lambda: store.analyses.load(run)):
                 try:
                     act()
                 except StoreError as error:
@@ -133,7 +133,7 @@ def test_a_copy_neither_reads_nor_stores_and_leaves_the_original_its_database(da
             assert f"was opened by process {os.getpid()}, of which process {copy} is a forked copy" in reason
         for event in events:
             journal(event)
-        assert len(store.load_run(run).phases) == 2
+        assert len(store.runs.load(run).phases) == 2
 
 
 def test_a_copy_that_opens_the_database_itself_may_read_it(database_url):

@@ -41,16 +41,16 @@ def fill(url):
     with open_store(url) as store:
         first, second = store.new_id(), store.new_id()
         _journal(store, first, '{"recipe":{"limits":[1]}}')
-        store.save_result(RunResult(store.load_run(first), None, PASSED, decide(PASSED), None, ""))
+        store.analyses.save(RunResult(store.runs.load(first), None, PASSED, decide(PASSED), None, ""))
         _journal(store, second, '{"recipe":{"limits":[2]}}', gate=[ANSWER])
-        record, software = store.load_run(second), (("cbsr-qa", "0.2.0"),)
+        record, software = store.runs.load(second), (("cbsr-qa", "0.2.0"),)
         issued = calibration(store.new_id(), second)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
         issued = stamp(replace(issued, force=model, digest="", record_digest=""))
         again = Reanalysis(second, 64 * "0", "{}", software, decide(PASSED), PASSED, ("one",), "equal", None, ())
-        store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
-        store.save_result(RunResult(record, None, FAILED, decide(FAILED), issued, "", warnings=("one", "two")))
-        store.override_verdict(second, Outcome.PASS, operator="Zoë", why="seen")
+        store.reanalyses.adopt(store.reanalyses.save(again), operator="Zoë", why="corrected")
+        store.analyses.save(RunResult(record, None, FAILED, decide(FAILED), issued, "", warnings=("one", "two")))
+        store.changes.override_verdict(second, Outcome.PASS, operator="Zoë", why="seen")
     return second
 
 
@@ -58,7 +58,7 @@ def _journal(store, run, configuration, **options):
     started, *events = short_run(run)
     digest = hashlib.sha256(configuration.encode()).hexdigest()
     started = replace(started, identity=replace(started.identity, configuration_digest=digest))
-    journal = store.journal(configuration=configuration, **SETTING, **options)
+    journal = store.open_journal(configuration=configuration, **SETTING, **options)
     for event in (started, *events):
         journal(event)
 

@@ -168,11 +168,6 @@ def sparse_calibration() -> Calibration:
     )
 
 
-def old_calibration() -> Calibration:
-    """One of before there were force models: nobody says anything about force."""
-    return replace(sample_calibration(), force=None)
-
-
 def assert_same(one: Any, other: Any, path: str) -> None:
     """Assert that two nested dataclasses hold the same, bit for bit, naming the field that does not."""
     assert type(one) is type(other), path

@@ -64,8 +64,10 @@ def _store_five(folder):
             run = names[name] = store.new_id()
             journalled(store, short_run(run, f"S-{number}"))
             results = measured(*values)
-            store.save_result(RunResult(store.load_run(run), None, results, decide(results), None, "not asked for"))
-        store.override_verdict(names["overridden"], Outcome.PASS, operator="Ada", why="the head was bent")
+            store.analyses.save(
+                RunResult(store.runs.load(run), None, results, decide(results), None, "not asked for")
+            )
+        store.changes.override_verdict(names["overridden"], Outcome.PASS, operator="Ada", why="the head was bent")
         run = names["aborted"] = store.new_id()
         started, *events, _ = short_run(run, "S-4")
         of_others = replace(started.identity, station="bench-β", operator="@SUM(1)", recipe="long")

@@ -14,8 +14,6 @@ from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.report import RunResult
 from cbsr_qa.domain.run.run import PhaseFinished, RunEnded, RunRecord, RunStarted
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.store import repository as repository_module
-from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results import analyses
 
 PHASE = "nine locations"
@@ -71,16 +69,16 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
     )
     if "end" in changes:
         events = [*events[:-1], RunEnded(changes["end"], "by the operator", 201.0, ())]
-    journal = repository.journal(configuration=configuration, **SETTING)
+    journal = repository.open_journal(configuration=configuration, **SETTING)
     for event in (RunStarted(identity), *events):
         journal(event)
     if changes.get("end", EndReason.FINISHED) is EndReason.FINISHED:
         verdict = changes.get("verdict", decide(measurements))
         record = RunRecord(identity, **SETTING, phases=(), end=EndReason.FINISHED)
         result = RunResult(record, None, measurements, verdict, None, "not asked for")
-        unread = (patch.object(analyses, "check_run"), patch.object(repository_module, "look_afresh"))
-        with unread[0], unread[1], patch.object(Repository, "analyses"):
-            repository.save_result(result, software=software or [("cbsr-qa", "0.1.0"), ("numpy", "2.0")])
+        unread = (patch.object(analyses, "check_run"), patch.object(analyses, "look_afresh"))
+        with unread[0], unread[1], patch.object(analyses.Analyses, "load"):
+            repository.analyses.save(result, software=software or [("cbsr-qa", "0.1.0"), ("numpy", "2.0")])
     return run
 
 

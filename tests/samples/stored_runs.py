@@ -118,7 +118,7 @@ def short_run(run, serial="S-1"):
 
 def journalled(repository, events, **options):
     """Journal documents and return the journal; ``options`` of the journal."""
-    journal = repository.journal(configuration=CONFIGURATION, **SETTING, **options)
+    journal = repository.open_journal(configuration=CONFIGURATION, **SETTING, **options)
     for event in events:
         journal(event)
     return journal

@@ -153,7 +153,7 @@ def judged(repository, run, *, issued=None, outcome=Outcome.PASS):
     """Store a result of a run, with a calibration if one is given."""
     measured = Measurement("drift", 0.01, "%/min").judge(Limit("drift", "%/min", -0.5, 0.5, 0.1))
     verdict = Verdict(outcome, "as told")
-    repository.save_result(RunResult(repository.load_run(run), None, (measured,), verdict, issued, "none"))
+    repository.analyses.save(RunResult(repository.runs.load(run), None, (measured,), verdict, issued, "none"))
 
 
 def run_of(repository, serial="S-1", *, events=None):
@@ -168,16 +168,16 @@ def everything(repository, serial="S-1"):
     run = run_of(repository, serial)
     judged(repository, run, issued=calibration(repository.new_id(), run, serial))
     judged(repository, run, issued=calibration(repository.new_id(), run, serial))
-    repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+    repository.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
     lines = (CheckResult("gain error", CheckOutcome.OK, 0.1, "%", "−1 to 1 %", "", subject="ring"),)
     check = StationCheck(repository.new_id(), "bench-α", "Zoë", NOW, "disc", 64 * "a", (), (), lines, run)
-    repository.save_station_check(check, RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16))
-    repository.save_release(Release(repository.new_id(), "recipe", "short", 64 * "b", "released", "Zoë", "so", NOW))
+    repository.stations.save_check(check, RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16))
+    repository.releases.save(Release(repository.new_id(), "recipe", "short", 64 * "b", "released", "Zoë", "so", NOW))
     where = {"station": "bench-α", "recipe": "short", "golden": None, "unit": "%/min"}
     period = {"runs": 2, "first_run": run, "last_run": run, "mean": 0.05, "deviation": 0.01}
     of = {"name": "drift", "phase": "", "qualifier": "", "location": "", "chart": ChartKind("i-mr")}
     made = {"reference": repository.new_id(), "operator": "Zoë", "made_at": NOW, "why": "", "rules": (1, 5)}
-    repository.save_chart_references([ChartReference(**where, **of, **period, **made)])
+    repository.charts.save([ChartReference(**where, **of, **period, **made)])
     return run
 
 
@@ -306,5 +306,5 @@ def struck_again(template, path, url, points, strike):
 def overridden(station):
     """Override the verdict of the only run, which announces it; returns the run."""
     ((run,),) = station.said("SELECT run FROM runs")
-    station.store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+    station.store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
     return run

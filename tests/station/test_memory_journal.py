@@ -46,12 +46,12 @@ def executed(plan, store):
         started_at=datetime(2026, 11, 21, tzinfo=UTC),
         configuration_digest="44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a",  # of {}
     )
-    stored = store.journal(
+    stored = store.open_journal(
         configuration="{}", sensor_type=plan.sensor_type, material=plan.material, indenter=plan.indenter
     )
     kept = MemoryJournal(plan)
     ended = execute(plan, identity, bench, script.clock, [stored, kept])
-    return store.load_run(identity.run), kept.record(identity, ended)
+    return store.runs.load(identity.run), kept.record(identity, ended)
 
 
 @pytest.fixture

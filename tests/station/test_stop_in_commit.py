@@ -58,9 +58,9 @@ def run_torn(path, kind, call):
     with open_store(f"sqlite:///{path}") as store:
         run = store.new_id()
         setting = {"sensor_type": SENSOR_TYPE, "material": MATERIAL, "indenter": INDENTER}
-        torn = Torn(store.journal(configuration=CONFIGURATION, **setting), kind, call)
+        torn = Torn(store.open_journal(configuration=CONFIGURATION, **setting), kind, call)
         ended = execute(plan, identity(run), bench, script.clock, [torn], tell=lambda line: None)
-        return ended, torn, store.load_run(run), script
+        return ended, torn, store.runs.load(run), script
 
 
 @pytest.mark.parametrize("call", [1, 2, 5, 10, 20, 40, 60, 80, 120, 160, 200, 260, 320, 400])

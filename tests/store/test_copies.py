@@ -9,6 +9,7 @@ from contextlib import closing
 from datetime import date
 
 import pytest
+from later_schema import LATER, add_revision
 from stored_runs import journalled, short_run
 
 from cbsr_qa.app.database import upgrade_database
@@ -44,7 +45,7 @@ def database(filled, tmp_path):
 
 def runs(path):
     with open_store(url(path), create=False) as store:
-        return [run.serial for run in store.find_runs()]
+        return [run.serial for run in store.runs.find()]
 
 
 def edit(path, statement):
@@ -83,12 +84,12 @@ def test_a_backup_is_one_state_while_a_run_is_written(database, tmp_path, monkey
         back_up(str(database), tmp_path / "b.db", count)
         for event in events:
             write(event)
-        store.load_run(run)
+        store.runs.load(run)
     assert len(written) > 3
     with open_store(url(tmp_path / "b.db"), create=False) as copy:
-        assert [one.serial for one in copy.find_runs()] == ["S-3", "S-2", "S-1"]
-        copy.check_stored_run(run, frames=True)
-        assert not copy.load_run(run).phases  # as it was when the backup began
+        assert [one.serial for one in copy.runs.find()] == ["S-3", "S-2", "S-1"]
+        copy.soundness.check_run(run, frames=True)
+        assert not copy.runs.load(run).phases  # as it was when the backup began
     assert check_database(str(database), None, quiet, quick=False).exit_code == 0
 
 
@@ -183,7 +184,7 @@ def test_a_database_that_is_used_is_not_replaced(database, tmp_path):
         reader.stdin.close()
     with (
         open_store(url(database)) as store,
-        store.writing_alone("a-run", "Zoë"),
+        store.claims.hold_run("a-run", "Zoë"),
         pytest.raises(StoreError, match="a-run is held by Zoë"),
     ):
         restore_backup(str(database), tmp_path / "b.db", quiet)
@@ -219,18 +220,19 @@ def test_an_unusable_backup_changes_nothing(database, tmp_path, spoil, said):
     assert not list(tmp_path.glob("*replaced*"))
 
 
-def test_an_upgrade_is_undone_by_its_backup(tmp_path, database):
+def test_an_upgrade_is_undone_by_its_backup(tmp_path, database, monkeypatch):
     old = tmp_path / "old.db"
     engine = open_engine(parse_url(url(old)))
-    schema.upgrade(engine, "0015")
+    schema.upgrade(engine)
+    add_revision(monkeypatch, tmp_path)
     done = upgrade_database(str(old))
-    assert (done.result.before, done.result.after) == ("0015", HEAD)
+    assert (done.result.before, done.result.after) == (HEAD, LATER)
     backup = done.result.backup
-    assert backup.name.startswith("old-schema-0015-")
+    assert backup.name.startswith(f"old-schema-{HEAD}-")
     assert f"cbsr-qa db restore {backup}" in dict(done.page.printed)["Undone by"]
     engine.dispose()
     restored = restore_backup(str(old), backup, quiet)
-    assert restored.result.schema == "0015" == read_version(engine).revision
+    assert restored.result.schema == HEAD == read_version(engine).revision
     assert "cbsr-qa db upgrade" in dict(restored.page.printed)["Go on with"]
     engine.dispose()
     assert upgrade_database(str(old), backup=False).result.backup is None

@@ -45,10 +45,10 @@ def changed(path, statement, *values):
 def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(copied, capsys):
     _, url, runs = copied
     with open_store(url) as store:
-        station, now = store.identity(runs[1]).station, datetime.now(UTC)
+        station, now = store.runs.read_identity(runs[1]).station, datetime.now(UTC)
         about = (store.new_id(), station, "", now, "disc-100mm", "0" * 64, (), (), ())
-        store.save_station_check(StationCheck(*about, golden_run=runs[1]))
-        assert [run.of_check for run in store.fleet().runs] == [False, True, False, False]
+        store.stations.save_check(StationCheck(*about, golden_run=runs[1]))
+        assert [run.of_check for run in store.fleet.read_table().runs] == [False, True, False, False]
     run_guarded(["compare", "--by", "batch", "--database", url])
     assert "Left out: 1 run of golden sensors that checked a station" in capsys.readouterr().out
 
@@ -64,7 +64,7 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
     path, url, _ = copied
     changed(path, f"UPDATE {table} SET {column} = '{word}' WHERE rowid = (SELECT max(rowid) FROM {table})")
     with open_store(url) as store, pytest.raises(StoreError, match="the database is damaged: analysis ") as raised:
-        store.fleet()
+        store.fleet.read_table()
     assert said in raised.value.reason
     assert run_guarded(["compare", "--by", "batch", "--database", url]) == 2
 
@@ -113,11 +113,11 @@ def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_marked_or_refused
     path, url, runs = copied
     changed(path, f"UPDATE runs SET {column} = 'shorz' WHERE run = ?", runs[2])
     with open_store(url) as store:
-        marked = {line.run: line.altered for line in store.run_lines(selection) if line.altered}
+        marked = {line.run: line.altered for line in store.fleet.read_lines(selection) if line.altered}
         assert list(marked) == [runs[2]]
         assert f"run {runs[2]}: runs was changed" in marked[runs[2]]
         with pytest.raises(StoreError, match=f"run {runs[2]}: runs was changed"):
-            store.fleet(selection)
+            store.fleet.read_table(selection)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_groups_and_amounts_are_read():
 def test_the_last_day_there_is_leaves_no_run_out(copied, capsys):
     with open_store(copied[1]) as store:
         assert (
-            len(store.fleet(RunSelection(until=date.max)).runs)
-            == len(store.fleet(RunSelection(until=date(2026, 11, 21))).runs)
+            len(store.fleet.read_table(RunSelection(until=date.max)).runs)
+            == len(store.fleet.read_table(RunSelection(until=date(2026, 11, 21))).runs)
             == 4
         )

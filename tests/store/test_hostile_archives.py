@@ -25,7 +25,7 @@ def passed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("line")
     with open_store(f"sqlite:///{folder / 'runs.db'}") as store:
         run = decided(store)
-        archived(store, run, store.archive_folder(None))
+        archived(store, run, store.archives.choose_folder(None))
         return folder, run, bits(store, run)
 
 
@@ -48,7 +48,7 @@ class Line:
 
     def refused(self, why):
         with open_store(f"sqlite:///{self.database}") as store:
-            for read in (store.load_run, store.unarchive_run):
+            for read in (store.runs.load, store.archives.unarchive):
                 with pytest.raises(StoreError, match=why):
                     read(self.run)
 
@@ -89,7 +89,7 @@ def test_an_archive_elsewhere_is_read_if_that_folder_is_named(line, tmp_path, mo
 
 def test_a_new_archive_is_not_written_where_it_would_not_be_read(line, tmp_path):
     with open_store(f"sqlite:///{line.database}") as store, pytest.raises(StoreError, match="is not below"):
-        store.archive_folder(tmp_path / "elsewhere")
+        store.archives.choose_folder(tmp_path / "elsewhere")
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_an_archive_of_another_size_is_not_read(line):
 
 def test_a_file_that_is_too_large_for_a_run_is_not_taken_for_its_archive(line):
     with open_store(f"sqlite:///{line.database}") as store:
-        store.unarchive_run(line.run)
+        store.archives.unarchive(line.run)
         os.truncate(line.file, _LARGEST_BYTES)
         with pytest.raises(StoreError, match=r"it is too large: at most .* are read"):
             archived(store, line.run, line.file.parent)

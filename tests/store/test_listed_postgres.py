@@ -20,15 +20,17 @@ def test_many_runs_are_listed_and_the_altered_one_is_marked(postgres_database):
     with open_store(postgres_database, durable=False) as store:
         values = judged(measured(random, random.standard_normal(3)))
         names = [store_run(store, f"S-{n % 2}", values) for n in range(44)]
-        assert [one.run for one in store.list_runs() if not one.altered] == names
-        assert [one.run for one in store.list_runs(RunSelection(serials=("S-1",))) if not one.altered] == names[1::2]
+        assert [one.run for one in store.lists.read_runs() if not one.altered] == names
+        assert [one.run for one in store.lists.read_runs(RunSelection(serials=("S-1",))) if not one.altered] == names[
+            1::2
+        ]
         engine = open_engine(parse_url(postgres_database))
         with writing(engine) as connection:
             changed = sa.text("UPDATE analyses SET outcome = 'fail' WHERE run = :run")
             assert connection.execute(changed, {"run": names[7]}).rowcount == 1
         engine.dispose()
         for selection in (RunSelection(), RunSelection(serials=("S-1",))):
-            assert [one.run for one in store.list_runs(selection) if one.altered] == [names[7]]
+            assert [one.run for one in store.lists.read_runs(selection) if one.altered] == [names[7]]
 
 
 ODD = {
@@ -51,8 +53,8 @@ def test_a_run_that_was_moved_out_of_a_list_or_cannot_be_read_is_listed_as_alter
             connection.execute(sa.text(f"UPDATE runs SET {cell} WHERE run = :run"), {"run": names[1]})
         engine.dispose()
         for selection in (RunSelection(), RunSelection(stations=("bench-α",), since=date(2002, 1, 1))):
-            listed = store.list_runs(selection)
+            listed = store.lists.read_runs(selection)
             assert [one.run for one in listed] == names
             assert [one.run for one in listed if one.altered] == [names[1]]
         with pytest.raises(StoreError, match=names[1]):
-            store.load_run(names[1])
+            store.runs.load(names[1])

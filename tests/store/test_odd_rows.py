@@ -32,7 +32,7 @@ def problems_of(place):
 
 def release(place, action="released", sha256=SHA):
     made = Release(place.store.new_id(), "recipe", "short", sha256, action, "Zoë", "so", NOW)
-    place.store.save_release(made)
+    place.store.releases.save(made)
     return made.release
 
 
@@ -43,7 +43,7 @@ def make_odd(place, name):
 def test_a_release_that_cannot_be_read_is_none_and_is_named(place):
     first, second = release(place), release(place)
     make_odd(place, second)
-    assert place.store.latest_release("recipe", SHA).release == first
+    assert place.store.releases.read_latest("recipe", SHA).release == first
     listed = list_releases(place.url)
     (words,) = listed.result.unread
     assert words.startswith(f"releases (release_id {second}): noted_at holds")
@@ -52,23 +52,23 @@ def test_a_release_that_cannot_be_read_is_none_and_is_named(place):
     assert listed.result.releases[0].holds
     assert problems_of(place) == [words]
     make_odd(place, first)
-    assert place.store.latest_release("recipe", SHA) is None
-    assert place.store.latest_release("recipe", 64 * "c") is None
+    assert place.store.releases.read_latest("recipe", SHA) is None
+    assert place.store.releases.read_latest("recipe", 64 * "c") is None
 
 
 def test_a_withdrawal_that_cannot_be_read_withdraws(place):
     release(place)
     withdrawal = release(place, "withdrawn")
     make_odd(place, withdrawal)
-    assert place.store.latest_release("recipe", SHA).action == "withdrawn"
+    assert place.store.releases.read_latest("recipe", SHA).action == "withdrawn"
     assert not any(one.holds and one.action == "released" for one in list_releases(place.url).result.releases)
     later = release(place)
-    assert place.store.latest_release("recipe", SHA).release == later
+    assert place.store.releases.read_latest("recipe", SHA).release == later
 
 
 def station_check(place, at=NOW):
     made = StationCheck(place.store.new_id(), "bench-α", "Zoë", at, "disc", SHA, (), (), ())
-    place.store.save_station_check(made)
+    place.store.stations.save_check(made)
     return made
 
 
@@ -76,20 +76,20 @@ def test_a_station_check_that_cannot_be_read_is_passed_over(place):
     first = station_check(place)
     second = station_check(place)
     place.change(f"UPDATE station_checks SET checked_at = {odd_moment(place)} WHERE check_id = '{second.check}'")
-    assert place.store.latest_station_check("bench-α").check == first.check
-    assert place.store.latest_golden_check("bench-α") is None
+    assert place.store.stations.read_latest_check("bench-α").check == first.check
+    assert place.store.stations.read_latest_golden_check("bench-α") is None
     assert any(words.startswith(f"station_checks (check_id {second.check}): ") for words in problems_of(place))
 
 
 def test_a_reference_that_cannot_be_read_is_passed_over(place):
     everything(place.store)
     ((name,),) = place.said("SELECT reference FROM chart_references")
-    (kept,) = place.store.chart_references("bench-α")
+    (kept,) = place.store.charts.read_current("bench-α")
     again = replace(kept, reference=place.store.new_id(), location="A")
-    place.store.save_chart_references([again])
+    place.store.charts.save([again])
     place.change(f"UPDATE chart_references SET made_at = {odd_moment(place)} WHERE reference = '{name}'")
-    assert [one.reference for one in place.store.chart_references("bench-α")] == [again.reference]
-    assert [one.reference for one in place.store.all_chart_references()] == [again.reference]
+    assert [one.reference for one in place.store.charts.read_current("bench-α")] == [again.reference]
+    assert [one.reference for one in place.store.charts.read_all()] == [again.reference]
     assert any(words.startswith(f"chart_references (reference {name}): ") for words in problems_of(place))
 
 

@@ -9,7 +9,6 @@ from synced import Place, judged, remove_run, run_of
 
 from cbsr_qa.app.keeping import check_database
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.store import schema
 from cbsr_qa.store.chain.check import check_run, select_run
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.tables.runs import Base
@@ -26,7 +25,7 @@ def place(database_url):
 
 
 def words_of(place):
-    problems, notes = place.store.order_problems()
+    problems, notes = place.store.soundness.find_order_problems()
     assert notes == ()
     return [gap.words for gap in problems]
 
@@ -41,7 +40,7 @@ def test_runs_follow_each_other(place):
         (runs[1], runs[0], *last[runs[0]]),
         (runs[2], runs[1], *last[runs[1]]),
     ]
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["", "with what says that it was begun"])
@@ -78,9 +77,9 @@ def test_rows_that_were_there_when_the_next_run_began_cannot_be_cut_off(place):
     first = run_of(place.store)
     judged(place.store, first)
     run_of(place.store)
-    place.store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="so")
+    place.store.changes.override_verdict(first, Outcome.FAIL, operator="Zoë", why="so")
     cut_off(place, first, "verdict_overrides")  # no run was begun after it
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
     cut_off(place, first, "warnings", "measurements", "analyses")
     (words,) = words_of(place)
     assert f"was another one, or had more rows, than run {first}" in words
@@ -119,7 +118,7 @@ def test_a_run_whose_chain_was_removed_is_no_run_of_before(place, number, remove
     place.change(f"UPDATE runs SET chain = NULL WHERE run = '{runs[number]}'")
     with writing(place.engine) as connection:
         connection.exec_driver_sql(f"DELETE FROM runs_begun WHERE {removed}")
-    assert any(said in words for words in [*words_of(place), *place.store.find_misplaced_rows()])
+    assert any(said in words for words in [*words_of(place), *place.store.soundness.find_misplaced_rows()])
 
 
 def unchain(place):
@@ -134,33 +133,23 @@ def test_after_a_run_without_a_chain_only_its_name_counts(place):
     unchain(place)
     new = run_of(place.store)
     assert place.said(f"SELECT before_run, before_link FROM runs WHERE run = '{new}'") == [(old, None)]
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
     place.change(f"UPDATE runs SET batch = 'B8' WHERE run = '{old}'")
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
     remove_run(place, old)
     assert old in words_of(place)[0]
 
 
-def test_the_first_run_after_an_upgrade_follows_the_latest_one(place):
+def test_the_first_run_that_is_begun_where_runs_were_sent_follows_the_latest_of_them(place):
     runs = [run_of(place.store) for _ in range(2)]
     place.change("UPDATE runs SET before_run = NULL, before_link = NULL, before_sha256 = NULL")
-    schema.downgrade(place.engine, "0021")
-    schema.upgrade(place.engine)
-    assert place.said("SELECT * FROM runs_begun") == []
+    place.change("DELETE FROM runs_begun")
     new = run_of(place.store)
     assert place.said(f"SELECT before_run FROM runs WHERE run = '{new}'") == [(runs[1],)]
     remove_run(place, runs[1])
     assert len(words_of(place)) == 1
-    remove_run(place, runs[0])  # what was begun before the upgrade has nobody who names it
+    remove_run(place, runs[0])  # what was sent here has nobody who names it
     assert len(words_of(place)) == 1
-
-
-def test_a_database_that_knows_the_order_is_not_taken_back(place):
-    for _ in range(2):
-        run_of(place.store)
-    with pytest.raises(Exception, match="runs that name the run before them: 1"):
-        schema.downgrade(place.engine, "0021")
-    assert place.store.order_problems() == SOUND
 
 
 def test_a_resumed_and_an_archived_run_keep_their_place(tmp_path):
@@ -171,10 +160,10 @@ def test_a_resumed_and_an_archived_run_keep_their_place(tmp_path):
     run_of(place.store)
     journalled(place.store, [events[0], *events[6:], last])
     judged(place.store, run)
-    (one,) = place.store.archivable(LATER)
-    place.store.archive_run(one, tmp_path / "kept", LATER)
+    (one,) = place.store.archives.find_archivable(LATER)
+    place.store.archives.archive(one, tmp_path / "kept", LATER)
     run_of(place.store)
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
     assert place.said("SELECT count(*) FROM runs_begun") == [(3,)]
     place.engine.dispose()
 
@@ -189,7 +178,7 @@ def test_a_restored_copy_goes_on_from_its_own_last_run(tmp_path):
     shutil.copy(tmp_path / "backup.db", tmp_path / "runs.db")
     again = run_of(place.store)
     assert place.said(f"SELECT before_run FROM runs WHERE run = '{again}'") == [(first,)]
-    assert place.store.order_problems() == SOUND
+    assert place.store.soundness.find_order_problems() == SOUND
     place.engine.dispose()
 
 

@@ -17,7 +17,6 @@ from cbsr_qa.domain.run.run import RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.runs import archiving
-from cbsr_qa.store.schema import downgrade
 
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 AFTER = -1
@@ -27,21 +26,21 @@ ARRAYS = ("time_s", "voltages", "flags", "reading_time_s")
 def decided(store, outcome=Outcome.PASS, serial="S-1"):
     run = store.new_id()
     journalled(store, short_run(run, serial))
-    made = RunResult(store.load_run(run), None, (), Verdict(outcome, "as it is"), None, "not asked for", (), ())
-    store.save_result(made)
+    made = RunResult(store.runs.load(run), None, (), Verdict(outcome, "as it is"), None, "not asked for", (), ())
+    store.analyses.save(made)
     return run
 
 
 def bits(store, run):
     """Every array of a run, and its chain."""
-    record = store.load_run(run)
+    record = store.runs.load(run)
     arrays = [getattr(phase.frames, name) for phase in record.phases for name in ARRAYS]
     return [None if array is None else array.tobytes() for array in arrays], record.chain, record.chain_head
 
 
 def archived(store, run, folder):
-    (one,) = [one for one in store.archivable(LATER) if one.run == run]
-    return store.archive_run(one, folder, LATER)
+    (one,) = [one for one in store.archives.find_archivable(LATER) if one.run == run]
+    return store.archives.archive(one, folder, LATER)
 
 
 @pytest.fixture
@@ -53,24 +52,24 @@ def store(database_url, tmp_path, monkeypatch):
 
 def test_archived_frames_are_read_as_before_and_come_back(store, tmp_path):
     run = decided(store)
-    before, parts = bits(store, run), store.frames_between(run, 0, 4.0, 12.0).voltages.tobytes()
-    tail = [block.voltages.tobytes() for _, block in store.run_tail(run).frames]
+    before, parts = bits(store, run), store.live.read_frames(run, 0, 4.0, 12.0).voltages.tobytes()
+    tail = [block.voltages.tobytes() for _, block in store.live.read_tail(run).frames]
     done = archived(store, run, tmp_path / "kept")
     assert Path(done.file).stat().st_size == done.file_bytes
     assert (done.frames, done.database_bytes > 0) == (11, True)
-    assert store.archivable(LATER) == ()
+    assert store.archives.find_archivable(LATER) == ()
     assert bits(store, run) == before
-    assert store.frames_between(run, 0, 4.0, 12.0).voltages.tobytes() == parts
-    assert [block.voltages.tobytes() for _, block in store.run_tail(run).frames] == tail
-    assert store.counts()["frames"] == 11
-    assert store.check_stored_run(run, frames=True).chained
+    assert store.live.read_frames(run, 0, 4.0, 12.0).voltages.tobytes() == parts
+    assert [block.voltages.tobytes() for _, block in store.live.read_tail(run).frames] == tail
+    assert store.count_rows()["frames"] == 11
+    assert store.soundness.check_run(run, frames=True).chained
 
-    back = store.unarchive_run(run)
+    back = store.archives.unarchive(run)
     assert (back.frames, back.database_bytes) == (11, done.database_bytes)
     Path(done.file).rename(tmp_path / "away.h5")  # the database no longer needs it
     assert bits(store, run) == before
     with pytest.raises(StoreError, match="are not archived"):
-        store.unarchive_run(run)
+        store.archives.unarchive(run)
 
 
 @pytest.mark.postgres
@@ -81,18 +80,18 @@ def test_archives_of_a_server_are_found_from_the_folder_that_each_computer_names
         run = decided(store)
         before = bits(store, run)
         with pytest.raises(StoreError, match="a PostgreSQL database has no folder"):
-            store.archive_folder(tmp_path / "here")
+            store.archives.choose_folder(tmp_path / "here")
         monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path / "here"))
         with pytest.raises(StoreError, match=r"is not below .*, the folder of archives: only files in it are read"):
-            store.archive_folder(tmp_path / "elsewhere")
-        assert Path(archived(store, run, store.archive_folder(tmp_path / "here" / "2026")).file).exists()
+            store.archives.choose_folder(tmp_path / "elsewhere")
+        assert Path(archived(store, run, store.archives.choose_folder(tmp_path / "here" / "2026")).file).exists()
         (tmp_path / "here").rename(tmp_path / "there")
         with pytest.raises(StoreError, match=rf"run {run}: .*here is not reached from this computer") as refused:
-            store.load_run(run)
+            store.runs.load(run)
         assert "set CBSR_QA_ARCHIVE" in refused.value.remedy
         monkeypatch.delenv("CBSR_QA_ARCHIVE")
         with pytest.raises(StoreError, match="which nothing names here"):
-            store.unarchive_run(run)
+            store.archives.unarchive(run)
         monkeypatch.setenv("CBSR_QA_ARCHIVE", str(tmp_path / "there"))
         assert bits(store, run) == before
 
@@ -116,7 +115,7 @@ def kept(passed, tmp_path):
 def test_the_file_is_found_from_the_database_wherever_both_are_moved(kept, tmp_path):
     path, run, before = kept
     with open_store(f"sqlite:///{path}") as store:
-        archived(store, run, store.archive_folder(None))
+        archived(store, run, store.archives.choose_folder(None))
         store.shrink()
     shutil.move(path.parent, tmp_path / "moved")
     with open_store(f"sqlite:///{tmp_path / 'moved' / 'runs.db'}") as store:
@@ -134,19 +133,19 @@ def test_an_archive_that_is_missing_or_altered_is_named_with_its_run(kept, spoil
     path, run, _ = kept
     with open_store(f"sqlite:///{path}") as store:
         spoil(Path(archived(store, run, path.parent / "a").file))
-        for read in (store.load_run, store.check_resumable, store.unarchive_run):
+        for read in (store.runs.load, store.runs.check_resumable, store.archives.unarchive):
             with pytest.raises(StoreError, match=said) as refused:
                 read(run)
             assert run in refused.value.reason
         with pytest.raises(StoreError, match=run):
-            store.check_stored_run(run, frames=True)
-        assert store.identity(run).run == run
+            store.soundness.check_run(run, frames=True)
+        assert store.runs.read_identity(run).run == run
 
 
 def test_frames_that_somebody_may_have_to_look_at_stay(kept, tmp_path):
     path, run, _ = kept
     with open_store(f"sqlite:///{path}") as store:
-        store.override_verdict(decided(store, serial="S-2"), Outcome.PASS, operator="Ada", why="as seen")
+        store.changes.override_verdict(decided(store, serial="S-2"), Outcome.PASS, operator="Ada", why="as seen")
         decided(store, serial="S-3")
         decided(store, Outcome.FAIL, serial="S-3")  # the sensor's latest verdict
         decided(store, Outcome.FAIL, serial="S-4")
@@ -154,10 +153,10 @@ def test_frames_that_somebody_may_have_to_look_at_stay(kept, tmp_path):
         journalled(store, short_run(store.new_id(), "S-6")[:-1])  # cut off
         journalled(store, [*short_run(store.new_id(), "S-7")[:-1], RunEnded(EndReason.BROKEN, "", 201.0, ())])
         marginal = decided(store, Outcome.MARGINAL, serial="S-8")
-        assert {one.run for one in store.archivable(LATER)} == {run, marginal}
-        began = store.identity(run).started_at
-        assert store.archivable(began) == ()
-        assert {one.run for one in store.archivable(began + timedelta(seconds=1))} == {run, marginal}
+        assert {one.run for one in store.archives.find_archivable(LATER)} == {run, marginal}
+        began = store.runs.read_identity(run).started_at
+        assert store.archives.find_archivable(began) == ()
+        assert {one.run for one in store.archives.find_archivable(began + timedelta(seconds=1))} == {run, marginal}
 
 
 def test_a_file_that_is_not_the_runs_is_left_and_nothing_moves(kept, tmp_path):
@@ -194,15 +193,6 @@ def killed_at(module, name, call, work):
     return os.WIFSIGNALED(status)
 
 
-def test_an_archived_run_keeps_its_database_from_an_earlier_schema(kept):
-    path, run, before = kept
-    with open_store(f"sqlite:///{path}") as store:
-        archived(store, run, path.parent / "a")
-        with pytest.raises(StoreError, match="archived runs: 1; an earlier schema has no archives"):
-            downgrade(store._engine, "0017")
-        assert bits(store, run) == before
-
-
 STEPS = ("check_run", "write_archive", "_verify", "place_of", "insert", "_empty", "update")
 
 
@@ -220,7 +210,7 @@ def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, module, name, call)
     assert killed_at(module, name, call, work)
     with open_store(f"sqlite:///{path}") as store:
         assert bits(store, run) == before
-        if store.archivable(LATER):
+        if store.archives.find_archivable(LATER):
             archived(store, run, path.parent / "a")
         assert bits(store, run) == before
 
@@ -233,10 +223,10 @@ def test_a_kill_while_frames_come_back_loses_nothing(kept, name, call):
 
     def work():
         with open_store(f"sqlite:///{path}") as store:
-            store.unarchive_run(run)
+            store.archives.unarchive(run)
 
     assert killed_at(archiving, name, call, work)
     with open_store(f"sqlite:///{path}") as store:
         assert bits(store, run) == before
-        store.unarchive_run(run)
+        store.archives.unarchive(run)
         assert bits(store, run) == before

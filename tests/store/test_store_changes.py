@@ -54,7 +54,7 @@ def begun(repository, serial="S-1", why="", operator="Zoë", station="bench-α",
             configuration_digest=hashlib.sha256(configuration.encode()).hexdigest(),
         )
     )
-    journal = repository.journal(configuration=configuration, why=why, **SETTING)
+    journal = repository.open_journal(configuration=configuration, why=why, **SETTING)
     for document in (started, *short_run(run, serial)[1:-1], RunEnded(end, "", 201.0, ())):
         journal(document)
     return run
@@ -63,8 +63,8 @@ def begun(repository, serial="S-1", why="", operator="Zoë", station="bench-α",
 def judged(repository, run, outcome=Outcome.PASS, issued=None):
     """Store a result of a run; returns the analysis."""
     drift = Measurement("drift", 0.2, "%/min").judge(Limit("drift", "%/min", None, 0.5))
-    result = RunResult(repository.load_run(run), None, (drift,), Verdict(outcome, "why"), issued, "not asked for")
-    return repository.save_result(result)
+    result = RunResult(repository.runs.load(run), None, (drift,), Verdict(outcome, "why"), issued, "not asked for")
+    return repository.analyses.save(result)
 
 
 def test_differences_are_named_by_what_tables_are_of_limits_first():
@@ -92,14 +92,14 @@ def test_a_table_that_is_added_or_named_twice_is_told_apart():
 def test_the_first_run_of_a_name_changes_nothing_and_neither_does_another_seed(repository):
     begun(repository, seed=1)
     begun(repository, "S-2", seed=2)
-    assert repository.changes() == ()
+    assert repository.changes.list_all() == ()
 
 
 def test_a_limit_that_changed_is_noted_with_who_when_and_why(repository):
     first = begun(repository)
     second = begun(repository, "S-2", "the lot of May", recipe=recipe(5.0))
     third = begun(repository, "S-3", operator="Jo", recipe=recipe(5.0))
-    (change,) = repository.changes()
+    (change,) = repository.changes.list_all()
     assert (change.run, change.earlier_run, change.kind, change.name) == (second, first, FileKind.RECIPE, "short")
     assert change.differences == (Difference("limits[drift].upper", "6.5", "5.0"),)
     assert (change.by, change.why) == ("Zoë", "the lot of May")
@@ -112,7 +112,7 @@ def test_a_change_back_is_another_change_and_silence_is_noted(repository):
     begun(repository)
     begun(repository, recipe=recipe(5.0))
     begun(repository)
-    there, back = repository.changes()
+    there, back = repository.changes.list_all()
     assert (there.old_digest, there.new_digest) == (back.new_digest, back.old_digest)
     assert {there.why, back.why} == {NO_REASON}
 
@@ -122,7 +122,7 @@ def test_scenes_belong_to_the_station_and_other_stations_do_not_matter(repositor
     begun(repository, scenes={"bench": {"seed": 1}})
     begun(repository, scenes={"bench": {"seed": 1}}, station="bench-β")
     begun(repository, scenes={"bench": {"seed": 2}})
-    (change,) = repository.changes()
+    (change,) = repository.changes.list_all()
     assert (change.kind, change.name) == (FileKind.STATION, "bench-α")
     assert change.words() == "scenes.bench.seed 1 → 2"
 
@@ -131,10 +131,10 @@ def test_a_resumed_run_notes_its_changes_once(repository):
     begun(repository)
     run = begun(repository, recipe=recipe(5.0), end=EndReason.ABORTED)
     begun(repository, "S-2", recipe=recipe(4.0))
-    configuration = repository.configuration(run)
-    journal = repository.journal(configuration=configuration, **SETTING)
-    journal(RunStarted(repository.identity(run)))
-    assert len(repository.changes()) == 2
+    configuration = repository.runs.read_configuration(run)
+    journal = repository.open_journal(configuration=configuration, **SETTING)
+    journal(RunStarted(repository.runs.read_identity(run)))
+    assert len(repository.changes.list_all()) == 2
 
 
 @pytest.mark.rest
@@ -148,7 +148,7 @@ def test_a_history_begins_after_the_last_run_that_passed(repository):
     judged(repository, failed, Outcome.FAIL)  # its latest analysis holds
     last = begun(repository, recipe=recipe(4.0))
     begun(repository, recipe=recipe(3.0))
-    history = repository.change_history(repository.load_run(last))
+    history = repository.changes.read_history(repository.runs.load(last))
     assert history.accepted_run == accepted
     assert [one.differences[0].after for one in history.changes] == ["6.0", "5.0", "4.0"]
     assert [one.run for one in history.changes_in(last)] == [last]
@@ -157,13 +157,13 @@ def test_a_history_begins_after_the_last_run_that_passed(repository):
 def test_an_override_stands_beside_the_verdict_and_can_be_overridden(repository):
     run = begun(repository)
     analysis = judged(repository, run, Outcome.FAIL)
-    before = repository.analyses(run)
-    first = repository.override_verdict(run, Outcome.PASS, operator="Zoë", why="the limit is a typing error")
-    second = repository.override_verdict(run, Outcome.FAIL, operator="Jo", why="it is not")
-    assert repository.overrides(run) == repository.overrides() == (first, second)
+    before = repository.analyses.load(run)
+    first = repository.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="the limit is a typing error")
+    second = repository.changes.override_verdict(run, Outcome.FAIL, operator="Jo", why="it is not")
+    assert repository.changes.list_overrides(run) == repository.changes.list_overrides() == (first, second)
     assert (first.analysis, first.verdict, first.outcome) == (analysis, Outcome.FAIL, Outcome.PASS)
-    assert repository.analyses(run) == before
-    assert repository.calibrations("S-1") == ()
+    assert repository.analyses.load(run) == before
+    assert repository.calibrations.list_issued("S-1") == ()
     assert repository.new_id() > second.override
 
 
@@ -172,8 +172,8 @@ def test_what_has_no_verdict_cannot_be_overridden(repository):
     unjudged = begun(repository, "S-2")
     for run, said in (("none", "no run none"), (stopped, "has not finished"), (unjudged, "no result yet")):
         with pytest.raises(StoreError, match=said):
-            repository.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
-    assert repository.overrides() == ()
+            repository.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+    assert repository.changes.list_overrides() == ()
 
 
 @pytest.mark.parametrize("cell", ["runs.configuration", "runs.started_at", "runs.serial"])
@@ -185,7 +185,7 @@ def test_a_cell_of_another_type_met_while_writing_is_named(tmp_path, cell):
         with sqlite3.connect(tmp_path / "runs.db") as database:
             database.execute(f"update {table} set {column} = x'ff00'")
         with pytest.raises(StoreError, match=cell):
-            repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+            repository.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
 
 
 @contextmanager
@@ -213,8 +213,8 @@ def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
         run = begun(repository)
         judged(repository, run, issued=calibration(repository.new_id(), run))
         judged(repository, run, Outcome.FAIL, calibration(repository.new_id(), run))
-        repository.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
-        repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="no")
+        repository.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+        repository.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="no")
         begun(repository, recipe=recipe(5.0), end=EndReason.ABORTED)
 
 

@@ -28,9 +28,9 @@ def engine(database_url):
         journalled(repository, short_run(run))
         for outcome, error_mm in ((Outcome.FAIL, 9.0), (Outcome.PASS, 5.0)):
             issued = calibration(repository.new_id(), run)
-            record, verdict = repository.load_run(run), Verdict(outcome, "why")
-            repository.save_result(RunResult(record, None, measured(error_mm, 0.1), verdict, issued, ""))
-        repository.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
+            record, verdict = repository.runs.load(run), Verdict(outcome, "why")
+            repository.analyses.save(RunResult(record, None, measured(error_mm, 0.1), verdict, issued, ""))
+        repository.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
     engine = open_engine(parse_url(database_url))
     yield engine
     engine.dispose()

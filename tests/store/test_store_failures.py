@@ -6,6 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from later_schema import LATER, add_revision
 from sqlalchemy import event
 from stored_runs import CONFIGURATION, SETTING, frames, journalled, short_run
 
@@ -118,16 +119,15 @@ def test_a_file_system_that_makes_no_files_is_refused():
         open_store("sqlite:////proc/cbsr-qa-test.db")
 
 
-def test_an_older_schema_says_what_to_run_and_running_it_helps(filled):
-    engine = open_engine(parse_url(f"sqlite:///{filled}"))
-    schema.downgrade(engine, "0001")
-    engine.dispose()
+def test_an_older_schema_says_what_to_run_and_running_it_helps(filled, tmp_path, monkeypatch):
+    before = schema.HEAD
+    add_revision(monkeypatch, tmp_path)
     assert "cbsr-qa db upgrade" in refused(filled)
     assert database_status(str(filled)).result.state == "older"
     done = upgrade_database(str(filled)).result
-    assert (done.before, done.after, done.changed) == ("0001", schema.HEAD, True)
+    assert (done.before, done.after, done.changed) == (before, LATER, True)
     with open_store(f"sqlite:///{filled}") as repository:
-        assert len(repository.load_run("run-1").phases[0].frames) == 9
+        assert len(repository.runs.load("run-1").phases[0].frames) == 9
     assert not upgrade_database(str(filled)).result.changed
 
 
@@ -140,7 +140,7 @@ def test_the_status_of_a_newer_schema_is_said(filled):
 def test_a_read_only_database_can_be_read_and_refuses_to_be_written(filled):
     url = f"sqlite:///file:{filled}?mode=ro&uri=true"
     with open_store(url) as repository:
-        assert repository.resolve("S-1") == "run-1"
+        assert repository.runs.resolve("S-1") == "run-1"
         with pytest.raises(StoreError, match="is read-only"):
             journalled(repository, short_run("run-2", "S-2"))
 
@@ -159,7 +159,7 @@ def test_a_locked_database_says_so_after_waiting(filled, monkeypatch):
         other.execute("begin immediate")
         with pytest.raises(StoreError, match="in use by another program"):
             journalled(repository, short_run("run-2"))
-        assert repository.resolve("S-1") == "run-1"  # readers do not wait for a writer
+        assert repository.runs.resolve("S-1") == "run-1"  # readers do not wait for a writer
         other.execute("rollback")
         journalled(repository, short_run("run-2"))
 
@@ -185,23 +185,25 @@ def test_a_full_disk_keeps_what_was_committed_and_the_journal_goes_on_when_there
     journal(FramesTaken(0, frames(9999.0)))
     engine.dispose()
     with open_store(f"sqlite:///{path}") as repository:
-        kept = repository.load_run("run-1").phases[0].frames
+        kept = repository.runs.load("run-1").phases[0].frames
     assert stored
     assert kept.time_s.tolist() == [10.0 + number for number in stored] + [9999.0]
 
 
-def test_an_upgrade_that_fails_half_way_changes_nothing(path):
+def test_an_upgrade_that_fails_half_way_changes_nothing(path, tmp_path, monkeypatch):
     engine = open_engine(parse_url(f"sqlite:///{path}"))
-    schema.upgrade(engine, "0001")
+    schema.upgrade(engine)
     engine.dispose()
+    made_by = schema.HEAD
+    add_revision(monkeypatch, tmp_path)
     with sqlite3.connect(path) as other:
-        other.execute("create table calibration_settling (in_the_way)")  # the migration makes others before it
+        other.execute("create table cases (in_the_way)")  # the migration makes another before it
         before = other.execute("select name from sqlite_master order by name").fetchall()
-    with pytest.raises(StoreError, match="calibration_settling already exists"):
+    with pytest.raises(StoreError, match="cases already exists"):
         upgrade_database(str(path))
     with sqlite3.connect(path) as other:
         assert other.execute("select name from sqlite_master order by name").fetchall() == before
-        assert other.execute("select version_num from alembic_version").fetchone() == ("0001",)
+        assert other.execute("select version_num from alembic_version").fetchone() == (made_by,)
 
 
 @pytest.mark.parametrize("url", ["postgresql://u:geheim@:port/x", "mysql://u:geheim@host/x", "://geheim"])
@@ -258,7 +260,7 @@ def test_a_run_does_not_go_on_in_a_file_that_is_gone(path, how):
         assert str(path) in refused.value.reason
         assert "-wal" in refused.value.remedy
         with pytest.raises(StoreError, match="while it was in use"):
-            repository.load_run("run-1")
+            repository.runs.load("run-1")
     assert path.exists() == (how == "replaced")
 
 
@@ -272,4 +274,4 @@ def test_a_run_goes_on_in_a_file_that_was_put_back(path):
         aside.rename(path)
         for event in events[6:]:
             journal(event)
-        assert repository.load_run("run-1").end is EndReason.FINISHED
+        assert repository.runs.load("run-1").end is EndReason.FINISHED

@@ -76,8 +76,8 @@ def test_a_run_comes_back_as_it_was_told(database_url):
         run = repository.new_id()
         events = short_run(run)
         journalled(repository, events)
-        back = repository.load_run(run)
-        assert repository.configuration(run) == CONFIGURATION
+        back = repository.runs.load(run)
+        assert repository.runs.read_configuration(run) == CONFIGURATION
 
     assert back.identity == identity(run)
     assert (back.sensor_type, back.material, back.indenter) == (SENSOR_TYPE, MATERIAL, INDENTER)
@@ -112,18 +112,18 @@ def test_a_run_cut_off_in_a_pause_has_a_pause_without_an_end_and_later_prompts_c
     events = short_run(run)
     cut = next(number for number, event in enumerate(events) if isinstance(event, RunPaused))
     journalled(repository, events[: cut + 1])
-    assert repository.list_finished_loads(run) == {(0, 0)}
-    assert repository.prompts_shown(run) == 0
+    assert repository.runs.list_finished_loads(run) == {(0, 0)}
+    assert repository.runs.count_prompts(run) == 0
     shown = PromptShown(0, 0, "Is the head clean?", "", 1.0)
     journalled(repository, [RunStarted(identity(run)), RunPaused(0, 0.5, "Ada"), RunContinued(0, 1.0, "Ada"), shown])
-    back = repository.load_run(run)
+    back = repository.runs.load(run)
     assert back.pauses == (Pause(0, 152.5, None, "Zoë"), Pause(0, 153.0, 153.5, "Ada", "Ada"))
     assert back.prompts == (AskedPrompt(0, 0, "Is the head clean?", "", 153.5),)
-    assert repository.prompts_shown(run) == 1
+    assert repository.runs.count_prompts(run) == 1
 
 
 def test_every_document_is_committed_before_the_call_returns(repository, path):
-    journal = repository.journal(configuration=CONFIGURATION, **SETTING)
+    journal = repository.open_journal(configuration=CONFIGURATION, **SETTING)
     seen = []
     for event in short_run(repository.new_id()):
         journal(event)
@@ -158,12 +158,12 @@ for number in range(10_000):
                 process.send_signal(signal.SIGKILL)
                 break
     with open_store(f"sqlite:///{path}", create=False) as repository:
-        back = repository.load_run("run-1")
+        back = repository.runs.load("run-1")
         assert back.end is EndReason.RUNNING
         kept = back.phases[0].frames
         assert len(kept) >= told + 1
         same_frames(kept.select(slice(told, told + 1)), frames(4.0 + told, seed=told))
-        (incomplete,) = repository.incomplete_runs()
+        (incomplete,) = repository.unfinished.list_incomplete()
         assert (incomplete.run, incomplete.phase) == ("run-1", "nine locations")
 
 
@@ -176,7 +176,7 @@ def cut_off(run):
 def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
     run = repository.new_id()
     journalled(repository, cut_off(run))
-    before = repository.load_run(run)
+    before = repository.runs.load(run)
     assert before.phases[0].ended_s == 162.0  # the last thing known about it
     again = [
         RunStarted(identity(run)),
@@ -192,7 +192,7 @@ def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
     # Frames with and without times of their own are not joined: keep the sessions alike.
     again[3] = FramesTaken(0, frames(5.0, seed=8, own_times=True))
     journalled(repository, again)
-    after = repository.load_run(run)
+    after = repository.runs.load(run)
     (phase,) = after.phases
     count = len(before.phases[0].frames)
     same_frames(phase.frames.select(slice(0, count)), before.phases[0].frames)
@@ -203,7 +203,7 @@ def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
     assert np.all(np.diff(phase.samples[0].time_s) > 0)
     assert after.end is EndReason.FINISHED
     assert after.station_s == 303.0
-    assert repository.incomplete_runs() == ()
+    assert repository.unfinished.list_incomplete() == ()
 
 
 def looped(index, start_s):
@@ -217,7 +217,7 @@ def test_a_loop_comes_back_as_it_was_pressed_and_is_no_ordinary_press(repository
     run = repository.new_id()
     told = short_run(run)
     journalled(repository, [*told[:11], LoadFinished(0, looped(1, 130.0)), *told[11:]])
-    phase = repository.load_run(run).phases[0]
+    phase = repository.runs.load(run).phases[0]
     assert phase.loads == (record(0, 30.0),)
     assert phase.loops == (looped(1, 130.0),)
     held = [(one.strain, one.start_s, one.end_s) for one in phase.loops[0].held]
@@ -228,20 +228,20 @@ def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_r
     run = repository.new_id()
     begun = [StepStarted(0, 2, Press(load("L1")), 160.0, 100.0), StepStarted(0, 4, StrainStep(0.3), 170.0, 90.0)]
     journalled(repository, [*short_run(run)[:11], *begun, FramesTaken(0, frames(172.0, seed=7, own_times=True))])
-    (incomplete,) = repository.incomplete_runs()
+    (incomplete,) = repository.unfinished.list_incomplete()
     assert incomplete.next == "press L1 at (15, -15) mm to 20 %, trial 1"
     with sqlite3.connect(path) as other:
         steps = [json.loads(step) for (step,) in other.execute("SELECT step FROM steps")]
     assert {"step": "Ease", "strain": 0.3} in steps  # as in databases of before, whatever the class is called
-    assert repository.list_finished_loads(run) == {(0, 0)}
+    assert repository.runs.list_finished_loads(run) == {(0, 0)}
     again = [
         RunStarted(identity(run)),
         PhaseStarted(0, "nine locations", "location-grid", 0.0),
         LoadFinished(0, looped(1, 10.0)),
     ]
     journalled(repository, again)
-    assert repository.list_finished_loads(run) == {(0, 0), (0, 1)}
-    assert repository.load_run(run).phases[0].loops == (looped(1, 182.0),)
+    assert repository.runs.list_finished_loads(run) == {(0, 0), (0, 1)}
+    assert repository.runs.load(run).phases[0].loops == (looped(1, 182.0),)
 
 
 def test_a_finished_run_is_neither_resumed_nor_ended_again(repository):
@@ -251,7 +251,7 @@ def test_a_finished_run_is_neither_resumed_nor_ended_again(repository):
         journal(RunEnded(EndReason.ABORTED, "", 300.0, ()))
     with pytest.raises(StoreError, match="is finished"):
         journalled(repository, [RunStarted(identity(run))])
-    assert repository.load_run(run).end is EndReason.FINISHED
+    assert repository.runs.load(run).end is EndReason.FINISHED
 
 
 @pytest.mark.rest
@@ -259,9 +259,9 @@ def test_an_aborted_run_can_be_resumed_and_its_time_is_summed(repository):
     run = repository.new_id()
     told = short_run(run)
     journalled(repository, [*told[:11], RunEnded(EndReason.ABORTED, "by the operator", 155.0, SPENT)])
-    assert repository.load_run(run).end_detail == "by the operator"
+    assert repository.runs.load(run).end_detail == "by the operator"
     journalled(repository, [RunStarted(identity(run)), RunEnded(EndReason.FINISHED, "", 5.0, (("hold", 2.0),))])
-    back = repository.load_run(run)
+    back = repository.runs.load(run)
     assert (back.end, back.station_s) == (EndReason.FINISHED, 160.0)
     assert dict(back.spent) == {"press": 1.5, "hold": 62.0}
 
@@ -269,21 +269,21 @@ def test_an_aborted_run_can_be_resumed_and_its_time_is_summed(repository):
 def test_a_run_is_not_resumed_with_another_configuration(repository):
     run = repository.new_id()
     journalled(repository, short_run(run)[:3])
-    other = repository.journal(configuration="{}", **SETTING)
+    other = repository.open_journal(configuration="{}", **SETTING)
     changed = replace(identity(run), configuration_digest=hashlib.sha256(b"{}").hexdigest())
     with pytest.raises(StoreError, match="another configuration"):
         other(RunStarted(changed))
 
 
 def test_a_digest_that_is_not_the_configurations_is_refused(repository):
-    journal = repository.journal(configuration="{}", **SETTING)
+    journal = repository.open_journal(configuration="{}", **SETTING)
     with pytest.raises(StoreError, match="does not match"):
         journal(RunStarted(identity("run-1")))
-    assert repository.counts()["runs"] == 0
+    assert repository.count_rows()["runs"] == 0
 
 
 def test_documents_before_the_start_are_refused(repository):
-    journal = repository.journal(configuration=CONFIGURATION, **SETTING)
+    journal = repository.open_journal(configuration=CONFIGURATION, **SETTING)
     with pytest.raises(StoreError, match="before the run was started"):
         journal(Unloaded(0, 1.0))
 
@@ -294,4 +294,4 @@ def test_a_sample_that_is_not_a_number_is_refused_and_the_journal_goes_on(reposi
     with pytest.raises(StoreError, match="force is not a finite number"):
         journal(SamplesTaken(0, SampleBlock("force", "N", np.array([1.0]), np.array([np.nan]))))
     journal(SamplesTaken(0, force(1.0)))
-    assert len(repository.load_run(run).phases[0].samples[0]) == 20
+    assert len(repository.runs.load(run).phases[0].samples[0]) == 20

@@ -46,26 +46,26 @@ def test_results_and_calibrations_come_back(repository):
     issued = stamp(replace(issued, force=model, digest="", record_digest=""))
     measured = (Measurement("noise_floor", np.float64(0.1) + np.float64(0.2), "1", trial=np.int64(1)),)
     verdict = Verdict(Outcome.MARGINAL, "close\0to the limit")
-    repository.save_result(
-        RunResult(repository.load_run(run), None, measured, verdict, issued, "", warnings=("one",))
+    repository.analyses.save(
+        RunResult(repository.runs.load(run), None, measured, verdict, issued, "", warnings=("one",))
     )
-    (analysis,) = repository.analyses(run)
+    (analysis,) = repository.analyses.load(run)
     assert analysis.measurements == measured
     assert analysis.verdict.reason == "close\ufffdto the limit"  # PostgreSQL holds no NUL
-    file, digest = repository.calibration_file(issued.calibration)
+    file, digest = repository.calibrations.load_file(issued.calibration)
     assert (file, digest) == (issued.file, issued.digest)
     later = calibration(repository.new_id(), run, "S-9")
-    repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
-    held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}
+    repository.analyses.save(RunResult(repository.runs.load(run), None, measured, verdict, later, ""))
+    held = {c.calibration: c.superseded_by for c in repository.calibrations.list_issued("S-9")}
     assert held == {issued.calibration: later.calibration, later.calibration: None}
 
 
 def test_a_hostile_name_finds_nothing(repository):
     with pytest.raises(StoreError):
-        repository.resolve("'; DROP TABLE runs; --")
+        repository.runs.resolve("'; DROP TABLE runs; --")
     with pytest.raises(StoreError):
-        repository.resolve("a\0b")
-    assert repository.counts()["runs"] >= 0
+        repository.runs.resolve("a\0b")
+    assert repository.count_rows()["runs"] >= 0
 
 
 def test_the_status_names_a_run_that_was_cut_off(repository, url):
@@ -84,8 +84,8 @@ def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repos
             selection = RunSelection(
                 serials=("F-0", "F-1", "F-2"), recipe="short", since=date(2026, 11, 21), checks=False, latest=2
             )
-            assert [line.run for line in store.run_lines(selection)] == runs[1:]
-            told.append(store.fleet(selection))
+            assert [line.run for line in store.fleet.read_lines(selection)] == runs[1:]
+            told.append(store.fleet.read_table(selection))
             of = {
                 "station": "bench",
                 "recipe": "short",
@@ -97,8 +97,8 @@ def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repos
             period = {"runs": 2, "first_run": runs[0], "last_run": runs[2]}
             made = {"reference": store.new_id(), "operator": "Zoë", "made_at": datetime.now(UTC), "why": ""}
             one = ChartReference(**of, **limits, **period, **made)
-            store.save_chart_references([one])
-            assert store.chart_references("bench") == (one,)
+            store.charts.save([one])
+            assert store.charts.read_current("bench") == (one,)
     assert told[0].kinds == told[1].kinds
     for column in ("run", "kind", "value", "state"):
         np.testing.assert_array_equal(getattr(told[0], column), getattr(told[1], column))

@@ -41,7 +41,7 @@ def run(repository):
 
 def result(repository, run, outcome=Outcome.PASS, **changes):
     values = {
-        "record": repository.load_run(run),
+        "record": repository.runs.load(run),
         "observation": None,
         "measurements": MEASURED,
         "verdict": Verdict(outcome, "all limits are met"),
@@ -54,8 +54,8 @@ def result(repository, run, outcome=Outcome.PASS, **changes):
 
 
 def test_an_analysis_comes_back_as_it_was_saved(repository, run):
-    name = repository.save_result(result(repository, run), software=[("cbsr-qa", "9")])
-    (back,) = repository.analyses(run)
+    name = repository.analyses.save(result(repository, run), software=[("cbsr-qa", "9")])
+    (back,) = repository.analyses.load(run)
     assert (back.analysis, back.run, back.software) == (name, run, (("cbsr-qa", "9"),))
     assert back.verdict == Verdict(Outcome.PASS, "all limits are met")
     assert back.measurements == MEASURED
@@ -65,12 +65,12 @@ def test_an_analysis_comes_back_as_it_was_saved(repository, run):
 
 
 def test_judging_again_adds_an_analysis_and_the_latest_holds(repository, run):
-    first = repository.save_result(result(repository, run))
-    before = repository.analyses(run)
-    second = repository.save_result(result(repository, run, Outcome.FAIL, measurements=MEASURED[:1]))
-    assert [a.analysis for a in repository.analyses(run)] == [second, first]
-    assert repository.analyses(run)[1:] == before
-    (summary,) = repository.find_runs("S-1")
+    first = repository.analyses.save(result(repository, run))
+    before = repository.analyses.load(run)
+    second = repository.analyses.save(result(repository, run, Outcome.FAIL, measurements=MEASURED[:1]))
+    assert [a.analysis for a in repository.analyses.load(run)] == [second, first]
+    assert repository.analyses.load(run)[1:] == before
+    (summary,) = repository.runs.find("S-1")
     assert summary.outcome is Outcome.FAIL
 
 
@@ -82,8 +82,8 @@ def test_loads_of_one_label_and_trial_at_six_strains_stay_apart(repository, run)
         for k, bound in enumerate([Bound.EXACT, Bound.LOWER] * 3)
     )
     measured = tuple(replace(m, load=9 * k, strain=0.05 * (k + 1)) for k, m in enumerate(measured))
-    repository.save_result(result(repository, run, measurements=measured))
-    (back,) = repository.analyses(run)
+    repository.analyses.save(result(repository, run, measurements=measured))
+    (back,) = repository.analyses.load(run)
     assert back.measurements == measured
     assert {(m.phase, m.load): m.strain for m in back.measurements} == {
         ("campaign", 9 * k): 0.05 * (k + 1) for k in range(6)
@@ -92,17 +92,17 @@ def test_loads_of_one_label_and_trial_at_six_strains_stay_apart(repository, run)
 
 def test_numpy_numbers_are_stored_as_plain_ones(repository, run):
     measured = Measurement("noise_floor", np.float64(0.5), "1", trial=np.int64(2))
-    repository.save_result(result(repository, run, measurements=(measured,)))
-    (back,) = repository.analyses(run)[0].measurements
+    repository.analyses.save(result(repository, run, measurements=(measured,)))
+    (back,) = repository.analyses.load(run)[0].measurements
     assert (back.value, back.trial) == (0.5, 2)
     assert type(back.trial) is int
 
 
 def test_a_calibration_comes_back_as_it_was_issued_to_the_byte(repository, run, tmp_path):
     issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued, calibration_why=""))
-    assert repository.analyses(run)[0].calibration == issued.calibration
-    file, digest = repository.calibration_file(issued.calibration)
+    repository.analyses.save(result(repository, run, calibration=issued, calibration_why=""))
+    assert repository.analyses.load(run)[0].calibration == issued.calibration
+    file, digest = repository.calibrations.load_file(issued.calibration)
     write_calibration(tmp_path / "issued.h5", issued)
     assert (file, digest) == ((tmp_path / "issued.h5").read_bytes(), issued.digest)
     assert_same(calibration_of(file, issued=digest), issued, "calibration")
@@ -117,18 +117,18 @@ def test_a_calibration_comes_back_as_it_was_issued_to_the_byte(repository, run, 
     ("edit", "said"),
     [
         ("update calibrations set file = substr(file, 1, length(file) - 1)", "its file is not what was stored"),
-        ("update calibrations set file = null", "its file is not what was stored"),
-        ("update calibrations set file_sha256 = null", "was changed"),
-        ("update calibrations set file = null, file_sha256 = null", "was changed"),
+        ("update calibrations set file = x''", "its file is not what was stored"),
+        ("update calibrations set file_sha256 = ''", "was changed"),
+        ("update calibrations set file = x'', file_sha256 = ''", "was changed"),
     ],
 )
 def test_a_calibration_that_was_edited_is_not_handed_out(repository, run, tmp_path, edit, said):
     issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued))
+    repository.analyses.save(result(repository, run, calibration=issued))
     with sqlite3.connect(tmp_path / "runs.db") as other:
         assert other.execute(edit).rowcount == 1
     with pytest.raises(StoreError, match=said):
-        repository.calibration_file(issued.calibration)
+        repository.calibrations.load_file(issued.calibration)
 
 
 def test_the_file_of_another_calibration_is_refused(repository, run):
@@ -140,14 +140,14 @@ def test_the_file_of_another_calibration_is_refused(repository, run):
 
 def test_there_is_no_file_of_a_calibration_that_is_not_there(repository):
     with pytest.raises(StoreError, match="there is no calibration 'nothing'"):
-        repository.calibration_file("nothing")
+        repository.calibrations.load_file("nothing")
 
 
 def test_a_calibration_that_was_never_issued_is_not_stored(repository, run):
     made = replace(calibration(repository.new_id(), run), digest="", record_digest="")
     with pytest.raises(StoreError, match="never issued"):
-        repository.save_result(result(repository, run, calibration=made))
-    assert repository.analyses(run) == ()
+        repository.analyses.save(result(repository, run, calibration=made))
+    assert repository.analyses.load(run) == ()
 
 
 @pytest.mark.rest
@@ -156,47 +156,47 @@ def test_a_new_calibration_supersedes_only_the_same_sensors_earlier_ones(reposit
     journalled(repository, short_run(other_run, "S-2"))
     names = [repository.new_id() for _ in range(4)]
     for name in names[:3]:
-        repository.save_result(result(repository, run, calibration=calibration(name, run)))
+        repository.analyses.save(result(repository, run, calibration=calibration(name, run)))
     other = calibration(names[3], other_run, "S-2")
-    repository.save_result(result(repository, other_run, calibration=other))
-    held = {c.calibration: c.superseded_by for c in repository.calibrations("S-1")}
+    repository.analyses.save(result(repository, other_run, calibration=other))
+    held = {c.calibration: c.superseded_by for c in repository.calibrations.list_issued("S-1")}
     assert held == {names[0]: names[1], names[1]: names[2], names[2]: None}
-    assert [c.superseded_by for c in repository.calibrations("S-2")] == [None]
+    assert [c.superseded_by for c in repository.calibrations.list_issued("S-2")] == [None]
 
 
 def test_a_number_that_is_not_finite_stores_nothing_at_all(repository, run):
     place = BaselineConductance("L0", 0.0, 0.0, float("nan"), None, 1)
     bad = calibration(repository.new_id(), run, baseline=(place,))
     with pytest.raises(StoreError, match="not a finite number"):
-        repository.save_result(result(repository, run, calibration=bad))
-    assert repository.analyses(run) == ()
-    assert repository.calibrations("S-1") == ()
+        repository.analyses.save(result(repository, run, calibration=bad))
+    assert repository.analyses.load(run) == ()
+    assert repository.calibrations.list_issued("S-1") == ()
 
 
 def test_a_result_of_a_run_that_is_not_stored_is_refused(repository, run):
-    stranger = replace(repository.load_run(run).identity, run="unknown")
-    record = replace(repository.load_run(run), identity=stranger)
+    stranger = replace(repository.runs.load(run).identity, run="unknown")
+    record = replace(repository.runs.load(run), identity=stranger)
     with pytest.raises(StoreError):
-        repository.save_result(result(repository, run, record=record))
+        repository.analyses.save(result(repository, run, record=record))
 
 
 def test_runs_are_found_by_serial_and_by_name(repository, run):
     later = repository.new_id()
     journalled(repository, short_run(later))
-    assert [r.run for r in repository.find_runs("S-1")] == [later, run]
-    assert repository.find_runs("nobody") == ()
-    assert repository.resolve("S-1") == later
-    assert repository.resolve(run) == run
+    assert [r.run for r in repository.runs.find("S-1")] == [later, run]
+    assert repository.runs.find("nobody") == ()
+    assert repository.runs.resolve("S-1") == later
+    assert repository.runs.resolve(run) == run
     with pytest.raises(StoreError, match="no run and no sensor"):
-        repository.resolve("../../x")
+        repository.runs.resolve("../../x")
     with pytest.raises(StoreError, match="no run"):
-        repository.load_run("nothing")
-    assert repository.counts() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
+        repository.runs.load("nothing")
+    assert repository.count_rows() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
 
 
 def test_the_analysis_says_how_readings_were_weighed(repository, run):
-    plain = repository.save_result(result(repository, run))
+    plain = repository.analyses.save(result(repository, run))
     seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting="measured"), weight_ratio=3.5)
-    weighed = repository.save_result(result(repository, run, observation=seen))
-    stored = {a.analysis: (a.noise_weighting, a.weight_ratio) for a in repository.analyses(run)}
+    weighed = repository.analyses.save(result(repository, run, observation=seen))
+    stored = {a.analysis: (a.noise_weighting, a.weight_ratio) for a in repository.analyses.load(run)}
     assert stored == {plain: ("", None), weighed: ("measured", 3.5)}

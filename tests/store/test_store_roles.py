@@ -67,13 +67,13 @@ def test_a_station_stores_runs_and_cannot_delete_and_a_reader_reads(logins):
     with open_store(station) as store:
         for _ in range(2):  # the second calibration supersedes the first
             run = store.new_id()
-            with store.writing_alone(run):
+            with store.claims.hold_run(run):
                 journalled(store, short_run(run))
-            record = store.load_run(run)
+            record = store.runs.load(run)
             issued = calibration(store.new_id(), run)
-            store.save_result(RunResult(record, None, (), Verdict(Outcome.PASS, "why"), issued, ""))
-        store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
-        assert store.list_runs()[-1].verdict is Outcome.FAIL
+            store.analyses.save(RunResult(record, None, (), Verdict(Outcome.PASS, "why"), issued, ""))
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
+        assert store.lists.read_runs()[-1].verdict is Outcome.FAIL
     for statement in (
         "DELETE FROM frame_blocks",
         "TRUNCATE runs CASCADE",
@@ -112,8 +112,8 @@ def filled(logins):
     with open_store(login("bench")) as store:
         run = everything(store)
         under_way = run_of(store, "S-2", events=2)
-        reanalysis = store.save_reanalysis(found_again(run))
-        store.adopt(reanalysis, operator="Zoë", why="so")
+        reanalysis = store.reanalyses.save(found_again(run))
+        store.reanalyses.adopt(reanalysis, operator="Zoë", why="so")
     return login("bench"), engine, run, under_way
 
 
@@ -219,9 +219,10 @@ def test_a_calibration_is_withdrawn_by_no_row_that_a_login_may_change(filled):
     assert before
     refused(url, "UPDATE calibrations SET serial = 'S-9'")
     forged = (
-        "INSERT INTO calibrations (calibration, run, analysis, serial, issued_at, content_sha256, record_sha256)"
-        " SELECT 'f' || substr(calibration, 2), run, analysis, serial, issued_at, content_sha256, record_sha256"
-        " FROM v_calibrations JOIN calibrations c USING (calibration, run, serial, issued_at, content_sha256)"
+        "INSERT INTO calibrations (calibration, run, analysis, serial, issued_at, content_sha256, record_sha256,"
+        " file, file_sha256) SELECT 'f' || substr(calibration, 2), run, analysis, serial, issued_at, content_sha256,"
+        " record_sha256, file, file_sha256 FROM calibrations c WHERE calibration IN (SELECT calibration FROM"
+        " v_calibrations)"
     )
     with closing(psycopg.connect(url)) as connection, connection:
         assert connection.execute(forged).rowcount == 1

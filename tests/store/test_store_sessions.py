@@ -70,22 +70,22 @@ def test_every_session_says_who_began_it_and_how_it_ended(repository):
     first, cut, again = pressed_again(run)
     journalled(repository, [*first, *cut])
     journalled(repository, again)
-    one, other = repository.load_run(run).sessions
+    one, other = repository.runs.load(run).sessions
     assert (one.started_s, one.ended_s, one.end, one.operator) == (0.0, None, EndReason.RUNNING, "Zoë Ōtani")
     assert (other.end, other.operator, other.software) == (EndReason.FINISHED, "Jo", (("cbsr-qa", "0.2.0"),))
     assert (other.ended_s - other.started_s, other.noted_at - one.noted_at) == (141.0, timedelta(hours=3))
     # The run itself stays what it was begun as.
-    assert repository.load_run(run).identity == identity(run)
+    assert repository.runs.load(run).identity == identity(run)
 
 
 def test_frames_of_a_press_that_was_made_again_are_kept_and_do_not_count(repository, path):
     run = repository.new_id()
     first, cut, again = pressed_again(run)
     journalled(repository, [*first, *cut])
-    before = repository.load_run(run)
+    before = repository.runs.load(run)
     assert before.set_aside == 0
     journalled(repository, again)
-    after = repository.load_run(run)
+    after = repository.runs.load(run)
     (phase,) = after.phases
     offset_s = after.sessions[1].started_s
     taken = [event.frames for event in first if isinstance(event, FramesTaken)]
@@ -101,11 +101,13 @@ def test_frames_of_a_press_that_was_made_again_are_kept_and_do_not_count(reposit
 def test_a_session_goes_on_after_the_last_sample_of_a_rest_without_frames(repository):
     run = repository.new_id()
     journalled(repository, [*short_run(run)[:4], SamplesTaken(0, force(77.3))])
-    last_s = repository.load_run(run).phases[0].samples[0].time_s[-1]
-    assert repository.goes_on_at_s(run) >= last_s > 77.3
-    assert repository.goes_on_at_s(run) * 2**20 % 1 == 0
+    last_s = repository.runs.load(run).phases[0].samples[0].time_s[-1]
+    assert repository.runs.find_resume_time_s(run) >= last_s > 77.3
+    assert repository.runs.find_resume_time_s(run) * 2**20 % 1 == 0
     journalled(repository, [resumed(run), StepStarted(0, 0, Home(), 0.0, 1.0), SamplesTaken(0, force(0.0))])
-    assert repository.state_of(run).started_s == repository.goes_on_at_s(run) - float(force(0.0).time_s[-1])
+    assert repository.runs.read_last_session(run).started_s == repository.runs.find_resume_time_s(run) - float(
+        force(0.0).time_s[-1]
+    )
 
 
 def test_what_sets_the_bench_up_again_does_not_count_for_a_phase_that_had_ended(repository):
@@ -113,23 +115,23 @@ def test_what_sets_the_bench_up_again_does_not_count_for_a_phase_that_had_ended(
     told = short_run(run)
     end = next(n for n, event in enumerate(told) if isinstance(event, PhaseFinished))
     journalled(repository, told[: end + 1])
-    before = repository.load_run(run).phases[0]
+    before = repository.runs.load(run).phases[0]
     set_up = [StepStarted(0, 1, FindSurface(0.0, 0.0), 0.0, 1.0), SamplesTaken(0, force(0.5))]
     journalled(repository, [resumed(run), *set_up])
-    after = repository.load_run(run).phases[0]
+    after = repository.runs.load(run).phases[0]
     assert len(after.samples[0]) == len(before.samples[0])
-    assert repository.list_ended_phases(run) == {0}
+    assert repository.runs.list_ended_phases(run) == {0}
 
 
 def test_next_is_the_press_after_one_that_was_made_again(repository):
     run = repository.new_id()
     first, cut, again = pressed_again(run)
     journalled(repository, [*first, *cut])
-    assert repository.incomplete_runs()[0].next == "press L1 at (15, -15) mm to 20 %, trial 1"
+    assert repository.unfinished.list_incomplete()[0].next == "press L1 at (15, -15) mm to 20 %, trial 1"
     journalled(repository, [*again[:5], StepStarted(0, 9, Press(load("L1")), 9.0, 1.0)])
-    assert repository.incomplete_runs()[0].next == "press L1 at (15, -15) mm to 20 %, trial 1"
+    assert repository.unfinished.list_incomplete()[0].next == "press L1 at (15, -15) mm to 20 %, trial 1"
     journalled(repository, [resumed(run), LoadFinished(0, record(1, 10.0)), StepStarted(0, 0, Home(), 200.0, 1.0)])
-    assert repository.incomplete_runs()[0].next == "home"
+    assert repository.unfinished.list_incomplete()[0].next == "home"
 
 
 # --- one writer ---
@@ -140,7 +142,7 @@ def holding(path, run, *, until="sys.stdin.read()"):
     code = f"""
     import sys
     from cbsr_qa.store.opening import open_store
-    with open_store("sqlite:///{path}") as repository, repository.writing_alone("{run}", "Kim"):
+    with open_store("sqlite:///{path}") as repository, repository.claims.hold_run("{run}", "Kim"):
         print("held", flush=True)
         {until}
     """
@@ -156,18 +158,18 @@ def test_a_run_that_another_process_writes_is_refused_and_says_who(repository, p
     with holding(path, "run-1") as process:
         with (
             pytest.raises(StoreError, match=f"run-1 is being written by Kim on .*, process {process.pid}"),
-            repository.writing_alone("run-1"),
+            repository.claims.hold_run("run-1"),
         ):
             pass
-        assert repository.writer_of("run-1").startswith("Kim on ")
-        (incomplete,) = repository.incomplete_runs()
+        assert repository.claims.name_writer("run-1").startswith("Kim on ")
+        (incomplete,) = repository.unfinished.list_incomplete()
         assert incomplete.writer.startswith("Kim on ")
-        with repository.writing_alone("run-2"):  # another run is free
+        with repository.claims.hold_run("run-2"):  # another run is free
             pass
         process.communicate("")
-    with repository.writing_alone("run-1"):
-        assert repository.writer_of("run-1") != ""
-    assert repository.writer_of("run-1") == ""
+    with repository.claims.hold_run("run-1"):
+        assert repository.claims.name_writer("run-1") != ""
+    assert repository.claims.name_writer("run-1") == ""
     assert not list(path.parent.glob("*.lock"))
 
 
@@ -176,8 +178,8 @@ def test_a_killed_writer_holds_nothing(repository, path):
         process.send_signal(signal.SIGKILL)
         process.wait()
     assert [left.name for left in path.parent.glob("*.lock")] == ["runs.db-run-1.lock"]
-    assert repository.writer_of("run-1") == ""
-    with repository.writing_alone("run-1"):
+    assert repository.claims.name_writer("run-1") == ""
+    with repository.claims.hold_run("run-1"):
         pass
     assert not list(path.parent.glob("*.lock"))
 
@@ -189,7 +191,10 @@ def full(*_):
 def test_on_a_full_disk_the_run_is_refused_and_the_disk_is_named(repository, path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
-        with pytest.raises(StoreError, match="No space left on device") as refused, repository.writing_alone("run-1"):
+        with (
+            pytest.raises(StoreError, match="No space left on device") as refused,
+            repository.claims.hold_run("run-1"),
+        ):
             pass
     assert "free space" in refused.value.remedy
     assert str(path) in refused.value.reason
@@ -197,9 +202,9 @@ def test_on_a_full_disk_the_run_is_refused_and_the_disk_is_named(repository, pat
 
 
 def test_the_lock_is_given_back_after_an_error(repository):
-    with pytest.raises(RuntimeError), repository.writing_alone("run-1"):
+    with pytest.raises(RuntimeError), repository.claims.hold_run("run-1"):
         raise RuntimeError
-    assert repository.writer_of("run-1") == ""
+    assert repository.claims.name_writer("run-1") == ""
 
 
 # --- clocks that are set back ---
@@ -211,12 +216,12 @@ def test_runs_keep_their_order_where_the_clock_was_set_back(path):
         first = repository.new_id()
         journalled(repository, [RunStarted(replace(identity(first), started_at=at))])
     with open_store(f"sqlite:///{path}", wall=lambda: at - timedelta(days=40)) as repository:
-        warned = repository.from_the_future()
+        warned = repository.describe_clock_fault()
         second = repository.new_id()
         journalled(repository, [RunStarted(replace(identity(second), started_at=at - timedelta(days=40)))])
         assert second > first
-        assert repository.resolve("S-1") == second
-        assert [run.run for run in repository.find_runs()] == [second, first]
+        assert repository.runs.resolve("S-1") == second
+        assert [run.run for run in repository.runs.find()] == [second, first]
         assert repository.new_id() > second
     assert "2026-11-22 12:00 UTC" in warned
     assert "2026-10-13 12:00" in warned
@@ -224,15 +229,15 @@ def test_runs_keep_their_order_where_the_clock_was_set_back(path):
 
 
 def test_a_clock_that_is_right_is_not_warned_about(repository):
-    assert repository.from_the_future() == ""
+    assert repository.describe_clock_fault() == ""
     journalled(repository, [RunStarted(identity(repository.new_id()))])
-    assert repository.from_the_future() == ""
+    assert repository.describe_clock_fault() == ""
 
 
 def test_the_journal_takes_nothing_from_the_wall_clock(repository):
     """Times of a run come from the station's clock; the wall clock is only noted."""
     run = repository.new_id()
-    journal = repository.journal(configuration=CONFIGURATION, **SETTING)
+    journal = repository.open_journal(configuration=CONFIGURATION, **SETTING)
     journal(RunStarted(replace(identity(run), started_at=datetime(1970, 1, 1, tzinfo=UTC))))
     journal(RunEnded(EndReason.ABORTED, "", 5.0, ()))
-    assert repository.state_of(run).ended_s == 5.0
+    assert repository.runs.read_last_session(run).ended_s == 5.0

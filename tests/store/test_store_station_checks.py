@@ -45,10 +45,10 @@ def test_a_check_comes_back_with_every_line(repository):
     journalled(repository, short_run(run := repository.new_id()))
     told = check(repository.new_id(), golden_run=run)
     ring = RingReadings(frames(0.0, 4, own_times=True), tuple(1000.0 + np.arange(16)))
-    repository.save_station_check(told, ring)
-    assert repository.latest_station_check("bench-α") == told
+    repository.stations.save_check(told, ring)
+    assert repository.stations.read_latest_check("bench-α") == told
     assert told.outcome is CheckOutcome.FAILED
-    back = repository.station_check_ring(told.check)
+    back = repository.stations.read_ring(told.check)
     assert back.resistances_ohm == ring.resistances_ohm
     for name in ("time_s", "voltages", "flags", "reading_time_s"):
         assert getattr(back.frames, name).tobytes() == getattr(ring.frames, name).tobytes()
@@ -56,24 +56,24 @@ def test_a_check_comes_back_with_every_line(repository):
 
 
 def test_the_latest_check_of_this_station_is_found_as_of_any_moment(repository):
-    assert repository.latest_station_check("bench-α") is None
+    assert repository.stations.read_latest_check("bench-α") is None
     old, new = check(repository.new_id()), check(repository.new_id(), AT + timedelta(days=2), operator="")
     other = check(repository.new_id(), AT + timedelta(days=3), station="bench-β")
     for one in (new, old, other):  # a database that was put together from two has them in any order
-        repository.save_station_check(one)
-    assert repository.latest_station_check("bench-α") == new
-    assert repository.latest_station_check("bench-α", before=AT + timedelta(days=1)) == old
-    assert repository.latest_station_check("bench-α", before=AT - timedelta(seconds=1)) is None
-    assert repository.station_check_ring(new.check) is None
+        repository.stations.save_check(one)
+    assert repository.stations.read_latest_check("bench-α") == new
+    assert repository.stations.read_latest_check("bench-α", before=AT + timedelta(days=1)) == old
+    assert repository.stations.read_latest_check("bench-α", before=AT - timedelta(seconds=1)) is None
+    assert repository.stations.read_ring(new.check) is None
 
 
 def test_frames_of_a_ring_that_were_changed_are_refused(repository):
     told = check(repository.new_id())
-    repository.save_station_check(told, RingReadings(frames(0.0, 2), (1000.0,) * 16))
+    repository.stations.save_check(told, RingReadings(frames(0.0, 2), (1000.0,) * 16))
     with writing(repository._engine) as connection:
         connection.exec_driver_sql("UPDATE station_check_frames SET current_a = 5e-4")
     with pytest.raises(StoreError, match=f"station check {told.check} are not what was measured"):
-        repository.station_check_ring(told.check)
+        repository.stations.read_ring(told.check)
 
 
 CHANGES = {
@@ -102,35 +102,38 @@ def test_a_check_that_was_altered_has_failed_and_says_why(tmp_path, monkeypatch,
         run = store.new_id()
         journalled(store, short_run(run))
         name = store.new_id()
-        store.save_station_check(check(name, golden_run=run), RingReadings(frames(0.0, 2), (1000.0,) * 16))
-        assert store.latest_golden_check("bench-α").sealed == ("signed" if key else "digest")
-        assert [*store.seal_problems()] == []
+        store.stations.save_check(check(name, golden_run=run), RingReadings(frames(0.0, 2), (1000.0,) * 16))
+        assert store.stations.read_latest_golden_check("bench-α").sealed == ("signed" if key else "digest")
+        assert [*store.soundness.find_seal_problems()] == []
         change(tmp_path / "runs.db", statement)
-        for found in (store.latest_station_check("bench-α"), store.latest_golden_check("bench-α")):
+        for found in (
+            store.stations.read_latest_check("bench-α"),
+            store.stations.read_latest_golden_check("bench-α"),
+        ):
             assert found.outcome is CheckOutcome.FAILED
             assert f"station check {name} was altered" in found.results[0].said
-        assert len([*store.seal_problems()]) == 1
+        assert len([*store.soundness.find_seal_problems()]) == 1
 
 
 def test_a_seal_that_was_computed_again_without_the_key_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_SIGNING_KEY", "a key of twenty-two let")
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
-        store.save_station_check(check(store.new_id()))
+        store.stations.save_check(check(store.new_id()))
         change(tmp_path / "runs.db", "UPDATE station_checks SET operator = 'Mallory'")
         tables = StationCheckRow, StationCheckLineRow
         with reading(store._engine) as connection:
             rows = [(one, row) for one in tables for row in connection.execute(select(one.__table__)).mappings()]
             forged = new_seal(connection, "another check", rows)  # signed, but for another
         change(tmp_path / "runs.db", "UPDATE station_checks SET seal = ?", forged)
-        assert "was not signed with key" in store.latest_station_check("bench-α").altered
+        assert "was not signed with key" in store.stations.read_latest_check("bench-α").altered
         change(tmp_path / "runs.db", "UPDATE station_checks SET seal = NULL")  # as of before: the gate asks for more
-        assert store.latest_station_check("bench-α").sealed == "none"
+        assert store.stations.read_latest_check("bench-α").sealed == "none"
 
 
 def test_a_check_of_a_golden_run_that_is_not_stored_leaves_nothing_behind(repository):
     with pytest.raises(StoreError):
-        repository.save_station_check(check(repository.new_id(), golden_run=repository.new_id()))
-    assert repository.latest_station_check("bench-α") is None
+        repository.stations.save_check(check(repository.new_id(), golden_run=repository.new_id()))
+    assert repository.stations.read_latest_check("bench-α") is None
 
 
 def test_notes_of_an_instrument_are_part_of_a_runs_identity(repository):
@@ -138,7 +141,7 @@ def test_notes_of_an_instrument_are_part_of_a_runs_identity(repository):
     told = replace(identity(run), instruments=(SMU, replace(SMU, role="load_cell", notes=())))
     events = short_run(run)
     journalled(repository, [replace(events[0], identity=told), *events[1:]])
-    assert repository.identity(run) == told
+    assert repository.runs.read_identity(run) == told
 
 
 def test_a_check_is_as_good_as_its_worst_line_and_one_that_was_not_done_is_no_pass():

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from functools import partial
 
 import pytest
+from later_schema import LATER, add_revision
 from stored_runs import journalled, short_run
 
 from cbsr_qa.app.run.run import RunRequest, default_seed, run_sensor
@@ -33,13 +34,15 @@ def started(barrier):
 def opened(url, _):
     _TOGETHER[0].wait(60)
     with open_store(url) as store:
-        return store.counts()["runs"]
+        return store.count_rows()["runs"]
 
 
-def upgraded(url, _):
-    _TOGETHER[0].wait(60)
+def upgraded(url, folder, _):
     engine = open_engine(parse_url(url))
-    before = schema.upgrade(engine).revision
+    with pytest.MonkeyPatch.context() as patch:
+        add_revision(patch, folder)
+        _TOGETHER[0].wait(60)
+        before = schema.upgrade(engine).revision
     engine.dispose()
     return before
 
@@ -71,11 +74,13 @@ def test_stations_that_create_one_database_together_all_find_it_made(stations, d
     assert stations(partial(opened, database_url)) == [0] * STATIONS
 
 
-def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url):
+def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url, tmp_path, monkeypatch):
     engine = open_engine(parse_url(database_url))
-    schema.upgrade(engine, "0001")
-    before = stations(partial(upgraded, database_url))
-    assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
+    schema.upgrade(engine)
+    made_by = schema.HEAD
+    add_revision(monkeypatch, tmp_path)  # which writes the scripts once
+    before = stations(partial(upgraded, database_url, tmp_path))
+    assert sorted(before) == [made_by, *[LATER] * (STATIONS - 1)]
     engine.dispose()
 
 
@@ -92,7 +97,7 @@ def test_runs_that_begin_together_each_follow_one_other(stations, database_url):
     open_store(database_url).close()
     stations(partial(five_begun, database_url))
     with open_store(database_url) as store, reading(store._engine) as connection:
-        assert store.order_problems() == ((), ())
+        assert store.soundness.find_order_problems() == ((), ())
         begun = connection.exec_driver_sql("SELECT run FROM runs_begun ORDER BY number").scalars().all()
         before = dict(map(tuple, connection.exec_driver_sql("SELECT run, before_run FROM runs").all()))
     assert [before[run] for run in begun] == [None, *begun[:-1]]
@@ -122,14 +127,14 @@ def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_ur
 def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
     with open_store(database_url) as store, ExitStack() as held:
         claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
-        claimed = [held.enter_context(store.seed_claimed(*claim)) for claim in claims]
+        claimed = [held.enter_context(store.claims.claim_seed(*claim)) for claim in claims]
         assert claimed == [True, False, True, True]
 
 
 CLAIM = """
 import sys
 from cbsr_qa.store.opening import open_store
-with open_store(sys.argv[1]) as store, store.seed_claimed("S-1", 7) as claimed:
+with open_store(sys.argv[1]) as store, store.claims.claim_seed("S-1", 7) as claimed:
     print(claimed, flush=True)
     sys.stdin.read()
 """
@@ -141,11 +146,11 @@ def test_the_lock_file_of_a_claim_that_was_killed_is_removed_by_the_next_run(tmp
         [sys.executable, "-c", CLAIM, url], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "True\n"
-        with open_store(url) as store, store.seed_claimed("S-1", 7) as claimed:
+        with open_store(url) as store, store.claims.claim_seed("S-1", 7) as claimed:
             assert not claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
         process.kill()
-    with open_store(url) as store, store.seed_claimed("S-2", 8) as claimed:
+    with open_store(url) as store, store.claims.claim_seed("S-2", 8) as claimed:
         assert claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
     assert not list(tmp_path.glob("*.lock"))

@@ -23,11 +23,11 @@ def analysed_twice(database_url):
         journalled(store, short_run(run))
         for error_mm in (9.0, 5.0):
             values = measured(error_mm, 0.1)
-            record = store.load_run(run)
+            record = store.runs.load(run)
             issued = calibration(store.new_id(), run)
-            store.save_result(RunResult(record, None, values, decide(values), issued, ""))
-        store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
-        latest = store.analyses(run)[0]
+            store.analyses.save(RunResult(record, None, values, decide(values), issued, ""))
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
+        latest = store.analyses.load(run)[0]
         expected = (run, latest.analysis, latest.calibration)
     engine = open_engine(parse_url(database_url))
 
@@ -66,7 +66,7 @@ def test_a_calibration_that_no_link_names_is_not_the_valid_one(tmp_path, of_run)
             journalled(store, short_run(name, serial))
         issued = calibration(store.new_id(), run)
         values = measured(5.0, 0.1)
-        store.save_result(RunResult(store.load_run(run), None, values, decide(values), issued, ""))
+        store.analyses.save(RunResult(store.runs.load(run), None, values, decide(values), issued, ""))
     owner = {"its own run": run, "a run of another sensor": other}.get(of_run, "none")
     with sqlite3.connect(tmp_path / "runs.db") as database:
         columns = [row[1] for row in database.execute("PRAGMA table_info(calibrations)")]
@@ -86,12 +86,12 @@ def test_an_override_of_an_earlier_analysis_does_not_hold(tmp_path):
         journalled(store, short_run(run))
 
         def analysed(outcome):
-            store.save_result(RunResult(store.load_run(run), None, (), Verdict(outcome, "why"), None, ""))
+            store.analyses.save(RunResult(store.runs.load(run), None, (), Verdict(outcome, "why"), None, ""))
 
         analysed(Outcome.PASS)
-        store.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
         analysed(Outcome.PASS)
-        (listed,) = store.list_runs()
+        (listed,) = store.lists.read_runs()
     with sqlite3.connect(tmp_path / "runs.db") as database:
         row = database.execute("SELECT verdict, overridden_by FROM v_runs").fetchone()
     assert row == (str(listed.verdict), None) == ("pass", None)
@@ -100,7 +100,9 @@ def test_an_override_of_an_earlier_analysis_does_not_hold(tmp_path):
 def test_the_view_says_what_the_program_lists():
     url, _ = five_runs()
     with open_store(url) as store:
-        listed = [(run.run, str(run.end), run.verdict and str(run.verdict), run.reason) for run in store.list_runs()]
+        listed = [
+            (run.run, str(run.end), run.verdict and str(run.verdict), run.reason) for run in store.lists.read_runs()
+        ]
     with sqlite3.connect(url.removeprefix("sqlite:///")) as database:
         found = database.execute(
             "SELECT run, state, verdict, COALESCE(reason, '') FROM v_runs ORDER BY run"

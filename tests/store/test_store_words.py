@@ -24,26 +24,28 @@ def stored(tmp_path_factory):
     with open_store(f"sqlite:///{path}", durable=False) as store:
         random = np.random.default_rng(1)
         run = store_run(store, "S-1", judged(measured(random, random.standard_normal(3))))
-        store.override_verdict(run, Outcome.FAIL, operator="Kim", why="a scratch")
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Kim", why="a scratch")
         cut = store.new_id()
         journalled(store, short_run(cut, "S-3")[:-1])
     return path, run, cut
 
 
 READERS = {
-    "analyses": lambda store, run, cut: store.analyses(run),
-    "run": lambda store, run, cut: store.load_run(run),
-    "overrides": lambda store, run, cut: store.overrides(),
-    "override": lambda store, run, cut: store.override_verdict(run, Outcome.PASS, operator="Kim", why="clean"),
-    "fleet": lambda store, run, cut: store.fleet(),
-    "state": lambda store, run, cut: store.state_of(cut),
-    "incomplete": lambda store, run, cut: store.incomplete_runs(),
+    "analyses": lambda store, run, cut: store.analyses.load(run),
+    "run": lambda store, run, cut: store.runs.load(run),
+    "overrides": lambda store, run, cut: store.changes.list_overrides(),
+    "override": lambda store, run, cut: store.changes.override_verdict(
+        run, Outcome.PASS, operator="Kim", why="clean"
+    ),
+    "fleet": lambda store, run, cut: store.fleet.read_table(),
+    "state": lambda store, run, cut: store.runs.read_last_session(cut),
+    "incomplete": lambda store, run, cut: store.unfinished.list_incomplete(),
 }
 #: What is shown of each run, and why it is marked.
 LISTS = {
-    "runs": lambda store: [(one.run, one.altered) for one in store.find_runs()],
-    "list": lambda store: [(one.run, one.altered) for one in store.list_runs()],
-    "lines": lambda store: [(one.run, one.altered) for one in store.run_lines()],
+    "runs": lambda store: [(one.run, one.altered) for one in store.runs.find()],
+    "list": lambda store: [(one.run, one.altered) for one in store.lists.read_runs()],
+    "lines": lambda store: [(one.run, one.altered) for one in store.fleet.read_lines()],
 }
 
 

@@ -52,7 +52,7 @@ def test_progress_is_told_run_by_run(built):
 
 def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
     with open_store(f"sqlite:///{built[0]}", create=False) as store:
-        table = store.fleet(RunSelection(recipe=ONE_STATION))
+        table = store.fleet.read_table(RunSelection(recipe=ONE_STATION))
     errors = [i for i, kind in enumerate(table.kinds) if kind.key.name == "centre_of_mass_error"]
     taken = np.isin(table.kind, errors)
     means = {run: np.mean(table.value[taken & (table.run == i)]) for i, run in enumerate(table.runs)}
@@ -80,10 +80,10 @@ def test_a_gauge_can_be_studied(built, printed):
 
 def test_everything_says_that_nothing_was_measured(built, tmp_path):
     with open_store(f"sqlite:///{built[0]}", create=False) as store:
-        runs = store.find_runs()
-        record = store.load_run(runs[0].run)
+        runs = store.runs.find()
+        record = store.runs.load(runs[0].run)
         assert all(run.outcome in (Outcome.PASS, Outcome.MARGINAL, Outcome.FAIL) for run in runs)
-        assert store.changes() == ()
+        assert store.changes.list_all() == ()
     assert record.identity.simulated == (SAID,)
     assert all(phase.frames is None for phase in record.phases)
     began = [run.started_at for run in reversed(runs)]
@@ -128,8 +128,8 @@ def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path, monkeypat
     monkeypatch.setattr(fleet_demo, "yield_runs", lambda: few)
     build_fleet(path=path)
     with open_store(f"sqlite:///{path}", create=False) as store:
-        run = store.find_runs()[0].run
-        assert store.counts()["runs"] == 3
+        run = store.runs.find()[0].run
+        assert store.count_rows()["runs"] == 3
     with sqlite3.connect(path) as database:
         database.execute("UPDATE runs SET recipe = 'nine-locations' WHERE run = ?", (run,))
     database.close()

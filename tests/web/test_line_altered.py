@@ -37,7 +37,7 @@ def test_a_list_of_runs_marks_it(forged):
 def test_the_look_at_it_has_no_result_and_nothing_is_worked_out(forged):
     url, name = forged
     with open_store(url) as store:
-        look = store.look_at(name)
+        look = store.live.find_run(name)
     assert (look.verdict, look.outcome, look.end) == (None, None, EndReason.FINISHED)
     assert "was changed" in look.altered
     assert mode_of(None, look, held=True, starting=False) is Mode.HELD

@@ -46,8 +46,8 @@ def _ended(store, *ends):
 
 
 def test_a_page_that_was_there_before_the_run_had_a_name_sees_it_end(store):
-    before = store.look_at(store_run(store, "S-0", ()))
-    look = store.look_at(_ended(store, EndReason.FINISHED))
+    before = store.live.find_run(store_run(store, "S-0", ()))
+    look = store.live.find_run(_ended(store, EndReason.FINISHED))
     assert mode_of(_control(run=None), before, held=True, starting=True) is Mode.RUNNING
     assert mode_of(_control(run=look.run), look, held=True, starting=True) is Mode.CONCLUDING
 
@@ -62,21 +62,21 @@ def test_a_page_that_was_there_before_the_run_had_a_name_sees_it_end(store):
     ],
 )
 def test_a_run_without_a_result_is_interrupted_only_if_it_has_no_end(store, end, mode, kind):
-    found = _snapshot(store.look_at(_ended(store, end)))
+    found = _snapshot(store.live.find_run(_ended(store, end)))
     assert (found.mode, verdict_kind(found), found.resumable) == (mode, kind, True)
 
 
 def test_an_override_is_what_counts_with_who_decided(store):
     run = store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),))
-    store.override_verdict(run, Outcome.PASS, operator="Jo", why="tried")
-    store.override_verdict(run, Outcome.FAIL, operator="Bob", why="scratched")
-    found = _snapshot(store.look_at(run))
+    store.changes.override_verdict(run, Outcome.PASS, operator="Jo", why="tried")
+    store.changes.override_verdict(run, Outcome.FAIL, operator="Bob", why="scratched")
+    found = _snapshot(store.live.find_run(run))
     assert (verdict_kind(found), reason_words(found)) == ("fail", "overridden by Bob: scratched")
     assert found.look.outcome is not Outcome.FAIL
 
 
 def test_a_resumed_run_was_worked_on_when_it_was_resumed(store):
-    look = store.look_at(_ended(store, EndReason.ABORTED, EndReason.BROKEN))
+    look = store.live.find_run(_ended(store, EndReason.ABORTED, EndReason.BROKEN))
     assert look.worked_at - look.started_at == timedelta(hours=1)
 
 
@@ -102,6 +102,6 @@ def test_the_step_names_the_press_that_is_under_way_or_the_next_one():
 
 
 def test_a_process_whose_run_has_ended_is_not_starting(store):
-    look = store.look_at(_ended(store, EndReason.ABORTED))
+    look = store.live.find_run(_ended(store, EndReason.ABORTED))
     assert mode_of(None, look, held=True, starting=True, begun=True) is Mode.CONCLUDING
     assert mode_of(None, look, held=False, starting=True, begun=False) is Mode.STARTING

@@ -242,7 +242,7 @@ class ShownCalibration:
             settling=tuple(map(Settling.from_summary, held.settling)),
             values={path: Value.from_entry(entry) for path, entry in sorted(encode(held).items())},
             force_model=None if held.force is None else ShownForceModel.from_model(held, held.force),
-            no_force_model=None if held.force else held.no_force or "issued before calibrations held force models",
+            no_force_model=None if held.force else held.no_force,
         )
 
 

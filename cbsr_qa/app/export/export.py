@@ -112,7 +112,7 @@ def export_data(
     _check(request, kind)
     check_target(request.to, force=request.force)
     with open_store(database_url(database), create=False) as store:
-        run = None if request.run is None else store.resolve(request.run)
+        run = None if request.run is None else store.runs.resolve(request.run)
         if kind.of_frames:
             assert run is not None
             return _export_frames(store, run, request, kind, tell)
@@ -148,7 +148,7 @@ def _export_frames(
 ) -> CommandOutcome[Exported]:
     to = request.to
     tell("reading the run")
-    record, overrides = store.load_run(run), store.overrides(run)
+    record, overrides = store.runs.load(run), store.changes.list_overrides(run)
     phases = record.phases if request.phase is None else (record.phase(request.phase),)
     if kind is ExportFormat.RECORDING:
         recording = as_recording(record, to, phases, overrides)
@@ -166,7 +166,7 @@ def _export_frames(
 
 def _sound_run(store: Repository, run: str) -> ListedRun:
     """Return a run as it is listed. StoreError if it was altered."""
-    (listed,) = store.list_runs(RunSelection(up_to=run, latest=1))
+    (listed,) = store.lists.read_runs(RunSelection(up_to=run, latest=1))
     if listed.altered:
         raise StoreError(listed.altered, remedy=_ALTERED)
     return listed
@@ -264,7 +264,7 @@ def _writer(
             for run in runs:
                 if run.altered:
                     raise StoreError(run.altered, remedy=_ALTERED)
-            judged = store.read_limited_measurements([run.run for run in runs])
+            judged = store.lists.read_limited_measurements([run.run for run in runs])
             for run in runs:
                 check_listed(run, judged.get(run.run, ()))
                 file.write(suite(run, judged.get(run.run, ())))

@@ -86,7 +86,7 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
         rows = [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
         return rows, tuple(run.run for run in runs if run.altered)
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
-    measured = store.read_measurements([*of_run])
+    measured = store.lists.read_measurements([*of_run])
     cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
     rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
     marked = [_mark_altered_run(of_run[run], problem) for run, problem in measured.altered.items()]

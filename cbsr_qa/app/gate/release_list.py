@@ -37,7 +37,7 @@ class ReleaseList:
 def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
     """List releases. StoreError if there is no database, or it cannot be read."""
     with open_store(database_url(database), create=False) as store:
-        releases, unread = store.all_releases(), store.name_unread_releases()
+        releases, unread = store.releases.read_all(), store.releases.name_unread()
     latest = {(one.kind, one.sha256): one.release for one in releases}
     listed = tuple(
         fill_from_object(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases

@@ -64,7 +64,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
     kind = _kind(request.file)
     content = FileContent.from_table(kind, _LOADERS[kind](request.file, discover()).document.data)
     with open_store(database_url(request.database)) as store:
-        before = store.latest_release(content.kind, content.sha256)
+        before = store.releases.read_latest(content.kind, content.sha256)
         if request.withdraw and (before is None or before.action != "released"):
             raise ConfigError(f"{content.kind} {content.name!r} is not released with this content")
         made = Released(
@@ -78,7 +78,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
             at=RealClock().wall(),
             before=before,
         )
-        store.save_release(made)
+        store.releases.save(made)
     facts = (("Content", f"SHA-256 {made.sha256}"), ("Why", made.why))
     return answer(made, f"{made.kind} {made.name} {made.action} by {made.by}", "", facts)
 

@@ -32,8 +32,8 @@ def retest_allowed(asked: Asked) -> Finding:
     if asked.request.tested_by:
         words = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
         return Finding(False, words, "wait for the verdict of that run")
-    tries = () if asked.store is None else asked.store.sensor_history(asked.sensor, recipe).tries
-    elsewhere = {} if asked.store is None else asked.store.find_altered_elsewhere(serial)
+    tries = () if asked.store is None else asked.store.sensors.read_history(asked.sensor, recipe).tries
+    elsewhere = {} if asked.store is None else asked.store.sensors.find_altered_elsewhere(serial)
     for problem in elsewhere.values():
         words = f"{problem}; it may be a run of {serial}"
         return Finding(False, words, "restore the database from a copy; cbsr-qa db check names what was altered")

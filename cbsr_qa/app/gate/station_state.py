@@ -19,7 +19,7 @@ def golden_measured(asked: Asked) -> Finding:
     """Judge the latest check of the station that measured a golden sensor, by its outcome and age."""
     station = asked.configuration.station.name
     remedy = "measure the golden sensor", f"cbsr-qa station check {station} --golden SERIAL"
-    check = None if asked.store is None else asked.store.latest_golden_check(station)
+    check = None if asked.store is None else asked.store.stations.read_latest_golden_check(station)
     if asked.store is None or check is None or check.golden_run is None:
         return Finding(False, f"no golden sensor was ever measured on station {station}", *remedy)
     at = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
@@ -36,7 +36,7 @@ def golden_measured(asked: Asked) -> Finding:
         words = f"{at} was measured {age / timedelta(hours=1):.1f} h ago; the station allows {hours:g} h"
         return Finding(False, words, *remedy)
     most = asked.settings.golden_runs
-    if most is not None and asked.store.runs_since(station, check.golden_run, most) >= most:
+    if most is not None and asked.store.stations.count_runs_since(station, check.golden_run, most) >= most:
         return Finding(
             False, f"{at} was measured {most} or more runs ago; the station allows fewer than {most}", *remedy
         )
@@ -96,15 +96,15 @@ def files_released(asked: Asked) -> Finding:
 
 
 def _is_released(store: Repository | None, file: FileContent) -> bool:
-    found = None if store is None else store.latest_release(file.kind, file.sha256)
+    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
     return found is not None and found.action == "released"
 
 
 def _state(store: Repository | None, file: FileContent) -> str:
-    found = None if store is None else store.latest_release(file.kind, file.sha256)
+    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
     if found is not None:
         return f"withdrawn by {found.by}"
-    unread = () if store is None else store.name_unread_releases(file.kind, file.sha256)
+    unread = () if store is None else store.releases.name_unread(file.kind, file.sha256)
     return "; ".join(["not released", *unread])
 
 
@@ -115,7 +115,7 @@ def backlog_sent(asked: Asked) -> Finding:
         return Finding(None, "the station states no backlog_hours in [sync]")
     if asked.store is None:
         return Finding(True, "nothing waits")
-    backlog = asked.store.backlog()
+    backlog = asked.store.read_backlog()
     words = f"{backlog.words}; the station allows {limit_h:g} h"
     if not backlog.late(limit_h) and not backlog.unread:
         return Finding(True, words)

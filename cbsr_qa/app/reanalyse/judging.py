@@ -23,7 +23,7 @@ def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
 
     None by the run's own recipe too: then somebody wants to know whether its analysis can be repeated.
     """
-    own, wanted = canonical_json(json.loads(store.configuration(job.run))["recipe"]), _measuring(job.recipe)
+    own, wanted = canonical_json(json.loads(store.runs.read_configuration(job.run))["recipe"]), _measuring(job.recipe)
     for stored in _list_candidates(store, job, own) if own != job.recipe else ():
         if stored.measurements and stored.software == job.software and _measuring(stored.recipe) == wanted:
             measurements = judge_again(stored.measurements, load_recipe(json.loads(job.recipe)).value.limits)
@@ -40,11 +40,11 @@ def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
 
 def _list_candidates(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
     """Yield the re-analyses of a run that are of the same data, then its analyses by its own recipe."""
-    for name in store.reanalyses_of(job.run):
-        made = store.reanalysis(name)
+    for name in store.reanalyses.list_names(job.run):
+        made = store.reanalyses.load(name)
         if made.key_sha256 == key_of(job.data_sha256, made.recipe, job.software):
             yield made
-    for analysis in store.analyses(job.run):
+    for analysis in store.analyses.load(job.run):
         if analysis.adoption is None:
             yield fill_from_object(Reanalysis, analysis, key_sha256="", recipe=own)
 

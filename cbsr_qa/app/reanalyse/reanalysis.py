@@ -90,7 +90,7 @@ class _Session:
 
     def select(self) -> list[Job]:
         """Return the jobs that are left; runs that cannot be analysed are named. RefusedError if none is selected."""
-        lines = self._store.run_lines(self._request.selection)
+        lines = self._store.fleet.read_lines(self._request.selection)
         if not lines:
             check_names(self._store, self._request.selection)
             raise RefusedError(
@@ -117,16 +117,16 @@ class _Session:
         if not line.finished:
             self._cannot(line, f"it has not finished ({line.end})")
             return None
-        content = json.loads(self._store.configuration(line.run))
+        content = json.loads(self._store.runs.read_configuration(line.run))
         recipe = canonical_json(content["recipe"])
         if self._canonical is not None and self.recipe is not None:
             if differing := phase_difference(_phases(recipe), self.recipe.phases):
                 self.other_plan.append(NamedRun.from_line(line, differing))
                 return None
             recipe = self._canonical
-        data = self._store.data_sha256(line.run)
+        data = self._store.reanalyses.digest_data(line.run)
         key = key_of(data, recipe, self._software)
-        known = None if self._request.fresh else self._store.find_reanalysis(line.run, key)
+        known = None if self._request.fresh else self._store.reanalyses.find(line.run, key)
         if known is not None:
             self.stored[line.run] = known
             self.reused += 1
@@ -137,7 +137,9 @@ class _Session:
         """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
         first = next(iter(jobs), None)
         if first is not None and self.recipe is not None:
-            check_recipe(self.recipe, restore(self._store.configuration(first.run)).sensor_type, self._plugins)
+            check_recipe(
+                self.recipe, restore(self._store.runs.read_configuration(first.run)).sensor_type, self._plugins
+            )
 
     def judge(self, jobs: list[Job]) -> list[Job]:
         """Do the jobs for which stored measurements need only to be judged; return those that are left."""
@@ -147,7 +149,7 @@ class _Session:
             if judged is None:
                 left.append(job)
             else:
-                self.stored[job.run] = self._store.save_reanalysis(judged)
+                self.stored[job.run] = self._store.reanalyses.save(judged)
                 self.judged += 1
             progress.step()
         return left
@@ -175,7 +177,7 @@ class _Session:
         if worked.result is None:
             self._cannot(line, worked.why)
             return
-        self.stored[line.run] = self._store.save_reanalysis(worked.result)
+        self.stored[line.run] = self._store.reanalyses.save(worked.result)
 
     def _cannot(self, line: RunLine, why: str) -> None:
         self.not_analysed.append(NamedRun.from_line(line, why.removeprefix(f"run {line.run}: ")))
@@ -183,15 +185,15 @@ class _Session:
     def conclude(self, computed: int, where: str) -> Reanalysed:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
         changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
-        decided = {line.run: line.overridden_to for line in self._store.run_lines(self._request.selection)}
+        decided = {line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)}
         left: list[NamedRun] = []
         unchanged = adopted = 0
         progress = _Progress("comparing", len(self.stored), self._tell)
         for line in [line for line in self.lines.values() if line.run in self.stored]:
             try:
-                analyses = self._store.analyses(line.run)
+                analyses = self._store.analyses.load(line.run)
                 valid = next(iter(analyses), None)
-                new = self._store.reanalysis(self.stored[line.run])
+                new = self._store.reanalyses.load(self.stored[line.run])
             except StoreError as error:
                 self._cannot(line, error.reason)
                 continue
@@ -205,7 +207,7 @@ class _Session:
             if self._request.adopt and overridden is not None:
                 left.append(NamedRun.from_line(line, f"overridden to {overridden}"))
             elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
-                self._store.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
+                self._store.reanalyses.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
                 adopted += 1
             progress.step()
         sha256 = None if self._canonical is None else hashlib.sha256(self._canonical.encode()).hexdigest()

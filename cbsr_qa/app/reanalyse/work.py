@@ -66,7 +66,7 @@ def analyse_again(job: Job) -> Worked:
     try:
         recipe = load_recipe(json.loads(job.recipe)).value
         with open_store(job.database, create=False) as store:
-            record = store.load_run(job.run)
+            record = store.runs.load(job.run)
         conclusion = evaluate_run(record, recipe, plugins, stages)
     except CbsrError as error:
         return Worked(None, error.reason, worker=here, peak_mb=_peak_mb())

@@ -65,7 +65,7 @@ def concluding(run: str, store: Repository) -> Iterator[None]:
         with stoppable(within_s=_STOPS_WITHIN_S):
             yield
     except AbortedError as error:
-        following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
+        following = report_command(run, store) if store.analyses.load(run) else resume_command(run, store)
         raise UnconcludedError(run, following, error.by) from error
 
 
@@ -78,9 +78,9 @@ def _conclude(
     warnings: Sequence[str],
 ) -> RunOutcome:
     with stages.stage("reading the run back"):
-        record = store.whole_run(run)
-    recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
-    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
+        record = store.runs.load_with_file_check(run)
+    recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
+    earlier = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)
@@ -108,12 +108,12 @@ def _conclude(
             *earlier.warnings,
         ),
         limits_version=recipe.limits_version,
-        station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
+        station_check=store.stations.read_latest_check(record.identity.station, record.identity.started_at),
         station_charts=charts,
         history=history,
         sensor_history=earlier,
     )
-    store.save_result(result)
+    store.analyses.save(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
     return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
 

@@ -25,7 +25,7 @@ _REMEDY: Final = "restore the database from a copy; nothing is shown of a verdic
 def judging_recipe(store: Repository, run: str, stored: StoredAnalysis | None) -> Recipe:
     """Return the recipe that an analysis follows from: the run's own, or the one of an adopted re-analysis."""
     if stored is None or stored.adoption is None:
-        return restore(store.configuration(run)).recipe
+        return restore(store.runs.read_configuration(run)).recipe
     return load_recipe(json.loads(stored.adoption.recipe)).value
 
 

@@ -16,11 +16,9 @@ from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.calibration.file.hdf5 import calibration_of, write_calibration
-from cbsr_qa.calibration.force.templates import prepare_force
 from cbsr_qa.config.merging import restore
 from cbsr_qa.config.paths import database_url, reports_folder
-from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
-from cbsr_qa.domain.kept import as_filed
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.plan.plan import Recipe
 from cbsr_qa.domain.results.calibration import Calibration
@@ -76,7 +74,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     """
     plugins = discover()
     with open_store(database_url(database), create=False) as store:
-        run = store.resolve(run_or_serial)
+        run = store.runs.resolve(run_or_serial)
         result, names = rebuilt(run, store, plugins)
     path = calibration_path(result.record.identity)
     if result.calibration is not None and not path.exists():
@@ -143,7 +141,7 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
         calibration=calibration if result.calibration is not None and calibration.exists() else None,
         material=(material if material is not None and material.exists() else None, why),
         warnings=result.warnings,
-        seed=restore(store.configuration(run)).seed,
+        seed=restore(store.runs.read_configuration(run)).seed,
         resume=resume_command(run, store) if result.missing or result.record.end is not EndReason.FINISHED else "",
     )
 
@@ -165,18 +163,18 @@ def rebuilt(
     -------
     The result, and the sections its recipe names.
     """
-    record, analyses = store.load_run(run), store.analyses(run)
+    record, analyses = store.runs.load(run), store.analyses.load(run)
     stored = next(iter(analyses), None)
     recipe = judging_recipe(store, run, stored)
-    check = store.latest_station_check(record.identity.station, record.identity.started_at)
-    history = store.change_history(record)
-    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
+    check = store.stations.read_latest_check(record.identity.station, record.identity.started_at)
+    history = store.changes.read_history(record)
+    earlier = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
         known = _describe_unanalysed(record, resume_command(run, store))
         return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
     observation, characterisation, why = _analyse_frames(record, recipe, plugins if imaged else None)
-    calibration, unseen = _calibration(store, stored, observation)
+    calibration, unseen = _calibration(store, stored)
     result = RunResult(
         record=record,
         observation=observation,
@@ -201,7 +199,7 @@ def rebuilt(
         station_check=check,
         station_charts=charts_after(store, record.identity.station, until=stored.analysis),
         history=history,
-        overrides=store.overrides(run),
+        overrides=store.changes.list_overrides(run),
         sensor_history=earlier,
     )
     return result, recipe.sections
@@ -230,23 +228,14 @@ def _analyse_frames(
         return None, None, f"the frames cannot be imaged: {error.reason}"
 
 
-def _calibration(
-    store: Repository, stored: StoredAnalysis, observation: RunObservation | None
-) -> tuple[Calibration | None, str]:
+def _calibration(store: Repository, stored: StoredAnalysis) -> tuple[Calibration | None, str]:
     """Load the calibration an analysis issued, or say why it cannot be shown."""
     if stored.calibration is None:
         return None, ""
-    file = store.calibration_file(stored.calibration)
-    if file is None:  # stored as rows, which are checked even if they cannot be shown
-        store.calibration_of_before(stored.calibration, None, prepare_force)
-        if observation is None:
-            return None, f"{stored.calibration} was issued, but cannot be shown without images"
+    file, digest = store.calibrations.load_file(stored.calibration)
     try:
-        if file is not None:
-            return calibration_of(file[0], issued=file[1]), ""
-        prepared = None if observation is None else as_filed(observation.reconstruction)
-        return store.calibration_of_before(stored.calibration, prepared, prepare_force), ""
-    except (StoreError, CalibrationError) as error:
+        return calibration_of(file, issued=digest), ""
+    except CalibrationError as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 

@@ -81,9 +81,9 @@ def resume_run(
         writable_folder(folder)
     with ExitStack() as held:
         store = held.enter_context(open_store(url, create=False, durable=on_real_clock))
-        held.enter_context(store.writing_alone(run, operator))
-        stored = store.identity(run)
-        held.enter_context(store.sensor_claimed(stored.sensor.serial, stored.recipe, operator))
+        held.enter_context(store.claims.hold_run(run, operator))
+        stored = store.runs.read_identity(run)
+        held.enter_context(store.claims.claim_sensor(stored.sensor.serial, stored.recipe, operator))
         asked = GateRequest(
             serial=stored.sensor.serial,
             operator=operator,
@@ -99,7 +99,7 @@ def resume_run(
 def _configuration(store: Repository, run: str) -> str:
     """Return the configuration of a run. StoreError if it is unknown or damaged."""
     try:
-        return store.configuration(run)
+        return store.runs.read_configuration(run)
     except StoreError as error:
         raise StoreError(
             f"{error.reason} ({store.shown})",
@@ -118,12 +118,12 @@ def _continue_run(
     answers: bool,
 ) -> RunOutcome:
     plugins = discover()
-    store.check_resumable(run)
-    configuration = restore(store.configuration(run))
-    stored, now = store.identity(run), RealClock().wall()
+    store.runs.check_resumable(run)
+    configuration = restore(store.runs.read_configuration(run))
+    stored, now = store.runs.read_identity(run), RealClock().wall()
     identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
     changed = compare_software(stored, identity)
-    result = store.result_state(run)
+    result = store.runs.read_result_state(run)
     if result is ResultState.STORED:
         raise StoreError(
             f"run {run} is finished, and has its result",
@@ -138,10 +138,10 @@ def _continue_run(
     with naming_removed(stored, identity):
         check_configuration(configuration, plugins)
     done = Done(
-        store.list_finished_loads(run),
-        store.list_ended_phases(run),
-        store.goes_on_at_s(run),
-        store.prompts_shown(run),
+        store.runs.list_finished_loads(run),
+        store.runs.list_ended_phases(run),
+        store.runs.find_resume_time_s(run),
+        store.runs.count_prompts(run),
     )
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
     with (
@@ -232,8 +232,10 @@ def find_next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, 
     None if its configuration or one of its plugins can no longer be used.
     """
     try:
-        plan, ended = plan_of(restore(store.configuration(run)), plugins), store.list_ended_phases(run)
-        left = [phase for phase in schedule(plan, store.list_finished_loads(run), ended) if phase.index not in ended]
+        plan, ended = plan_of(restore(store.runs.read_configuration(run)), plugins), store.runs.list_ended_phases(run)
+        left = [
+            phase for phase in schedule(plan, store.runs.list_finished_loads(run), ended) if phase.index not in ended
+        ]
     except CbsrError:
         return None
     if not left:

@@ -239,15 +239,15 @@ def _run_and_store(
         run = store.new_id()
         identity = _identity(run, request, configuration, session.instruments(), plugins)
         if request.seed is None:
-            claim = store.seed_claimed(request.serial, configuration.seed, request.operator)
+            claim = store.claims.claim_seed(request.serial, configuration.seed, request.operator)
             if not held.enter_context(claim):
                 return None
-        tested_by = held.enter_context(store.sensor_claimed(request.serial, identity.recipe, request.operator))
+        tested_by = held.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))
         # No other run of the sensor can begin now, and one that has ended is stored.
         asked = _gate_request(request, tested_by=tested_by)
         session.gate = ask_gate_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
         begun(run)
-        held.enter_context(store.writing_alone(run, request.operator))
+        held.enter_context(store.claims.hold_run(run, request.operator))
         return session.run(identity, store)
 
 
@@ -299,7 +299,7 @@ def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
     if request.seed is not None:
         return request.seed
     with open_existing(database_url(request.database)) or nullcontext() as store:
-        stored = () if store is None else store.seeds_of(request.serial)
+        stored = () if store is None else store.sensors.list_seeds(request.serial)
     seeds = (default_seed(request.serial, number) for number in count(len(stored)))
     return next(seed for seed in seeds if seed not in stored and seed not in taken)
 
@@ -308,7 +308,7 @@ def _history(request: RunRequest, configuration: Configuration) -> SensorHistory
     sensor = SensorIdentity(request.serial, request.batch, configuration.sensor_type.name)
     with open_existing(database_url(request.database)) or nullcontext() as store:
         recipe = configuration.recipe.name
-        return SensorHistory(sensor, recipe) if store is None else store.sensor_history(sensor, recipe)
+        return SensorHistory(sensor, recipe) if store is None else store.sensors.read_history(sensor, recipe)
 
 
 def _identity(

@@ -173,7 +173,7 @@ class Session:
         BrokenRunError
             If the run or its result could not be stored or read back; stored rows are kept.
         """
-        self.warnings += filter(None, [store.from_the_future()])
+        self.warnings += filter(None, [store.describe_clock_fault()])
         self.warnings += gate_warnings(self.gate)
         self._stages.announce("running the station")  # which takes the station's time, and none of the result's
         watch = WallWatch()
@@ -193,7 +193,7 @@ class Session:
 
     def _drive(self, identity: RunIdentity, store: Repository) -> RunEnded:
         configuration = self._configuration
-        journal = store.journal(
+        journal = store.open_journal(
             configuration=configuration.canonical,
             sensor_type=configuration.sensor_type,
             material=configuration.material,
@@ -280,7 +280,7 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
     if ended.end is EndReason.FINISHED:
         return
     try:
-        stored = store.state_of(run).end
+        stored = store.runs.read_last_session(run).end
     except StoreError:
         stored = EndReason.RUNNING
     if stored is EndReason.RUNNING:

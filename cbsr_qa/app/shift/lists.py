@@ -212,7 +212,11 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
     if request.failed or request.limit:
         kept = [run for run in runs if _has_failed(run, request.limit)][-(request.latest or 0) :]
     notes = (*_notes(request, runs, kept), *trust_notes(store, trust_counts(kept)))
-    if kept is runs and request.latest is not None and (count := store.run_count(request.selection)) > len(kept):
+    if (
+        kept is runs
+        and request.latest is not None
+        and (count := store.lists.count_runs(request.selection)) > len(kept)
+    ):
         notes = (_LATEST.format(shown=len(kept), count=count), *notes)
     return RunList(summarise_runs(kept), tuple(map(RunEntry.from_run, kept)), notes)
 
@@ -237,7 +241,7 @@ def list_sensors(store: Repository, request: ListRequest) -> SensorList:
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
     """Return all runs of one sensor in the order they were made in, checks of a station included; none if unknown."""
-    return store.list_runs(RunSelection(serials=(serial,)))
+    return store.lists.read_runs(RunSelection(serials=(serial,)))
 
 
 def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[RunPage]:
@@ -248,13 +252,13 @@ def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[Ru
     """
     filtered = request.failed or bool(request.limit)
     selection = request.selection if filtered else replace(request.selection, latest=request.latest)
-    names = store.run_names(selection)
+    names = store.lists.read_names(selection)
     if not names:
         _check_each_name(store, selection)
     kept: deque[ListedRun] = deque(maxlen=request.latest)
     for start in range(0, len(names), size):
         own = names[start : start + size]
-        page = store.runs_named(own)
+        page = store.lists.read_named(own)
         done = start + len(own)
         if not filtered:
             yield RunPage(page, done, len(names))
@@ -270,7 +274,7 @@ def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[Ru
 def _select_runs(store: Repository, request: ListRequest) -> list[ListedRun]:
     filtered = request.failed or bool(request.limit)
     selection = request.selection if filtered else replace(request.selection, latest=request.latest)
-    runs = list(store.list_runs(selection))
+    runs = list(store.lists.read_runs(selection))
     if not runs:
         _check_each_name(store, selection)
     return runs
@@ -278,7 +282,7 @@ def _select_runs(store: Repository, request: ListRequest) -> list[ListedRun]:
 
 def _check_each_name(store: Repository, selection: RunSelection) -> None:
     """Refuse a name without stored runs."""
-    if not all(store.run_count(of_name) for of_name in _split_selection(selection)):
+    if not all(store.lists.count_runs(of_name) for of_name in _split_selection(selection)):
         check_names(store, selection)
 
 

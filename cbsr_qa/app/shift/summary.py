@@ -94,7 +94,7 @@ def shift_summary(store: Repository, selection: RunSelection) -> ShiftSummary:
     StoreError
         If the database cannot be read; of a damaged run the message names it.
     """
-    return summarise_runs(store.list_runs(selection))
+    return summarise_runs(store.lists.read_runs(selection))
 
 
 def summarise_runs(runs: Sequence[ListedRun]) -> ShiftSummary:

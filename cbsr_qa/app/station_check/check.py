@@ -120,7 +120,7 @@ def check_station(
         if request.golden is not None and _may_press(request.golden, findings, placed):
             golden = _golden(request, request.golden, findings, store, ask, tell, pin)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
-        store.save_station_check(check, findings.ring)
+        store.stations.save_check(check, findings.ring)
     named = "" if golden is None else golden.words
     outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
     return _write_page(outcome, reports_folder() / report_name("station", check.station, check.check))
@@ -196,7 +196,7 @@ def _backlog(store: Repository, station: Station) -> list[CheckResult]:
     limit_h = station.sync.backlog_hours
     if limit_h is None:
         return []
-    backlog = store.backlog()
+    backlog = store.read_backlog()
     late = backlog.late(limit_h)
     return [
         CheckResult(

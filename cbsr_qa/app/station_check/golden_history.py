@@ -79,16 +79,18 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
     StoreError
         If it is not stored.
     """
-    identity, digest = store.identity(run), measuring_digest(store.configuration(run))
+    identity, digest = store.runs.read_identity(run), measuring_digest(store.runs.read_configuration(run))
     runs, unlike = [], 0
-    for other in reversed(store.find_runs(identity.sensor.serial)):
+    for other in reversed(store.runs.find(identity.sensor.serial)):
         if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
             continue
         if other.altered:
             raise StoreError(other.altered, remedy="restore the database from a copy")
-        analyses = store.analyses(other.run)
+        analyses = store.analyses.load(other.run)
         adoption = analyses[0].adoption if analyses else None
-        measuring = measuring_digest(store.configuration(other.run), "" if adoption is None else adoption.recipe)
+        measuring = measuring_digest(
+            store.runs.read_configuration(other.run), "" if adoption is None else adoption.recipe
+        )
         if not analyses or measuring != digest:
             unlike += 1
             continue

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.kept import COLUMNS, walk_fields
+from cbsr_qa.domain.kept import walk_fields
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.press_calibration import PressCalibration
@@ -166,20 +166,15 @@ class Reading:
 FORMAT, PRESS_FORMAT = "cbsr-qa calibration", "cbsr-qa press calibration"
 #: Entries that only the latter has.
 _OF_PRESSES: Final = "readings/pairs"
-#: Versions with matrix and Jacobian in single precision, and with both in steps; others are written as before.
-_SINGLE_MATRIX: Final = 3
-_MATRIX_IN_STEPS: Final = 5
-_MATRIX: Final = "reconstruction/matrix"
+#: First schema versions that were released; later ones only add entries. They are those that the last program of
+#: before 0.1.0 wrote: the version is part of the digest, and so of what is signed.
+FIRST_VERSION: Final = {FORMAT: 5, PRESS_FORMAT: 4}
 
 _TABLE: Final = tuple(walk_fields(Calibration))
 #: Paths, or prefixes of paths, of entries recomputed from the others.
 PREPARED: Final = tuple(path for path, field in _TABLE if field.kept.prepared)
-#: The same for entries added in later versions of a format, with the version.
-_SINCE: Final = {
-    format_: tuple((path, field.kept.since) for path, field in walk_fields(of) if field.kept.since > 1)
-    for format_, of in ((FORMAT, Calibration), (PRESS_FORMAT, PressCalibration))
-}
-SCHEMA_VERSION: Final = max([_MATRIX_IN_STEPS, *(since for _, since in _SINCE[FORMAT])])
+#: Formats' classes.
+_KINDS: Final[Mapping[str, type]] = {FORMAT: Calibration, PRESS_FORMAT: PressCalibration}
 
 
 def format_of(entries: Mapping[str, Entry]) -> str:
@@ -189,24 +184,19 @@ def format_of(entries: Mapping[str, Entry]) -> str:
 
 def latest_version(format_: str) -> int:
     """Return the latest schema version of a format."""
-    return SCHEMA_VERSION if format_ == FORMAT else max(since for _, since in _SINCE[format_])
+    return max([FIRST_VERSION[format_], *(since for _, since in _list_added(format_))])
 
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
     """Return the lowest schema version that has all of some entries: earlier calibrations keep their digests."""
-    if _MATRIX + COLUMNS in entries:
-        return max(_MATRIX_IN_STEPS, _record_version(entries))
-    for path in (_MATRIX, "reconstruction/jacobian"):
-        value = entries[path].value if path in entries else None
-        if isinstance(value, np.ndarray) and value.dtype == np.float32:
-            return max(_SINGLE_MATRIX, _record_version(entries))
-    return _record_version(entries)
+    format_ = format_of(entries)
+    needed = (since for part, since in _list_added(format_) if any(path.startswith(part) for path in entries))
+    return max([FIRST_VERSION[format_], *needed])
 
 
-def _record_version(entries: Mapping[str, Entry]) -> int:
-    """Return the version of the entries that are not recomputed, whose storage does not affect the record."""
-    since = _SINCE[format_of(entries)]
-    return max([1, *(version for part, version in since if any(path.startswith(part) for path in entries))])
+def _list_added(format_: str) -> tuple[tuple[str, int], ...]:
+    """Return paths, or prefixes of paths, of entries that later versions added, with the version."""
+    return tuple((path, field.kept.since) for path, field in walk_fields(_KINDS[format_]) if field.kept.since)
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:
@@ -224,7 +214,7 @@ def record_digest(entries: Mapping[str, Entry]) -> str:
     if format_of(entries) == PRESS_FORMAT:
         return content_digest(entries)
     kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
-    return content_digest(kept, _record_version(entries))
+    return content_digest(kept, schema_version(entries))
 
 
 def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:

@@ -1,8 +1,4 @@
-"""A calibration as entries of its file, and back: schema version 5, or the lowest sufficient one.
-
-Entries of earlier files are converted when read, and back when written, so that issued calibrations keep their
-digests: the regularisation parameter had no name and criterion, which its method implies, and there was no force.
-"""
+"""A calibration as entries of its file, and back; an entry that a later version added may be missing."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -33,18 +29,6 @@ from cbsr_qa.domain.sensor.sensor_type import GivenMesh
 _UNIT: Final = 1e-3
 
 _WHY_NOT: Final = "force/none"
-_METHOD: Final = "reconstruction/method"
-_NAME: Final = "reconstruction/regularisation_name"
-_CRITERION: Final = "reconstruction/regularisation_criterion"
-
-#: Names of methods' parameters, for files without them; all others have a λ.
-_CALLED: Final = {
-    "truncated-svd": "components kept",
-    "linear-back-projection": "no parameter",
-    "pyeit-jac": "pyEIT's lamb",
-    "pyeit-greit": "pyEIT's lamb",
-}
-
 
 #: Possible content of a file.
 Issued = Calibration | PressCalibration
@@ -68,11 +52,7 @@ def encode(calibration: Issued) -> Mapping[str, Entry]:
             f" the calibration is for {calibration.sensor_type.name!r}"
         )
     _CODEC.write(entries, calibration, "")
-    if calibration.force is not None or calibration.no_force:
-        entries[_WHY_NOT] = Entry(TEXT, calibration.no_force)
-    choice = calibration.reconstruction.choice
-    if not choice.criterion and choice.name == _parameter_name(calibration.reconstruction.method):
-        del entries[_NAME], entries[_CRITERION]
+    entries[_WHY_NOT] = Entry(TEXT, calibration.no_force)
     check_counts(entries)
     return entries
 
@@ -98,10 +78,8 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
     count, pairs, readings = calibration.electrodes, calibration.pairs, len(calibration.pairs)
     if not readings or pairs.min() < 0 or pairs.max() >= count:
         raise CalibrationError(f"readings/pairs is empty, or names an electrode other than 0 to {count - 1}")
-    for name in ("rest", "noise"):
-        values = getattr(calibration, name)
-        if values is not None and values.shape != (readings,):
-            raise CalibrationError(f"readings/{name} of {values.shape} does not fit {readings} readings")
+    for problem in _frame_problems(calibration):
+        raise CalibrationError(problem)
     if not (calibration.registration.scale > 0 and calibration.registration.radius_mm > 0):
         raise CalibrationError("registration/scale or registration/radius is not positive")
     for problem in _place_problems(calibration.place, readings, "readings/pairs"):
@@ -116,6 +94,17 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
         if quantity is not None and (why := _quantity_problem(quantity)):
             raise CalibrationError(f"{name}/{why}")
     return calibration
+
+
+def _frame_problems(calibration: PressCalibration) -> Iterator[str]:
+    """Say what is wrong with the order of a frame's readings, and with what is stated of each."""
+    if not (calibration.drive and calibration.measure):
+        yield "readings/drive or readings/measure is empty"
+    readings = len(calibration.pairs)
+    for name in ("rest", "noise"):
+        values = getattr(calibration, name)
+        if values is not None and values.shape != (readings,):
+            yield f"readings/{name} of {values.shape} does not fit {readings} readings"
 
 
 def _place_problems(place: LearnedPlace, readings: int, stated: str) -> Iterator[str]:
@@ -155,13 +144,10 @@ def _quantity_problem(quantity: LearnedQuantity) -> str:
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:
-    held, read = dict(entries), Reading(entries)
-    why = read.text(_WHY_NOT) if read.inside("force/") else ""
+    why = Reading(entries).text(_WHY_NOT)
     held = {
-        path: entry for path, entry in held.items() if path != _WHY_NOT and not (why and path.startswith("force/"))
+        path: entry for path, entry in entries.items() if path != _WHY_NOT and not (why and path.startswith("force/"))
     }
-    if not (read.has(_NAME) or read.has(_CRITERION)):
-        held |= {_NAME: Entry(TEXT, _parameter_name(read.text(_METHOD))), _CRITERION: Entry(TEXT, "")}
     calibration: Calibration = _CODEC.read(Reading(held), Calibration, "", {"no_force": why})
     reconstruction = calibration.reconstruction
     if reconstruction.matrix.shape != reconstruction.problem.jacobian.T.shape:
@@ -179,10 +165,6 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
                 raise CalibrationError(problem)
         _check_usable(calibration)
     return calibration
-
-
-def _parameter_name(method: str) -> str:
-    return _CALLED.get(method, "λ")
 
 
 def _write_electrodes(out: Entries, group: str, electrodes: Electrodes) -> None:

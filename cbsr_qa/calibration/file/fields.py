@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry, Reading, Value
-from cbsr_qa.domain.kept import COLUMNS, Kept, KeptField, group_of, list_fields, round_to_steps
+from cbsr_qa.domain.kept import COLUMNS, Kept, KeptField, group_of, list_fields
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 Pairs = tuple[tuple[int, int], ...]
@@ -47,7 +47,7 @@ class Codec:
             elif item_of(field.hint):
                 self.write_list(out, item_of(field.hint), held, path, units)
             elif group is None:
-                turned = _is_stored_by_columns(field, held)
+                turned = field.kept.columns
                 out[path + COLUMNS if turned else path] = Entry(
                     units, _encode_value(field, held.T if turned else held)
                 )
@@ -146,11 +146,6 @@ def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dic
             yield f"{path} of {shape} does not fit {expected} {axis or 'columns'}"
 
 
-def _is_stored_by_columns(field: KeptField, held: Any) -> bool:
-    """Whether an array is kept column by column; earlier files, whose digests must stay, are not in steps."""
-    return field.kept.columns and np.array_equal(round_to_steps(held, field.kept.steps), held)
-
-
 def _place(field: KeptField, within: str, own: str) -> tuple[str, str]:
     group = group_of(field.hint) is not None
     default = own if group else TEXT if _is_text(field.hint) else _UNITS.get(field.hint, PURE)
@@ -218,7 +213,7 @@ _LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
 
 
 def _value(read: Reading, field: KeptField, path: str) -> Any:
-    if field.kept.columns and read.has(path + COLUMNS):
+    if field.kept.columns:
         return np.ascontiguousarray(read.either(path + COLUMNS).T)
     if field.kept.single or field.kept.shortest:
         return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.either(path)

@@ -138,8 +138,7 @@ def measure_loss(calibration: Calibration, thin: ForceModel) -> Loss:
 
 def _model(calibration: Calibration) -> ForceModel:
     if calibration.force is None:
-        why = calibration.no_force or "it was issued before calibrations held force models"
-        raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {why}")
+        raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {calibration.no_force}")
     return calibration.force
 
 

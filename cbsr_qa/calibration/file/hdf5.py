@@ -5,9 +5,8 @@ numbers are NaN, missing indices are −1, missing optional arrays are empty. At
 ``schema_version`` and ``digest``, which covers the content, not the file's bytes (see
 :mod:`cbsr_qa.calibration.file`), and so does not depend on the HDF5 library; a signed file also has ``public_key``,
 ``signed_at`` and ``signature`` (:mod:`cbsr_qa.calibration.file.signing`). The 512 bytes before the HDF5 file (its
-user block, which every HDF5 library skips) hold a digest of all bytes after them. Schema version 1 had no group
-``force``, version 2 matrix and Jacobian in double precision, versions 3 and 4 in single precision; these versions are
-still written if sufficient. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
+user block, which every HDF5 library skips) hold a digest of all bytes after them. Large arrays are compressed (gzip
+with byte shuffle, which every HDF5 library reads).
 """
 
 import hashlib
@@ -24,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
+    FIRST_VERSION,
     FORMAT,
     MOST_ENTRIES,
     PRESS_FORMAT,
@@ -38,7 +38,7 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature, with_signature
-from cbsr_qa.domain.errors import CalibrationError, RefusedError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError, RefusedError
 from cbsr_qa.domain.results.calibration import Calibration, VerifiedFile
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 from cbsr_qa.domain.results.signature import Signature
@@ -269,7 +269,7 @@ def _block(image: bytes) -> bytes:
 
 
 def _check_bytes(data: bytes) -> bool:
-    """Compare the bytes of a file with the digest before them; False for an early file without one.
+    """Compare the bytes of a file with the digest before them; False without one, as other programs copy a file.
 
     This precedes HDF5, which one changed byte can crash.
     """
@@ -326,8 +326,11 @@ def _version(file: h5py.File) -> tuple[str, int]:
             f"written to schema version {version}; this program knows versions up to {latest_version(stated)}",
             remedy="update cbsr-qa",
         )
-    if version < 1:
-        raise CalibrationError(f"schema version {version} never existed")
+    if version < FIRST_VERSION[stated]:
+        raise CalibrationError(
+            f"written to schema version {version}, from before version 0.1.0, which this program does not read",
+            remedy=f"issue a new one; commit {LAST_UNRELEASED} of cbsr-qa still reads this one",
+        )
     return stated, int(version)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
+    FIRST_VERSION,
     FORMAT,
     MOST_ENTRIES,
     PRESS_FORMAT,
@@ -35,7 +36,7 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.calibration.file.hdf5_content import DEEPEST
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 from cbsr_qa.domain.results.calibration import VerifiedFile
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.system.json_text import parse_json
@@ -121,9 +122,16 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     if unknown := document.keys() - _KEYS:
         raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
-    if type(version) is not int or not 1 <= version <= latest_version(format_):
+    first, latest = FIRST_VERSION[format_], latest_version(format_)
+    if type(version) is int and 1 <= version < first:
         raise CalibrationError(
-            f"schema_version is {_quote(version)}; this program knows versions 1 to {latest_version(format_)}",
+            f"written to schema version {version}, from before version 0.1.0, which this program does not read",
+            remedy=f"issue a new one; commit {LAST_UNRELEASED} of cbsr-qa still reads this one",
+        )
+    if type(version) is not int or not first <= version <= latest:
+        known = f"version {first}" if first == latest else f"versions {first} to {latest}"
+        raise CalibrationError(
+            f"schema_version is {_quote(version)}; this program knows {known}",
             remedy="update cbsr-qa, if a later one wrote the file",
         )
     if len(document["datasets"]) > MOST_ENTRIES:

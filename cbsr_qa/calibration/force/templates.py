@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.kept import as_filed
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel, Lattice
@@ -195,32 +194,3 @@ def _threshold(bank: TemplateBank) -> float:
         expected = 2 * turns * (2 * np.pi) ** -1.5 * level
         level = sqrt(2 * log(max(expected, 1.0) / _FALSE_ALARMS))
     return level
-
-
-def prepare_force(
-    sensor_type: SensorType, used: Mask, merging: Array, reference: Array, head: Indenter
-) -> ForceModel:
-    """Prepare the templates of a stored calibration; its map is left empty.
-
-    CalibrationError if the merging is not of these readings, or the head fits nowhere.
-
-    Parameters
-    ----------
-    used : (drives, measures) bool with m True entries.
-    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
-    reference : (drives, measures) [V], which gives the scale of the sensor against its model.
-    """
-    groups, _ = sensor_type.pattern.reading_groups()
-    _, first = np.unique(groups[used], return_index=True)
-    if merging.shape != (len(first), int(used.sum())):
-        raise CalibrationError(
-            f"a merging of {merging.shape} does not make {len(first)} rows of {int(used.sum())} readings"
-        )
-    model = load_model(sensor_type)
-    expected = model.solve_unloaded()[used]
-    scale = float(reference[used] @ expected / (expected @ expected))
-    drive, measure = np.nonzero(used)
-    weight = abs(scale) * np.abs(merging).sum(axis=1)
-    readings = MergedReadings(used, merging * scale, drive[first], measure[first], weight)
-    bank = template_bank(model, readings, head)
-    return as_filed(make_even_model(bank, merging))

@@ -37,9 +37,9 @@ class SensorFrames:
 
     def __init__(self, issued: record.Calibration) -> None:
         if issued.force is None:
-            why = issued.no_force or "it was issued before calibrations held force models"
             raise CalibrationError(
-                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model: {why}",
+                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model:"
+                f" {issued.no_force}",
                 remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
             )
         self.issued = issued

@@ -83,7 +83,7 @@ class ForceModel:
     stress_kPa : (lowest, highest) of the loads the map was learned from.
     threshold : least detectability d′ (signal over noise of the readings) that counts as a load.
     misfit : largest share of a load's signal, as energy, that the template of a second head may explain before the
-        frame counts as one of several. In earlier files: of the whole residual of a template, at least 0.04.
+        frame counts as one of several.
     residue_share, residue_stderr : share of earlier loads' residue before a press that remains at its steady frames.
     residue_strength : root mean square of the strength of that residue at the places of loads.
     steady_s : time after the ramp's end at which the map's loads were evaluated; forces are of loads held so long
@@ -260,8 +260,8 @@ class Calibration:
         tuple[float, float] | None, Kept("area_overlap/size_ratio", source="settings.size_ratio")
     ] = None
     noise_figure: Annotated[float | None, Kept("image/measured_noise_figure")] = None
-    force: Annotated[ForceModel | None, Kept(since=2)] = None
-    place: Annotated[PlaceOfRun | None, Kept(since=4)] = None
+    force: ForceModel | None = None
+    place: PlaceOfRun | None = None
     no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""

@@ -61,5 +61,5 @@ class LearnedQuantity:
     error: Annotated[float, Kept(units=OWN, least=0, most=_LARGEST)]
     error_stderr: Annotated[float, Kept(units=OWN, least=0, most=_LARGEST)]
     covered: Annotated[Array, Kept(dims="2", least=0, most=1)]
-    drift: Annotated[float, Kept(least=0, most=_LARGEST, since=4)] = 0.0
-    weak_drift: Annotated[float, Kept(least=0, most=_LARGEST, since=4)] = 0.0
+    drift: Annotated[float, Kept(least=0, most=_LARGEST)] = 0.0
+    weak_drift: Annotated[float, Kept(least=0, most=_LARGEST)] = 0.0

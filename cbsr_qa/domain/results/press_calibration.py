@@ -134,9 +134,9 @@ class PressCalibration:
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : model that converts changes to places.
-    modelled : the same by the modelled sheet alone; None in earlier files.
+    modelled : the same by the modelled sheet alone.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
-    drive, measure : pairs by row and column of a frame of the sensor type; empty in earlier files.
+    drive, measure : pairs by row and column of a frame of the sensor type.
     digest, record_digest, file, signature : as of :class:`~cbsr_qa.domain.results.calibration.Calibration`.
     """
 
@@ -161,11 +161,11 @@ class PressCalibration:
     covered_68: Annotated[float | None, Kept("held_out/covered_68")]
     covered_95: Annotated[float | None, Kept("held_out/covered_95")]
     place: LearnedPlace
-    modelled: Annotated[ModelledPlace | None, Kept(omitted=True)] = None
-    force: Annotated[LearnedQuantity | None, Kept(units="N", since=2)] = None
-    depth: Annotated[LearnedQuantity | None, Kept(units="mm", since=2)] = None
-    drive: Annotated[Pairs, Kept("readings/drive", since=3)] = ()
-    measure: Annotated[Pairs, Kept("readings/measure", since=3)] = ()
+    modelled: ModelledPlace | None = None
+    force: Annotated[LearnedQuantity | None, Kept(units="N")] = None
+    depth: Annotated[LearnedQuantity | None, Kept(units="mm")] = None
+    drive: Annotated[Pairs, Kept("readings/drive")] = ()
+    measure: Annotated[Pairs, Kept("readings/measure")] = ()
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

@@ -17,9 +17,7 @@ from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorIdentity, SensorType
 
-_NONE: Final = (
-    "no chain: from before version 0011 of the database, or the chain was removed; changes cannot be detected"
-)
+_NONE: Final = "no chain: it was removed; changes cannot be detected"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +60,7 @@ class ChainState:
         return () if self.chained else (f"rows of this run: {self.words}",)
 
 
-#: Of a run from before chains, or whose chain was removed.
+#: Of a run whose chain was removed.
 UNCHAINED: Final = ChainState()
 
 

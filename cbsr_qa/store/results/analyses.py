@@ -1,6 +1,6 @@
 """Analyses of runs: appended, never changed."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
@@ -15,7 +15,7 @@ from cbsr_qa.store.chain.check import RESULTS, check_run, unreadable
 from cbsr_qa.store.chain.links import add_links, add_rows, chain_head
 from cbsr_qa.store.chain.run_documents import FIGURES, figures_digest
 from cbsr_qa.store.damage import FOREIGN_CELL, read_word
-from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.engine import look_afresh, reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
 from cbsr_qa.store.runs.standing import up_to_date
@@ -75,47 +75,74 @@ class StoredAnalysis:
     adoption: Adoption | None = None
 
 
-def save_result(
-    engine: Engine,
-    result: RunResult,
-    *,
-    analysis: str,
-    analysed_at: datetime,
-    software: Sequence[tuple[str, str]],
-) -> None:
-    """Store the results of a run, including its calibration, in one transaction.
+class Analyses:
+    """Analyses of runs."""
 
-    Parameters
-    ----------
-    analysis : new time-ordered identifier; the latest analysis of a run holds.
-    software : distribution → version, as analysed with.
+    def __init__(self, engine: Engine, new_id: Callable[[], str], wall: Callable[[], datetime]) -> None:
+        self._engine = engine
+        self._new_id = new_id
+        self._wall = wall
 
-    Raises
-    ------
-    StoreError
-        If the run does not exist or was altered, or a number is not finite; nothing is stored then. Rows checked when
-        the run was loaded are not checked again unless rows were added since.
-    """
-    record, observation = result.record, result.observation
-    run = record.identity.run
-    values = {
-        "analysis": analysis,
-        "run": run,
-        "analysed_at": analysed_at,
-        "software": [list(pair) for pair in software],
-        "outcome": str(result.verdict.outcome),
-        "reason": result.verdict.reason,
-        "calibration_why": result.calibration_why,
-        "noise_weighting": "" if observation is None else observation.settings.noise_weighting,
-        "weight_ratio": None if observation is None else observation.weight_ratio,
-        "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
-    }
-    with writing(engine) as connection:
-        if not record.chain_head or chain_head(connection, run) != record.chain_head:
-            check_run(connection, run)  # otherwise checked when it was loaded, up to this link
-        add_analysis(connection, values, result.warnings, map(measurement_values, result.measurements))
-        if result.calibration is not None:
-            insert_calibration(connection, result.calibration, analysis)
+    def save(self, result: RunResult, *, software: Sequence[tuple[str, str]] | None = None) -> str:
+        """Store the results of a run, including its calibration, in one transaction, and read them back.
+
+        Rows that were checked when the run was loaded are not checked again unless rows were added since.
+
+        Parameters
+        ----------
+        software : versions used for the analysis; by default those of the run.
+
+        Returns
+        -------
+        Identifier of the new analysis; earlier ones stay, and the latest holds.
+
+        Raises
+        ------
+        StoreError
+            If the run does not exist or was altered, or a number is not finite; nothing is stored then. Also if the
+            stored analysis cannot be read back.
+        """
+        record, observation = result.record, result.observation
+        run = record.identity.run
+        look_afresh(self._engine)
+        analysis = self._new_id()
+        versions = record.identity.software if software is None else software
+        values = {
+            "analysis": analysis,
+            "run": run,
+            "analysed_at": self._wall(),
+            "software": [list(pair) for pair in versions],
+            "outcome": str(result.verdict.outcome),
+            "reason": result.verdict.reason,
+            "calibration_why": result.calibration_why,
+            "noise_weighting": "" if observation is None else observation.settings.noise_weighting,
+            "weight_ratio": None if observation is None else observation.weight_ratio,
+            "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
+        }
+        with writing(self._engine) as connection:
+            if not record.chain_head or chain_head(connection, run) != record.chain_head:
+                check_run(connection, run)  # otherwise checked when it was loaded, up to this link
+            add_analysis(connection, values, result.warnings, map(measurement_values, result.measurements))
+            if result.calibration is not None:
+                insert_calibration(connection, result.calibration, analysis)
+        look_afresh(self._engine)
+        self.load(run)
+        return analysis
+
+    def load(self, run: str) -> tuple[StoredAnalysis, ...]:
+        """Return the analyses of a run that were stored after its last session, the latest first.
+
+        StoreError if stored rows were changed.
+        """
+        with reading(self._engine) as connection:
+            if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
+                check_run(connection, run, RESULTS)
+            query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run, up_to_date())
+            try:
+                rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
+                return tuple(_analysis(connection, row) for row in rows)
+            except FOREIGN_CELL as error:
+                raise unreadable(connection, run, error) from error
 
 
 def add_analysis(
@@ -127,22 +154,6 @@ def add_analysis(
     add_rows(connection, run, WarningRow, _number_rows(analysis, [{"text": text} for text in warnings]))
     add_rows(connection, run, MeasurementRow, _number_rows(analysis, measurements))
     add_links(connection, run, [(FIGURES, analysis, figures_digest(connection, analysis))])
-
-
-def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
-    """Return the analyses of a run that were stored after its last session, the latest first.
-
-    StoreError if stored rows were changed.
-    """
-    with reading(engine) as connection:
-        if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
-            check_run(connection, run, RESULTS)
-        query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run, up_to_date())
-        try:
-            rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
-            return tuple(_analysis(connection, row) for row in rows)
-        except FOREIGN_CELL as error:
-            raise unreadable(connection, run, error) from error
 
 
 def _number_rows(analysis: str, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -28,6 +28,42 @@ class CalibrationSummary:
     superseded_by: str | None
 
 
+class Calibrations:
+    """Issued calibrations."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def list_issued(self, serial: str) -> tuple[CalibrationSummary, ...]:
+        """Return a sensor's calibrations, the latest first; the first is the valid one."""
+        row = CalibrationRow
+        later = func.lead(row.calibration).over(order_by=row.calibration).label("superseded_by")
+        columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
+        query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
+        with reading(self._engine) as connection:
+            return tuple(CalibrationSummary(*found) for found in connection.execute(query))
+
+    def load_file(self, calibration: str) -> tuple[bytes, str]:
+        """Return a calibration's file as issued, and its content's digest.
+
+        Raises
+        ------
+        StoreError
+            If the calibration does not exist, or it or its run was altered.
+        """
+        row = CalibrationRow
+        with reading(self._engine) as connection:
+            query = select(row.run, row.file, row.file_sha256, row.content_sha256).where(
+                row.calibration == calibration
+            )
+            found = connection.execute(query).one_or_none()
+            if found is None:
+                raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
+            check_run(connection, found.run, RESULTS)
+        _check_file(calibration, found.file, found.file_sha256)
+        return found.file, found.content_sha256
+
+
 def insert_calibration(connection: Connection, calibration: Calibration, analysis: str) -> None:
     """Insert a calibration, which from then on is the valid one of its sensor.
 
@@ -57,42 +93,10 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
     add_rows(connection, calibration.run, BaselineRow, places)
 
 
-def calibrations_of(engine: Engine, serial: str) -> tuple[CalibrationSummary, ...]:
-    """Return a sensor's calibrations, the latest first; the first is the valid one."""
-    row = CalibrationRow
-    later = func.lead(row.calibration).over(order_by=row.calibration).label("superseded_by")
-    columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
-    query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
-    with reading(engine) as connection:
-        return tuple(CalibrationSummary(*found) for found in connection.execute(query))
-
-
-def calibration_file(engine: Engine, calibration: str) -> tuple[bytes, str] | None:
-    """Return a calibration's file as issued, and its content's digest; None for one stored as rows.
-
-    Raises
-    ------
-    StoreError
-        If the calibration does not exist, or it or its run was altered.
-    """
-    row = CalibrationRow
-    with reading(engine) as connection:
-        query = select(row.run, row.file, row.file_sha256, row.content_sha256).where(row.calibration == calibration)
-        found = connection.execute(query).one_or_none()
-        if found is None:
-            raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
-        check_run(connection, found.run, RESULTS)
-    if found.file_sha256 is None and found.file is None:
-        return None
-    _check_file(calibration, found.file, found.file_sha256)
-    return found.file, found.content_sha256
-
-
 def check_files(rows: Iterable[Any]) -> None:
     """Check the files in rows of calibrations, digests as text. StoreError names the calibration that has another."""
     for row in rows:
-        if row.file_sha256 is not None or row.file is not None:
-            _check_file(row.calibration, row.file, row.file_sha256)
+        _check_file(row.calibration, row.file, row.file_sha256)
 
 
 def _check_file(calibration: str, file: bytes | None, sha256: str | None) -> None:

@@ -59,25 +59,100 @@ class ArchivedRun:
     file_bytes: int = 0
 
 
-def archivable(engine: Engine, before: datetime) -> tuple[ArchivedRun, ...]:
-    """Return the runs whose frames may be archived, oldest first.
+class RunArchives:
+    """Archives of the frames of runs."""
 
-    They finished, and every session of them began, before a time; their latest verdict is a pass or marginal, and so
-    is the sensor's; no verdict of the run was overridden.
-    """
-    run, row = RunRow, FrameBlockRow
-    size = sum((func.coalesce(func.length(getattr(row, name)), 0) for name in ARRAYS), start=0)
-    query = (
-        select(run.run, run.serial, func.sum(row.frames), func.sum(size))
-        .join(row, row.run == run.run)
-        .where(run.started_at < before, func.length(row.voltages) > 0)
-        .where(~exists().where(ArchiveRow.run == run.run), ~exists().where(VerdictOverrideRow.run == run.run))
-        .group_by(run.run, run.serial)
-        .order_by(run.run)
-    )
-    with reading(engine) as connection:
-        found = [ArchivedRun(one, serial, int(n), int(size)) for one, serial, n, size in connection.execute(query)]
-        return tuple(one for one in found if _has_passed(connection, one, before))
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def find_archivable(self, before: datetime) -> tuple[ArchivedRun, ...]:
+        """Return the runs whose frames may be archived, oldest first.
+
+        They finished, and every session of them began, before a time; their latest verdict is a pass or marginal,
+        and so is the sensor's; no verdict of the run was overridden.
+        """
+        run, row = RunRow, FrameBlockRow
+        size = sum((func.coalesce(func.length(getattr(row, name)), 0) for name in ARRAYS), start=0)
+        query = (
+            select(run.run, run.serial, func.sum(row.frames), func.sum(size))
+            .join(row, row.run == run.run)
+            .where(run.started_at < before, func.length(row.voltages) > 0)
+            .where(~exists().where(ArchiveRow.run == run.run), ~exists().where(VerdictOverrideRow.run == run.run))
+            .group_by(run.run, run.serial)
+            .order_by(run.run)
+        )
+        with reading(self._engine) as connection:
+            found = [
+                ArchivedRun(one, serial, int(n), int(size)) for one, serial, n, size in connection.execute(query)
+            ]
+            return tuple(one for one in found if _has_passed(connection, one, before))
+
+    def choose_folder(self, to: Path | None) -> Path:
+        """Return the folder of new archives: by default beside a SQLite file, or the root of a server's archives.
+
+        StoreError if the database could not name a file in it, see :func:`~cbsr_qa.store.archives.place_of`.
+        """
+        database, root = sqlite_file(self._engine.url), archive_root(self._engine)
+        beside = root if database is None else database.with_name(f"{database.stem}-archive")
+        folder = to or beside or Path()
+        place_of(self._engine, folder / "run.h5")
+        return folder
+
+    def archive(self, one: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
+        """Move the frames of a run to a file.
+
+        The file is on the disk, and was read back and compared with the database, before the arrays go from the rows.
+
+        Raises
+        ------
+        StoreError
+            If the run was altered or is being written, or the file cannot be written or is another one; nothing is
+            changed in the database then.
+        """
+        file = folder / f"{one.run}.h5"
+        with writing_alone(self._engine, one.run, this_process("")):
+            with reading(self._engine) as connection:
+                check_run(connection, one.run)
+                rows = _rows(connection, one.run)
+                blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
+            if not file.exists():
+                write_archive(file, one.run, blocks)
+            data = _verify(file, rows, _largest_archive(block for _, _, block in blocks))
+            values = {
+                "run": one.run,
+                "file": place_of(self._engine, file),
+                "file_bytes": len(data),
+                "file_sha256": hashlib.sha256(data).hexdigest(),
+                "archived_at": at,
+            }
+            with writing(self._engine) as connection:
+                connection.execute(insert(ArchiveRow), values)
+                _empty(connection, one.run)
+        return ArchivedRun(one.run, one.serial, one.frames, one.database_bytes, str(file), len(data))
+
+    def unarchive(self, run: str) -> ArchivedRun:
+        """Bring the frames of a run back; its file stays, as copies of the database may name it.
+
+        Raises
+        ------
+        StoreError
+            If the run is not archived, or its file is missing or altered; nothing is changed then.
+        """
+        with writing_alone(self._engine, run, this_process("")), writing(self._engine) as connection:
+            row, data = archive_row(connection, run), read_checked(connection, run)
+            if row is None or data is None:
+                raise StoreError(f"the frames of run {run} are not archived")
+            frames, size = 0, 0
+            for phase, number, block in _blocks(connection, run):
+                values = {name: value for name, value in frame_values(block).items() if name in ARRAYS}
+                of_block = FrameBlockRow.run == run, FrameBlockRow.phase == phase, FrameBlockRow.block == number
+                connection.execute(update(FrameBlockRow).where(*of_block).values(**values))
+                frames += len(block)
+                size += sum(len(value) for value in values.values() if value is not None)
+            connection.execute(delete(ArchiveRow).where(ArchiveRow.run == run))
+            serial = str(connection.scalar(select(RunRow.serial).where(RunRow.run == run)))
+            file = file_at(self._engine, row.file)
+        return ArchivedRun(run, serial, frames, size, str(file), len(data))
 
 
 def _has_passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
@@ -97,51 +172,6 @@ def _has_passed(connection: Connection, one: ArchivedRun, before: datetime) -> b
         if found is not None and (found.altered or found.outcome is not None):  # altered: what it was is not known
             return found.outcome in _PASSED
     return False
-
-
-def archive_folder(engine: Engine, to: Path | None) -> Path:
-    """Return the folder of new archives: by default beside a SQLite file, or the root of a server's archives.
-
-    StoreError if the database could not name a file in it, see :func:`~cbsr_qa.store.archives.place_of`.
-    """
-    database, root = sqlite_file(engine.url), archive_root(engine)
-    beside = root if database is None else database.with_name(f"{database.stem}-archive")
-    folder = to or beside or Path()
-    place_of(engine, folder / "run.h5")
-    return folder
-
-
-def archive_run(engine: Engine, one: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
-    """Move the frames of a run to a file.
-
-    The file is on the disk, and was read back and compared with the database, before the arrays go from the rows.
-
-    Raises
-    ------
-    StoreError
-        If the run was altered or is being written, or the file cannot be written or is another one; nothing is
-        changed in the database then.
-    """
-    file = folder / f"{one.run}.h5"
-    with writing_alone(engine, one.run, this_process("")):
-        with reading(engine) as connection:
-            check_run(connection, one.run)
-            rows = _rows(connection, one.run)
-            blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
-        if not file.exists():
-            write_archive(file, one.run, blocks)
-        data = _verify(file, rows, _largest_archive(block for _, _, block in blocks))
-        values = {
-            "run": one.run,
-            "file": place_of(engine, file),
-            "file_bytes": len(data),
-            "file_sha256": hashlib.sha256(data).hexdigest(),
-            "archived_at": at,
-        }
-        with writing(engine) as connection:
-            connection.execute(insert(ArchiveRow), values)
-            _empty(connection, one.run)
-    return ArchivedRun(one.run, one.serial, one.frames, one.database_bytes, str(file), len(data))
 
 
 def _largest_archive(blocks: Iterable[FrameBlock]) -> int:
@@ -170,31 +200,6 @@ def _empty(connection: Connection, run: str) -> None:
     of_run = update(FrameBlockRow).where(FrameBlockRow.run == run)
     connection.execute(of_run.values(time_s=b"", voltages=b"", flags=b""))
     connection.execute(of_run.where(FrameBlockRow.reading_time_s.is_not(None)).values(reading_time_s=b""))
-
-
-def unarchive_run(engine: Engine, run: str) -> ArchivedRun:
-    """Bring the frames of a run back; its file stays, as copies of the database may name it.
-
-    Raises
-    ------
-    StoreError
-        If the run is not archived, or its file is missing or altered; nothing is changed then.
-    """
-    with writing_alone(engine, run, this_process("")), writing(engine) as connection:
-        row, data = archive_row(connection, run), read_checked(connection, run)
-        if row is None or data is None:
-            raise StoreError(f"the frames of run {run} are not archived")
-        frames, size = 0, 0
-        for phase, number, block in _blocks(connection, run):
-            values = {name: value for name, value in frame_values(block).items() if name in ARRAYS}
-            of_block = FrameBlockRow.run == run, FrameBlockRow.phase == phase, FrameBlockRow.block == number
-            connection.execute(update(FrameBlockRow).where(*of_block).values(**values))
-            frames += len(block)
-            size += sum(len(value) for value in values.values() if value is not None)
-        connection.execute(delete(ArchiveRow).where(ArchiveRow.run == run))
-        serial = str(connection.scalar(select(RunRow.serial).where(RunRow.run == run)))
-        file = file_at(engine, row.file)
-    return ArchivedRun(run, serial, frames, size, str(file), len(data))
 
 
 def _blocks(connection: Connection, run: str) -> Iterator[tuple[int, int, FrameBlock]]:

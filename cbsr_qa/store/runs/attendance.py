@@ -3,11 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, func, select
+from sqlalchemy import Connection, Row, func, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.attendance import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
-from cbsr_qa.store.engine import reading
 from cbsr_qa.store.tables.runs import AttendanceRow
 
 
@@ -33,10 +32,9 @@ def attendance_of(connection: Connection, run: str) -> Iterator[AttendanceEvent]
         yield _event(one)
 
 
-def prompts_shown(engine: Engine, run: str) -> int:
-    """Return the number of prompts a run has shown; a resumed one counts on from there."""
-    with reading(engine) as connection:
-        last = connection.scalar(select(func.max(AttendanceRow.prompt)).where(AttendanceRow.run == run))
+def count_prompts(connection: Connection, run: str) -> int:
+    """Return the number of prompts a run has shown."""
+    last = connection.scalar(select(func.max(AttendanceRow.prompt)).where(AttendanceRow.run == run))
     return 0 if last is None else int(last) + 1
 
 

@@ -55,8 +55,8 @@ class Gap:
 def run_before(connection: Connection) -> dict[str, Any]:
     """Return the columns of a new run that say which was begun before it in this database, and how far that had come.
 
-    Whoever begins another one waits until this transaction ends. The first run after an upgrade follows the latest
-    that is there.
+    Whoever begins another one waits until this transaction ends. The first that is begun here follows the latest that
+    was sent here.
     """
     take_turns(connection, "runs begun")
     newest = _newest(connection)

@@ -64,47 +64,6 @@ class RunTail:
     samples_seen: tuple[int, int]
 
 
-def run_tail(
-    engine: Engine, run: str, *, frames_after: tuple[int, int] = _START, samples_after: tuple[int, int] = _START
-) -> RunTail:
-    """Read what a run has stored since (phase, block) of its frames and samples.
-
-    Raises
-    ------
-    StoreError
-        If the run does not exist, or a block was altered.
-    """
-    with reading(engine) as connection:
-        current_state(connection, run)  # whether it exists
-        frames = _latest(connection, FrameBlockRow, run, frames_after)
-        samples = _latest(connection, SampleBlockRow, run, samples_after)
-        return RunTail(
-            phases=_phases(connection, run),
-            loads=_loads(connection, run),
-            frames=tuple((row.phase, frame_block(row)) for row in with_arrays(connection, frames)),
-            samples=tuple((row.phase, sample_block(row)) for row in samples),
-            frames_seen=_last(frames, frames_after),
-            samples_seen=_last(samples, samples_after),
-        )
-
-
-def frames_between(engine: Engine, run: str, phase: int, start_s: float, end_s: float) -> FrameBlock | None:
-    """Return the frames of a phase with start_s ≤ time < end_s; None without any."""
-    table = FrameBlockRow
-    query = select(*table.__table__.columns).where(table.run == run, table.phase == phase)
-    query = query.where(table.last_s >= start_s, table.first_s < end_s).order_by(table.block)
-    with reading(engine) as connection:
-        blocks = [frame_block(row) for row in with_arrays(connection, connection.execute(query).all())]
-    frames = join_frames(blocks).select_interval(start_s, end_s) if blocks else None
-    return frames if frames is not None and len(frames) else None
-
-
-def links_of(engine: Engine, run: str) -> int:
-    """Return the number of the last link of a run's chain: it grows with all that is stored of the run."""
-    with reading(engine) as connection:
-        return connection.scalar(select(func.max(LinkRow.number)).where(LinkRow.run == run)) or 0
-
-
 @dataclass(frozen=True, slots=True)
 class RunLook:
     """A run at a glance.
@@ -144,39 +103,6 @@ class RunLook:
         return ResultState.from_end(self.end, analysed=self.outcome is not None)
 
 
-def latest_run_at(engine: Engine, station: str) -> RunLook | None:
-    """Return the latest run of a station; None before its first."""
-    return _look(engine, RunRow.station == station)
-
-
-def look_at(engine: Engine, run: str) -> RunLook | None:
-    """Return a run; None if it is not stored."""
-    return _look(engine, RunRow.run == run)
-
-
-def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
-    with reading(engine) as connection:
-        run = connection.scalar(select(RunRow.run).where(which).order_by(RunRow.run.desc()).limit(1))
-        found = None if run is None else verdict_of(connection, run)
-        if found is None:
-            return None
-        begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
-        session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
-        issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
-        return fill_from_mapping(
-            RunLook,
-            found.values,
-            worked_at=max(filter(None, (session_at or found.values["started_at"], found.analysed_at))),
-            end=found.end,
-            detail=found.end_detail,
-            outcome=found.outcome,
-            reason=found.altered or found.reason,
-            calibrated=connection.scalar(issued) is not None,
-            decision=found.decision,
-            altered=found.altered,
-        )
-
-
 class ChangeNotice:
     """Notices that another connection has written to a database, without reading it.
 
@@ -212,6 +138,86 @@ class ChangeNotice:
         except (SQLAlchemyError, self._engine.dialect.dbapi.Error):  # type: ignore[union-attr]
             self._connection = None
             raise
+
+
+class LiveRuns:
+    """Runs for those who watch them."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def read_tail(
+        self, run: str, *, frames_after: tuple[int, int] = _START, samples_after: tuple[int, int] = _START
+    ) -> RunTail:
+        """Read what a run has stored since (phase, block) of its frames and samples.
+
+        Raises
+        ------
+        StoreError
+            If the run does not exist, or a block was altered.
+        """
+        with reading(self._engine) as connection:
+            current_state(connection, run)  # whether it exists
+            frames = _latest(connection, FrameBlockRow, run, frames_after)
+            samples = _latest(connection, SampleBlockRow, run, samples_after)
+            return RunTail(
+                phases=_phases(connection, run),
+                loads=_loads(connection, run),
+                frames=tuple((row.phase, frame_block(row)) for row in with_arrays(connection, frames)),
+                samples=tuple((row.phase, sample_block(row)) for row in samples),
+                frames_seen=_last(frames, frames_after),
+                samples_seen=_last(samples, samples_after),
+            )
+
+    def read_frames(self, run: str, phase: int, start_s: float, end_s: float) -> FrameBlock | None:
+        """Return the frames of a phase with start_s ≤ time < end_s; None without any."""
+        table = FrameBlockRow
+        query = select(*table.__table__.columns).where(table.run == run, table.phase == phase)
+        query = query.where(table.last_s >= start_s, table.first_s < end_s).order_by(table.block)
+        with reading(self._engine) as connection:
+            blocks = [frame_block(row) for row in with_arrays(connection, connection.execute(query).all())]
+        frames = join_frames(blocks).select_interval(start_s, end_s) if blocks else None
+        return frames if frames is not None and len(frames) else None
+
+    def count_links(self, run: str) -> int:
+        """Return the number of the last link of a run's chain: it grows with all that is stored of the run."""
+        with reading(self._engine) as connection:
+            return connection.scalar(select(func.max(LinkRow.number)).where(LinkRow.run == run)) or 0
+
+    def make_notice(self) -> ChangeNotice:
+        """Return what notices that another connection has written to the database; close it after use."""
+        return ChangeNotice(self._engine)
+
+    def find_latest(self, station: str) -> RunLook | None:
+        """Return the latest run of a station; None before its first."""
+        return _look(self._engine, RunRow.station == station)
+
+    def find_run(self, run: str) -> RunLook | None:
+        """Return a run; None if it is not stored."""
+        return _look(self._engine, RunRow.run == run)
+
+
+def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
+    with reading(engine) as connection:
+        run = connection.scalar(select(RunRow.run).where(which).order_by(RunRow.run.desc()).limit(1))
+        found = None if run is None else verdict_of(connection, run)
+        if found is None:
+            return None
+        begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
+        session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
+        issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
+        return fill_from_mapping(
+            RunLook,
+            found.values,
+            worked_at=max(filter(None, (session_at or found.values["started_at"], found.analysed_at))),
+            end=found.end,
+            detail=found.end_detail,
+            outcome=found.outcome,
+            reason=found.altered or found.reason,
+            calibrated=connection.scalar(issued) is not None,
+            decision=found.decision,
+            altered=found.altered,
+        )
 
 
 def _latest(connection: Connection, table: Any, run: str, after: tuple[int, int]) -> list[Any]:

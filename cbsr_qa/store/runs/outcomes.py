@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Engine, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.run.changes import EarlierRun
+from cbsr_qa.domain.run.changes import EarlierRun, SensorHistory
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
@@ -27,6 +27,45 @@ _RECENT: Final = 500
 
 class NoRunError(StoreError):
     """There is no such run, or no database."""
+
+
+class SensorRuns:
+    """Runs of one sensor."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def find_altered_elsewhere(self, serial: str) -> dict[str, str]:
+        """Return what is wrong with the rows of recent runs of other sensors that were altered, by run.
+
+        One of them may be of this sensor. The latest 500 of them are looked at, as a station waits for it.
+        """
+        with reading(self._engine) as connection:
+            return find_altered_outside(connection, [RunRow.serial != serial], (), latest=_RECENT)
+
+    def list_seeds(self, serial: str) -> tuple[int | None, ...]:
+        """Return the seeds of all runs of a sensor, oldest first; None where a configuration has none."""
+        query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
+        with reading(self._engine) as connection:
+            return tuple(map(_seed, connection.scalars(query)))
+
+    def read_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
+        """Return the runs of a sensor that began before a run (empty: all), as seen from a run of a recipe.
+
+        They are in the order they began in; an altered run is there with the problem instead of its result.
+        """
+        run = RunRow
+        query = select(run.run, run.recipe).where(run.serial == sensor.serial).order_by(run.run)
+        if before:
+            query = query.where(run.run < before)
+        with reading(self._engine) as connection:
+            rows = connection.execute(query).all()
+            of_checks = find_golden_runs(connection, {row.run for row in rows})
+            runs = tuple(
+                _earlier(connection, sensor.serial, row.run, row.recipe, of_check=row.run in of_checks)
+                for row in rows
+            )
+        return SensorHistory(sensor, recipe, runs)
 
 
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
@@ -54,30 +93,6 @@ def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     return found.validate().result, found.outcome
 
 
-def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
-    """Return the runs of a sensor that began before a run (empty: all), oldest first.
-
-    An altered run is returned with the problem instead of its result.
-    """
-    run = RunRow
-    query = select(run.run, run.recipe).where(run.serial == serial).order_by(run.run)
-    if before:
-        query = query.where(run.run < before)
-    with reading(engine) as connection:
-        rows = connection.execute(query).all()
-        of_checks = find_golden_runs(connection, {row.run for row in rows})
-        return tuple(_earlier(connection, serial, row.run, row.recipe, of_check=row.run in of_checks) for row in rows)
-
-
-def find_altered_elsewhere(engine: Engine, serial: str) -> dict[str, str]:
-    """Return what is wrong with the rows of recent runs of other sensors that were altered, by run.
-
-    One of them may be of this sensor. The latest 500 of them are looked at, as a station waits for it.
-    """
-    with reading(engine) as connection:
-        return find_altered_outside(connection, [RunRow.serial != serial], (), latest=_RECENT)
-
-
 def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_check: bool) -> EarlierRun:
     try:
         found = verdict_of(connection, run)
@@ -101,13 +116,6 @@ def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_c
         of_check=of_check,
         chained=found.chain.chained,
     )
-
-
-def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
-    """Return the seeds of all runs of a sensor, oldest first; None where a configuration has none."""
-    query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
-    with reading(engine) as connection:
-        return tuple(map(_seed, connection.scalars(query)))
 
 
 def _seed(configuration: str) -> int | None:

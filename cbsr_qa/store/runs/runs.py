@@ -18,7 +18,7 @@ from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.attendance import pauses_of, prompts_of
 from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord, RunSession
-from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain.check import IDENTITY, check_run, unreadable
 from cbsr_qa.store.chain.links import chain_head, key_to_continue
@@ -26,7 +26,7 @@ from cbsr_qa.store.damage import FOREIGN_CELL, address, check_files, name_databa
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
 from cbsr_qa.store.left_out import find_altered_outside, with_left_out
 from cbsr_qa.store.mapping import convert_row
-from cbsr_qa.store.runs.attendance import attendance_of
+from cbsr_qa.store.runs.attendance import attendance_of, count_prompts
 from cbsr_qa.store.runs.codec import (
     decode_indenter,
     decode_material,
@@ -39,6 +39,7 @@ from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, sessions_of, spans_that_count, within
+from cbsr_qa.store.runs.standing import standing_of
 from cbsr_qa.store.runs.verdicts import read_verdicts
 from cbsr_qa.store.selected import conditions
 from cbsr_qa.store.tables.runs import (
@@ -76,179 +77,189 @@ class RunSummary:
     altered: str = ""
 
 
-def load_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run with every frame that counts; its chain and each block's digest are checked.
+class Runs:
+    """Stored runs, one by its identifier."""
 
-    Frames and samples of an interrupted press that was repeated do not count; their number is recorded.
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
 
-    Raises
-    ------
-    StoreError
-        If the run does not exist or was altered.
-    """
-    with reading(engine) as connection:
-        head = chain_head(connection, run)  # before the check, which then covers it
-        chain, row = check_run(connection, run), _find_run(connection, run)
-        state = current_state(connection, run)
-        states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
-        spent = _sum_seconds(pair for one in connection.scalars(states) for pair in one)
+    def load(self, run: str) -> RunRecord:
+        """Load a run with every frame that counts; its chain and each block's digest are checked.
+
+        Frames and samples of an interrupted press that was repeated do not count; their number is recorded.
+
+        Raises
+        ------
+        StoreError
+            If the run does not exist or was altered.
+        """
+        with reading(self._engine) as connection:
+            head = chain_head(connection, run)  # before the check, which then covers it
+            chain, row = check_run(connection, run), _find_run(connection, run)
+            state = current_state(connection, run)
+            states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
+            spent = _sum_seconds(pair for one in connection.scalars(states) for pair in one)
+            try:
+                sessions = sessions_of(connection, run)
+                phases, set_aside = _phases(connection, run, sessions)
+                attended = tuple(attendance_of(connection, run))
+                return RunRecord(
+                    identity=identity_of(connection, row),
+                    sensor_type=decode_sensor_type(row.setting),
+                    material=decode_material(row.setting),
+                    indenter=decode_indenter(row.setting),
+                    phases=phases,
+                    end=EndReason(state.end),
+                    end_detail=state.detail,
+                    station_s=last_time_s(connection, run),
+                    spent=spent,
+                    sessions=sessions,
+                    set_aside=set_aside,
+                    pauses=pauses_of(attended),
+                    prompts=prompts_of(attended),
+                    chain=chain,
+                    chain_head=head,
+                    gate=answers_of(connection, run),
+                )
+            except StoreError:
+                raise
+            except (*FOREIGN_CELL, RefusedError) as error:
+                raise unreadable(connection, run, error) from error
+
+    def load_with_file_check(self, run: str) -> RunRecord:
+        """Load a run from disk like :meth:`load`, and check the whole file (SQLite).
+
+        Raises
+        ------
+        StoreError
+            If something is damaged; the message says whether the run can be saved.
+        """
+        look_afresh(self._engine)
+        check_files(self._engine.url)  # which is no damage
+        problem = file_problem(self._engine)
         try:
-            sessions = sessions_of(connection, run)
-            phases, set_aside = _phases(connection, run, sessions)
-            attended = tuple(attendance_of(connection, run))
-            return RunRecord(
-                identity=identity_of(connection, row),
-                sensor_type=decode_sensor_type(row.setting),
-                material=decode_material(row.setting),
-                indenter=decode_indenter(row.setting),
-                phases=phases,
-                end=EndReason(state.end),
-                end_detail=state.detail,
-                station_s=last_time_s(connection, run),
-                spent=spent,
-                sessions=sessions,
-                set_aside=set_aside,
-                pauses=pauses_of(attended),
-                prompts=prompts_of(attended),
-                chain=chain,
-                chain_head=head,
-                gate=answers_of(connection, run),
+            record = self.load(run)
+        except StoreError as error:
+            if not problem:
+                raise
+            of_file = error.reason.startswith(
+                name_database(self._engine.url)
+            )  # repeats the result of the check of the file
+            of_run = "" if of_file else f": {error.reason}"
+            raise StoreError(
+                f"{problem}, including this run{of_run}",
+                remedy="restore the database from a copy; data measured after that copy is lost",
+            ) from error
+        if problem:
+            file = address(self._engine.url)
+            raise StoreError(
+                f"{problem}; every row and frame of this run was checked and is intact",
+                remedy="restore the database from a copy, or recover the file:"
+                f" sqlite3 {file} .recover | sqlite3 NEW",
             )
-        except StoreError:
-            raise
-        except (*FOREIGN_CELL, RefusedError) as error:
-            raise unreadable(connection, run, error) from error
+        return record
 
+    def read_identity(self, run: str) -> RunIdentity:
+        """Return the identity of a run, without frames. StoreError if it does not exist or was altered."""
+        with reading(self._engine) as connection:
+            check_run(connection, run, IDENTITY)
+            return identity_of(connection, _find_run(connection, run))
 
-def whole_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run from disk like :func:`load_run`, and check the whole file (SQLite).
+    def read_configuration(self, run: str) -> str:
+        """Return the canonical JSON a run was configured with. StoreError as for :meth:`read_identity`."""
+        with reading(self._engine) as connection:
+            check_run(connection, run, IDENTITY)
+            return str(_find_run(connection, run).configuration)
 
-    Raises
-    ------
-    StoreError
-        If something is damaged; the message says whether the run can be saved.
-    """
-    look_afresh(engine)
-    check_files(engine.url)  # which is no damage
-    problem = file_problem(engine)
-    try:
-        record = load_run(engine, run)
-    except StoreError as error:
-        if not problem:
-            raise
-        of_file = error.reason.startswith(name_database(engine.url))  # repeats the result of the check of the file
-        of_run = "" if of_file else f": {error.reason}"
-        raise StoreError(
-            f"{problem}, including this run{of_run}",
-            remedy="restore the database from a copy; data measured after that copy is lost",
-        ) from error
-    if problem:
-        file = address(engine.url)
-        raise StoreError(
-            f"{problem}; every row and frame of this run was checked and is intact",
-            remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
+    def check_resumable(self, run: str) -> None:
+        """Check everything that is stored of a run before it is resumed.
+
+        Raises
+        ------
+        StoreError
+            If the run does not exist or was altered, or was signed with another key than the one set.
+        """
+        with reading(self._engine) as connection:
+            check_run(connection, run)
+            key_to_continue(connection, run, _find_run(connection, run).chain)
+
+    def list_finished_loads(self, run: str) -> frozenset[tuple[int, int]]:
+        """Return (phase, index) of every finished press, which a resumed run does not repeat."""
+        with reading(self._engine) as connection:
+            _find_run(connection, run)
+            rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
+            return frozenset((phase, load) for phase, load in rows)
+
+    def list_ended_phases(self, run: str) -> frozenset[int]:
+        """Return the phases whose last step was carried out, which a resumed run skips."""
+        with reading(self._engine) as connection:
+            rows = connection.scalars(select(PhaseEndRow.phase).where(PhaseEndRow.run == run))
+            return frozenset(rows)
+
+    def read_last_session(self, run: str) -> RunSession:
+        """Return the state of a run's latest session."""
+        with reading(self._engine) as connection:
+            _find_run(connection, run)
+            return sessions_of(connection, run)[-1]
+
+    def read_result_state(self, run: str) -> ResultState:
+        """Return what has come of a run. StoreError if it does not exist, or its last state is damaged."""
+        with reading(self._engine) as connection:
+            return standing_of(connection, run).result
+
+    def count_prompts(self, run: str) -> int:
+        """Return the number of prompts a run has shown; a resumed one counts on from there."""
+        with reading(self._engine) as connection:
+            return count_prompts(connection, run)
+
+    def find_resume_time_s(self, run: str) -> float:
+        """Return the start of a resumed session on the run's time line [s]."""
+        with reading(self._engine) as connection:
+            return on_tick(last_time_s(connection, run))
+
+    def find(self, serial: str | None = None) -> tuple[RunSummary, ...]:
+        """Return runs, the latest first: of one sensor, or all. Those that were altered are marked.
+
+        Altered runs of other sensors are among those of one: each may be of it.
+        """
+        selection = RunSelection(serials=() if serial is None else (serial,))
+        with reading(self._engine) as connection:
+            query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
+            names = with_left_out(connection, selection, list(connection.scalars(query)))
+            found = list(read_verdicts(connection, names))
+        return tuple(
+            fill_from_mapping(
+                RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered
+            )
+            for one in reversed(found)
         )
-    return record
 
+    def resolve(self, run_or_serial: str) -> str:
+        """Return a run by its identifier, or the latest run of a serial number.
 
-def identity(engine: Engine, run: str) -> RunIdentity:
-    """Return the identity of a run, without frames. StoreError if it does not exist or was altered."""
-    with reading(engine) as connection:
-        check_run(connection, run, IDENTITY)
-        return identity_of(connection, _find_run(connection, run))
-
-
-def configuration_of(engine: Engine, run: str) -> str:
-    """Return the canonical JSON a run was configured with. StoreError as for :func:`identity`."""
-    with reading(engine) as connection:
-        check_run(connection, run, IDENTITY)
-        return str(_find_run(connection, run).configuration)
-
-
-def check_resumable(engine: Engine, run: str) -> None:
-    """Check everything that is stored of a run before it is resumed.
-
-    Raises
-    ------
-    StoreError
-        If the run does not exist or was altered, or was signed with another key than the one set.
-    """
-    with reading(engine) as connection:
-        check_run(connection, run)
-        key_to_continue(connection, run, _find_run(connection, run).chain)
-
-
-def list_finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
-    """Return (phase, index) of every finished press, which a resumed run does not repeat."""
-    with reading(engine) as connection:
-        _find_run(connection, run)
-        rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
-        return frozenset((phase, load) for phase, load in rows)
-
-
-def list_ended_phases(engine: Engine, run: str) -> frozenset[int]:
-    """Return the phases whose last step was carried out, which a resumed run skips."""
-    with reading(engine) as connection:
-        rows = connection.scalars(select(PhaseEndRow.phase).where(PhaseEndRow.run == run))
-        return frozenset(rows)
-
-
-def state_of(engine: Engine, run: str) -> RunSession:
-    """Return the state of a run's latest session."""
-    with reading(engine) as connection:
-        _find_run(connection, run)
-        return sessions_of(connection, run)[-1]
-
-
-def goes_on_at_s(engine: Engine, run: str) -> float:
-    """Return the start of a resumed session on the run's time line [s]."""
-    with reading(engine) as connection:
-        return on_tick(last_time_s(connection, run))
-
-
-def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
-    """Return runs, the latest first: of one sensor, or all. Those that were altered are marked.
-
-    Altered runs of other sensors are among those of one: each may be of it.
-    """
-    selection = RunSelection(serials=() if serial is None else (serial,))
-    with reading(engine) as connection:
-        query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
-        names = with_left_out(connection, selection, list(connection.scalars(query)))
-        found = list(read_verdicts(connection, names))
-    return tuple(
-        fill_from_mapping(
-            RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered
-        )
-        for one in reversed(found)
-    )
-
-
-def resolve(engine: Engine, run_or_serial: str) -> str:
-    """Return a run by its identifier, or the latest run of a serial number.
-
-    Raises
-    ------
-    StoreError
-        If it is neither a stored run nor a tested sensor, or if a later run was altered, which may be of the sensor.
-    """
-    with reading(engine) as connection:
-        if run_row(connection, run_or_serial) is not None:
-            return run_or_serial
-        latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
-        found = connection.scalar(latest)
-        later = {} if found is None else find_altered_outside(connection, [RunRow.run > found], ())
-    for problem in later.values():
-        raise StoreError(
-            f"{problem}; it may be a later run of sensor {run_or_serial}",
-            remedy=f"restore the database from a copy, or name the run that is meant: the one before is {found}",
-        )
-    if found is None:
-        raise StoreError(
-            f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
-            remedy="cbsr-qa db status shows the database in use; --database selects another",
-        )
-    return str(found)
+        Raises
+        ------
+        StoreError
+            If it is neither a stored run nor a tested sensor, or if a later run was altered, which may be of the
+            sensor.
+        """
+        with reading(self._engine) as connection:
+            if run_row(connection, run_or_serial) is not None:
+                return run_or_serial
+            latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
+            found = connection.scalar(latest)
+            later = {} if found is None else find_altered_outside(connection, [RunRow.run > found], ())
+        for problem in later.values():
+            raise StoreError(
+                f"{problem}; it may be a later run of sensor {run_or_serial}",
+                remedy=f"restore the database from a copy, or name the run that is meant: the one before is {found}",
+            )
+        if found is None:
+            raise StoreError(
+                f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
+                remedy="cbsr-qa db status shows the database in use; --database selects another",
+            )
+        return str(found)
 
 
 def _find_run(connection: Connection, run: str) -> Row[Any]:

@@ -20,20 +20,14 @@ from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import writer_of
 from cbsr_qa.store.runs.rows import phases_of
 from cbsr_qa.store.runs.standing import up_to_date
-from cbsr_qa.store.tables.gate import ReleaseRow
-from cbsr_qa.store.tables.records import ChartReferenceRow, StationCheckRow, VerdictOverrideRow
-from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
+from cbsr_qa.store.tables.results import AnalysisRow
 from cbsr_qa.store.tables.runs import (
-    FrameBlockRow,
     LoadRow,
     PhaseEndRow,
     RunRow,
     RunStateRow,
-    SampleBlockRow,
-    SensorRow,
     StepRow,
 )
-from cbsr_qa.store.types import time_of_id
 
 #: (from, to) on the run's time line [s]; a time exactly at the start belongs to the session before.
 Span = tuple[float, float]
@@ -120,71 +114,47 @@ class IncompleteRun:
     writer: str = ""
 
 
-def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
-    """Return every run whose last state is not "finished", oldest first."""
-    last = select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
-    unfinished = (
-        select(RunRow.run, RunRow.serial, RunStateRow.end, RunStateRow.detail)
-        .join(RunStateRow, RunStateRow.run == RunRow.run)
-        .join(last, (last.c.run == RunStateRow.run) & (last.c.number == RunStateRow.number))
-        .where(RunStateRow.end != str(EndReason.FINISHED))
-        .order_by(RunRow.run)
-    )
-    with reading(engine) as connection:
-        rows = connection.execute(unfinished).all()
-        found = [(row, _stands(connection, row.run)) for row in rows]
-    return tuple(
-        IncompleteRun(
-            row.run,
-            row.serial,
-            *stands,
-            read_word(EndReason, row.end, "run_states.end", f"run {row.run}"),
-            row.detail,
-            writer_of(engine, row.run),
+class UnfinishedRuns:
+    """Runs without a result: those that did not finish, and those that were not analysed since."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def list_incomplete(self) -> tuple[IncompleteRun, ...]:
+        """Return every run whose last state is not "finished", oldest first."""
+        last = (
+            select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
         )
-        for row, stands in found
-    )
+        unfinished = (
+            select(RunRow.run, RunRow.serial, RunStateRow.end, RunStateRow.detail)
+            .join(RunStateRow, RunStateRow.run == RunRow.run)
+            .join(last, (last.c.run == RunStateRow.run) & (last.c.number == RunStateRow.number))
+            .where(RunStateRow.end != str(EndReason.FINISHED))
+            .order_by(RunRow.run)
+        )
+        with reading(self._engine) as connection:
+            rows = connection.execute(unfinished).all()
+            found = [(row, _stands(connection, row.run)) for row in rows]
+        return tuple(
+            IncompleteRun(
+                row.run,
+                row.serial,
+                *stands,
+                read_word(EndReason, row.end, "run_states.end", f"run {row.run}"),
+                row.detail,
+                writer_of(self._engine, row.run),
+            )
+            for row, stands in found
+        )
 
-
-def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
-    """Return (run, serial) of finished runs that were not analysed since, oldest first."""
-    finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
-    query = select(RunRow.run, RunRow.serial).where(
-        RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run, up_to_date())
-    )
-    with reading(engine) as connection:
-        return tuple((run, serial) for run, serial in connection.execute(query.order_by(RunRow.run)))
-
-
-def latest_id(engine: Engine) -> str:
-    """Return the highest stored identifier; empty without one."""
-    columns = (
-        RunRow.run,
-        AnalysisRow.analysis,
-        CalibrationRow.calibration,
-        StationCheckRow.check_id,
-        ChartReferenceRow.reference,
-        VerdictOverrideRow.override_id,
-        ReanalysisRow.reanalysis,
-        ReleaseRow.release_id,
-    )
-    with reading(engine) as connection:
-        found = connection.execute(select(*(select(func.max(one)).scalar_subquery() for one in columns))).one()
-    # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
-    return max((one for one in found if one is not None and time_of_id(one) is not None), default="")
-
-
-def counts(engine: Engine) -> dict[str, int]:
-    """Return how much is stored."""
-    counted = {
-        "sensors": select(func.count()).select_from(SensorRow),
-        "runs": select(func.count()).select_from(RunRow),
-        "frames": select(func.coalesce(func.sum(FrameBlockRow.frames), 0)),
-        "samples": select(func.coalesce(func.sum(SampleBlockRow.samples), 0)),
-        "loads": select(func.count()).select_from(LoadRow),
-    }
-    with reading(engine) as connection:
-        return {name: int(connection.scalar(query) or 0) for name, query in counted.items()}
+    def list_without_result(self) -> tuple[tuple[str, str], ...]:
+        """Return (run, serial) of finished runs that were not analysed since, oldest first."""
+        finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
+        query = select(RunRow.run, RunRow.serial).where(
+            RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run, up_to_date())
+        )
+        with reading(self._engine) as connection:
+            return tuple((run, serial) for run, serial in connection.execute(query.order_by(RunRow.run)))
 
 
 def _stands(connection: Connection, run: str) -> tuple[str, str]:

@@ -8,15 +8,14 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import Connection, Engine, TextClause, select, text
+from sqlalchemy import Connection, TextClause, select, text
 
 from cbsr_qa.domain.run.states import EndReason, ResultState
-from cbsr_qa.store.engine import reading
 from cbsr_qa.store.runs.rows import current_state
 from cbsr_qa.store.tables.records import FEW_LINKS
 from cbsr_qa.store.tables.results import AnalysisRow
 
-#: Links give the order of what was stored. A run without links was stored before there were any: its clock has to do,
+#: Links give the order of what was stored. Of a run whose links were removed, the clock has to do,
 #: and a stopped session leaves no measurement. The first session has states 0 and 1, and no analysis before them.
 _OUTDATED: Final = f"""EXISTS (
     SELECT 1 FROM run_states AS later
@@ -75,9 +74,3 @@ def find_outdated(connection: Connection, runs: Collection[str]) -> set[str]:
         return set()
     outdated = text(_OUTDATED.format(analyses=AnalysisRow.__tablename__))
     return set(connection.scalars(select(AnalysisRow.analysis).where(AnalysisRow.run.in_(runs), outdated)))
-
-
-def result_state(engine: Engine, run: str) -> ResultState:
-    """Return what has come of a run. StoreError if it does not exist, or its last state is damaged."""
-    with reading(engine) as connection:
-        return standing_of(connection, run).result

@@ -268,7 +268,7 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
 
 
 def _send_unchained(station: Engine, centre: Engine, entry: Entry, *, known: bool, sent: Sent) -> None:
-    """Send a run from before chains: its whole content is compared with what the centre has."""
+    """Send a run without a chain: its whole content is compared with what the centre has."""
     stored = documents_of(centre, entry.item) if known else {}
     with reading(station) as connection:
         parcel = read_unchained(connection, entry.item, stored)

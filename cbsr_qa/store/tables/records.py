@@ -97,7 +97,7 @@ class StationCheckRow(Base):
     instruments: Mapped[list[Any]]  #: those that answered, as in the table of instruments
     outcome: Mapped[str] = mapped_column(Word(16))  #: a CheckOutcome: the worst of its lines
     golden_run: Mapped[str | None] = mapped_column(Identifier, ForeignKey("runs.run"))
-    seal: Mapped[str | None]  #: digest of all rows of the check, and its signature, see seals.py; None: from before
+    seal: Mapped[str | None]  #: digest of all rows of the check, and its signature, see seals.py; None: removed
 
 
 class StationCheckLineRow(Base):

@@ -76,7 +76,7 @@ class RunRow(Base):
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     simulated: Mapped[list[Any]]  #: in words
     setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
-    chain: Mapped[str | None] = mapped_column(Word(64))  #: chain and key (chain/links.py); None: from before chains
+    chain: Mapped[str | None] = mapped_column(Word(64))  #: chain and key (chain/links.py); None: removed
     before_run: Mapped[str | None] = mapped_column(
         Identifier
     )  #: begun before it in the same database; None: none was

@@ -69,10 +69,10 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     check_request(request)
     period = request.period
     with open_store(database_url(database), create=False) as store:
-        table = store.fleet(_select_runs(store, request))
+        table = store.fleet.read_table(_select_runs(store, request))
         lines = tuple(run for run in table.runs if run.outcome is not None)
         recipe = lines[0].recipe
-        notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]), *likeness_notes(store, lines))
+        notes = (*clock_notes(lines), *filter(None, [store.describe_clock_fault()]), *likeness_notes(store, lines))
         if period is not None:
             notes += () if period.since else (_FROM_FIRST.format(day=lines[0].day),)
             charts = _with_period(store, request, period, table, lines)
@@ -85,7 +85,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
             charts = () if empty else _against_stored(table, request, recipe, lines, held)
         stored = period is not None and not request.dry_run
         if stored:
-            store.save_chart_references([chart.reference for chart in charts if chart.reference is not None])
+            store.charts.save([chart.reference for chart in charts if chart.reference is not None])
     in_control = all(chart.signal is None for chart in charts)
     golden = request.golden
     simulated = bool(lines[-1].simulated)
@@ -98,13 +98,13 @@ def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     selection = RunSelection(
         serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
     )
-    recipes = {run.recipe for run in store.run_lines(selection) if run.outcome is not None}
+    recipes = {run.recipe for run in store.fleet.read_lines(selection) if run.outcome is not None}
     if len(recipes) == 1:
         return replace(selection, recipe=recipes.pop())
     if recipes:
         raise RefusedError(f"{here} ran {several_recipes(recipes)}", remedy="choose one by --recipe")
     check_names(store, replace(selection, serials=()))
-    ran = {run.recipe for run in store.run_lines(replace(selection, recipe=None)) if run.outcome is not None}
+    ran = {run.recipe for run in store.fleet.read_lines(replace(selection, recipe=None)) if run.outcome is not None}
     if ran and request.recipe is not None:
         raise RefusedError(
             f"{here} has no runs of recipe {echo(request.recipe, 64)}", remedy=nearest(request.recipe, ran, "it ran")
@@ -117,7 +117,7 @@ def _select_references(store: Repository, request: ChartsRequest, recipe: str) -
     """Return the valid references of the requested charts."""
     return [
         reference
-        for reference in store.chart_references(request.station)
+        for reference in store.charts.read_current(request.station)
         if (reference.recipe, reference.golden) == (recipe, request.golden)
         and (not request.metrics or reference.name in request.metrics)
     ]
@@ -137,7 +137,7 @@ def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartRefer
             f"no chart {request.retire} of these metrics holds on this station",
             remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
         )
-    store.save_chart_references(rows)
+    store.charts.save(rows)
     return _RETIRED.format(operator=by, charts=list_names([row.label for row in rows]))
 
 

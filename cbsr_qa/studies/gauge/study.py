@@ -38,7 +38,7 @@ def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
 
     RefusedError if no run fits, a name matches none (with the nearest one), or the runs have several recipes.
     """
-    table = store.fleet(request.runs)
+    table = store.fleet.read_table(request.runs)
     runs = tuple(run for run in table.runs if run.outcome is not None)
     _check_found(store, request, runs)
     recipes = {run.recipe for run in runs}
@@ -63,7 +63,7 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     if runs and not absent:
         return
     check_names(store, wanted, lambda field: request.locate("study", field))
-    of_names = store.run_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
+    of_names = store.fleet.read_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any matching run every name is absent, so that names are not the cause.
     if runs:

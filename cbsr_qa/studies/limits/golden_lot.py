@@ -134,7 +134,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
             remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
         )
     check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
-    chosen = store.run_lines(choice.runs)
+    chosen = store.fleet.read_lines(choice.runs)
     if not chosen:
         check_names(store, choice.runs)
         raise RefusedError(
@@ -146,7 +146,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         if line.altered:
             raise StoreError(line.altered, remedy="restore the database from a copy, or leave out the sensor")
     not_good = _refuse_bad(kept, choice)
-    runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _has_result(run)]
+    runs = [LotRun(run, store.analyses.load(run.run)[0]) for run in kept if _has_result(run)]
     if not runs:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
     mixed = _describe_mixture(store, runs, choice)
@@ -197,7 +197,7 @@ def _fate(run: RunLine) -> str:
 
 def _describe_mixture(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
     """Describe differences of the runs that affect numbers; refuse them unless they were allowed."""
-    recipes = _group_serials((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
+    recipes = _group_serials((run, _recipe_words(run, store.runs.read_configuration(run.line.run))) for run in runs)
     software = _group_serials(zip(runs, software_words([run.line for run in runs]), strict=True))
     mixed = tuple(
         f"{noun}: {'; '.join(f'{what} ({list_names(serials)})' for what, serials in groups.items())}"

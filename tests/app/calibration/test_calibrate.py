@@ -15,7 +15,6 @@ from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import write_recording
 from cbsr_qa.app.stream.source import FramesFrom
 from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
-from cbsr_qa.calibration.file.hdf5 import read_issued, stamp, write_calibration
 from cbsr_qa.calibration.force.inverse import flag_names
 from cbsr_qa.calibration.loading import load_calibration
 from cbsr_qa.cli.main import app
@@ -381,11 +380,6 @@ def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, 
     sensor_type, rest = ("--sensor-type", folder / "T.toml"), ("--rest", recorded / "rest.h5")
     presses = ("--presses", recorded / "presses.csv")
     assert "16 × 4 readings" in refused("calibrate", few, *presses, *sensor_type, *rest, "--to", recorded / "X.h5")
-    old = replace(read_issued(recorded / "OUT.h5"), drive=(), measure=())
-    write_calibration(recorded / "old.h5", stamp(old))
-    assert "does not state the order of the pairs in a frame" in refused(
-        *apply, recorded / "old.h5", recorded / "presses.h5"
-    )
 
 
 def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp_path):

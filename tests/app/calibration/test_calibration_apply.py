@@ -305,9 +305,9 @@ def test_show_says_what_the_force_model_is_worth(folder, tmp_path, calibration):
     assert least < force["least_force_worst_N"]
     shown = _run("show", folder / "sensor.h5").stdout
     assert f"{least:.2g} N at the centre" in shown
-    bare = replace(force_calibration(), force=None, no_force="", digest="", record_digest="")
+    bare = replace(force_calibration(), force=None, no_force="too few loads", digest="", record_digest="")
     write_calibration(tmp_path / "bare.h5", bare)
-    assert "none: issued before calibrations held force models" in _run("show", tmp_path / "bare.h5").stdout
+    assert "none: too few loads" in _run("show", tmp_path / "bare.h5").stdout
 
 
 def test_the_least_force_that_is_shown_is_the_one_that_is_detected(folder, calibration):

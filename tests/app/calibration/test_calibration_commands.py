@@ -80,7 +80,7 @@ def test_verify_says_sound(issued):
     assert "is sound" in _run("verify", str(issued)).output
     document = json.loads(_run("verify", str(issued), "--json").stdout)
     assert document["sound"] is True
-    assert document["schema_version"] == 2
+    assert document["schema_version"] == 5
 
 
 def test_commands_refuse_with_exit_code_two(issued):

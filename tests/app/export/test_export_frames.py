@@ -21,7 +21,7 @@ def pressed(tmp_path_factory):
     url = f"sqlite:///{folder / 'runs.db'}"
     run, impedance_ohm = store_pressed(url)
     with open_store(url) as store:
-        return url, store.load_run(run), impedance_ohm
+        return url, store.runs.load(run), impedance_ohm
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_analyse_reads_eidors_files_without_missing_readings(tmp_path):
     export_data(ExportRequest(tmp_path / "out.mat", "S-1"), database=url, tell=str)
     usable = SENSOR_TYPE.pattern.usable()
     with open_store(url) as store:
-        stored = store.load_run(store.resolve("S-1")).phases[0].frames.voltages
+        stored = store.runs.load(store.runs.resolve("S-1")).phases[0].frames.voltages
     assert (
         EidorsMat().read(tmp_path / "out.mat", ReadOptions()).frames.voltages == np.where(usable, stored, 0)
     ).all()

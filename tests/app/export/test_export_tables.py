@@ -13,7 +13,7 @@ from cbsr_qa.app.export.export import ExportRequest, export_data
 from cbsr_qa.app.shift.lists import ListRequest
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.results.fleet import RunSelection
-from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.listed import RunLists
 
 
 @pytest.fixture(scope="module")
@@ -165,15 +165,15 @@ def test_a_file_is_replaced_only_on_demand_and_only_by_a_whole_one(exported, fiv
     file.write_text("mine")
     with pytest.raises(RefusedError, match="exists already"):
         exported("runs.csv")
-    read = Repository.runs_named
+    read = RunLists.read_named
 
-    def full(store, runs):
+    def full(lists, runs):
         if runs[-1] != five[1]["failed"]:  # on the second page
             raise OSError(errno.ENOSPC, "No space left on device")
-        return read(store, runs)
+        return read(lists, runs)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Repository, "runs_named", full)
+        patched.setattr(RunLists, "read_named", full)
         with pytest.raises(RefusedError, match=r"runs\.csv cannot be written: No space"):
             exported("runs.csv", force=True)
     assert file.read_text() == "mine"

@@ -126,7 +126,7 @@ def test_a_sensor_that_passed_is_not_tested_again_unless_that_was_overridden(ask
     assert ask("retest", store=None).outcome is GateOutcome.PASSED
     run = store_run(store, "S-1", GOOD)
     assert run in ask("retest").words
-    store.override_verdict(run, Outcome.FAIL, operator="Zoë", why="scratched")
+    store.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="scratched")
     assert ask("retest").outcome is GateOutcome.PASSED
 
 
@@ -170,7 +170,7 @@ def measured_golden(store, run, *, ago=timedelta(), outcome=CheckOutcome.OK):
     ring = CheckResult("gain error", CheckOutcome.FAILED, subject="reference ring")
     at = datetime.now(UTC) - ago
     check = StationCheck(store.new_id(), STATION, "Zoë", at, "disc-100mm", 64 * "a", (), (), (line, ring), run)
-    store.save_station_check(check)
+    store.stations.save_check(check)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_no_chart_of_the_station_signals(ask, store, mean, outcome):
         **{"mean": mean, "deviation": 0.1, "runs": 1, "first_run": first, "last_run": first},
         **{"operator": "Zoë", "made_at": datetime.now(UTC), "why": "first lot"},
     )
-    store.save_chart_references([reference])
+    store.charts.save([reference])
     store_run(store, "S-3", GOOD, station=STATION)
     answer = ask("charts")
     assert answer.outcome is outcome

@@ -61,7 +61,7 @@ class Made:
         if why := self.refusals.get(job.run):
             return why if isinstance(why, Worked) else Worked(None, why)
         with open_store(job.database, create=False) as store:
-            before = store.analyses(job.run)[-1].measurements
+            before = store.analyses.load(job.run)[-1].measurements
         new = values(before[0].value + self.error_mm)
         facts = (job.recipe, job.software, decide(new), new, ("a new warning",), "equal", 1.0, (("imaging", 1.0),))
         return Worked(Reanalysis(job.run, job.key_sha256, *facts), peak_mb=123.0)
@@ -91,7 +91,7 @@ def again(database, made, **changes):
 
 def verdicts(database):
     with open_store(database_url(database), create=False) as store:
-        return [(run.serial, run.outcome) for run in store.run_lines() if run.finished]
+        return [(run.serial, run.outcome) for run in store.fleet.read_lines() if run.finished]
 
 
 def database_url(database):
@@ -166,7 +166,7 @@ def test_analyses_of_the_same_software_are_judged_too_and_a_repeat_by_the_own_re
     database, tmp_path, monkeypatch
 ):
     with open_store(database_url(database), create=False) as store:
-        software = store.analyses(store.run_lines()[0].run)[0].software
+        software = store.analyses.load(store.fleet.read_lines()[0].run)[0].software
     monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis.software_versions", lambda plugins: software)
     monkeypatch.setattr("cbsr_qa.app.reanalyse.reanalysis._Session.check", lambda *_: None)
     done = again(database, made := Made(7.0), recipe=limited(tmp_path, 4.2))
@@ -189,13 +189,13 @@ def test_adopted_results_are_the_valid_analyses_and_the_earlier_ones_stay(databa
     assert (made.jobs, done.adopted) == ([], 3)
     assert verdicts(database) == [("S-0", Outcome.PASS), ("S-1", Outcome.FAIL), ("S-2", Outcome.FAIL)]
     with open_store(database_url(database), create=False) as store:
-        for run in store.run_lines():
+        for run in store.fleet.read_lines():
             if run.finished:
-                now, before = store.analyses(run.run)
+                now, before = store.analyses.load(run.run)
                 assert now.measurements[0].value == before.measurements[0].value + 0.75
                 assert (now.adoption.operator, now.adoption.why, before.adoption) == ("Ada", "corrected gain", None)
                 assert "that issues no calibration" in now.calibration_why
-                store.load_run(run.run)  # the chain covers it
+                store.runs.load(run.run)  # the chain covers it
     listed = list_changes(database)
     assert listed.page.banner.headline == "changes of 3 analyses"
     (adopted,) = listed.result.adoptions
@@ -206,8 +206,8 @@ def test_adopted_results_are_the_valid_analyses_and_the_earlier_ones_stay(databa
 
 def test_a_run_whose_verdict_was_overridden_is_not_adopted(database):
     with open_store(database_url(database), create=False) as store:
-        run = store.resolve("S-2")
-        store.override_verdict(run, Outcome.PASS, operator="Zoë", why="seen")
+        run = store.runs.resolve("S-2")
+        store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="seen")
     done = again(database, Made(-2.0), adopt=True, by="Ada", why="so")
     assert (done.adopted, [one.serial for one in done.left_overridden]) == (2, ["S-2"])
     assert [flip.overridden_to for flip in done.flips] == [Outcome.PASS]
@@ -215,7 +215,7 @@ def test_a_run_whose_verdict_was_overridden_is_not_adopted(database):
 
 def test_a_run_that_cannot_be_analysed_is_named_and_nothing_of_it_is_stored(database):
     with open_store(database_url(database), create=False) as store:
-        run = store.resolve("S-1")
+        run = store.runs.resolve("S-1")
     done = again(database, Made(0.75, **{run: "the frames cannot be imaged"}))
     assert ("S-1", "the frames cannot be imaged") in [(one.serial, one.why) for one in done.not_analysed]
     assert done.computed == 2
@@ -225,7 +225,7 @@ def test_a_run_that_cannot_be_analysed_is_named_and_nothing_of_it_is_stored(data
 
 def test_a_worker_with_other_software_stops_the_work_and_keeps_what_is_stored(database):
     with open_store(database_url(database), create=False) as store:
-        run = store.resolve("S-1")
+        run = store.runs.resolve("S-1")
     made = Made(0.75, **{run: Worked(None, differing="numpy 1 in place of 2", worker="b, process 1")})
     with pytest.raises(RefusedError, match=r"worker b, process 1 has other software .*numpy 1"):
         again(database, made)
@@ -296,5 +296,5 @@ def test_results_are_kept_on_postgresql_too(postgres_database):
     done = again(postgres_database, Made(), adopt=True, by="Ada", why="so")
     assert (done.reused, done.adopted, done.flips[0].now) == (1, 1, Outcome.FAIL)
     with open_store(postgres_database) as store:
-        store.load_run(store.resolve("S-1"))
-        assert store.analyses(store.resolve("S-1"))[0].measurements == values(5.25)
+        store.runs.load(store.runs.resolve("S-1"))
+        assert store.analyses.load(store.runs.resolve("S-1"))[0].measurements == values(5.25)

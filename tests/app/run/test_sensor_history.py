@@ -102,12 +102,12 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         stopped = store_run(store, "S-7", good, batch="42", recipe="nine-locations", end=EndReason.ABORTED)
         golden = store_run(store, "S-7", good, batch="", recipe="golden-check")
         at = datetime(2026, 11, 22, tzinfo=UTC)
-        store.save_station_check(StationCheck(store.new_id(), "bench-α", "", at, "t", 64 * "a", (), (), (), golden))
+        store.stations.save_check(StationCheck(store.new_id(), "bench-α", "", at, "t", 64 * "a", (), (), (), golden))
         last = store_run(store, "S-7", good, batch="42", recipe="nine-locations")
         store_run(store, "S-8", bad, recipe="nine-locations")
         for outcome in (Outcome.PASS, Outcome.FAIL):
-            store.override_verdict(first, outcome, operator="Zoë", why="so")
-        found = store.sensor_history(SENSOR, "nine-locations", last)
+            store.changes.override_verdict(first, outcome, operator="Zoë", why="so")
+        found = store.sensors.read_history(SENSOR, "nine-locations", last)
         assert [one.run for one in found.earlier] == [first, stopped, golden]
         assert [(one.outcome, one.end, one.of_check) for one in found.earlier] == [
             (Outcome.FAIL, EndReason.FINISHED, False),
@@ -118,8 +118,8 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         assert "drift" in found.earlier[0].reason
         assert (found.ordinal, json_document(PastRuns.from_history(found))["try"]) == ("third", 3)
         assert len(found.differences) == 1
-        assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
-        assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
+        assert store.sensors.read_history(SENSOR, "nine-locations", first).words == ""
+        assert len(store.sensors.read_history(SENSOR, "nine-locations").earlier) == 4
 
 
 EDITED = {
@@ -135,10 +135,10 @@ EDITED = {
 def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, statement, table):
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
         run = store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
-        store.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
         with sqlite3.connect(tmp_path / "runs.db") as database:
             assert database.execute(statement).rowcount >= 1
-        found = store.sensor_history(SENSOR, "nine-locations")
+        found = store.sensors.read_history(SENSOR, "nine-locations")
     assert "changed since it was stored (run " + run in found.words
     assert table in found.earlier[0].changed
     assert (found.earlier[0].outcome, found.ordinal, len(found.warnings)) == (None, "second", 1)
@@ -152,7 +152,7 @@ def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
         store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
         with sqlite3.connect(tmp_path / "runs.db") as database:
             database.executescript("delete from run_links; update runs set chain = null")
-        assert store.sensor_history(SENSOR, "nine-locations").words.endswith(" (no chain)")
+        assert store.sensors.read_history(SENSOR, "nine-locations").words.endswith(" (no chain)")
 
 
 def test_last_lines_document_and_page_one_tell_the_history():

@@ -107,7 +107,7 @@ def test_a_run_that_is_resumed_is_stopped_in_the_same_way(request_of_run, told, 
         resume_run(first.run)
     assert sorted(who for who, what in calls if what == "close") == sorted(made)
     with open_store("sqlite:///var/cbsr-qa.db") as store:
-        assert store.state_of(first.run).end is EndReason.ABORTED
+        assert store.runs.read_last_session(first.run).end is EndReason.ABORTED
 
 
 def test_signals_during_the_steps_are_those_of_the_run(request_of_run, monkeypatch):

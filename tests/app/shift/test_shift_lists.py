@@ -42,13 +42,13 @@ def shift(tmp_path_factory):
             "D1": store_run(store, "D", values(), day=1, batch="42"),
             "E1": store_run(store, "E", values(drift=3.0), day=1),
         }
-        store.override_verdict(names["D1"], Outcome.FAIL, operator="Bob", why="scratched")
-        store.override_verdict(names["E1"], Outcome.PASS, operator="Bob", why="draught")
+        store.changes.override_verdict(names["D1"], Outcome.FAIL, operator="Bob", why="scratched")
+        store.changes.override_verdict(names["E1"], Outcome.PASS, operator="Bob", why="draught")
         yield url, store, names
 
 
 def day_of(store, run):
-    return store.identity(run).started_at.date()
+    return store.runs.read_identity(run).started_at.date()
 
 
 def test_a_shift_counts_verdicts_as_they_were_overridden(shift):

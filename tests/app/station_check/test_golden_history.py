@@ -147,4 +147,4 @@ def test_earlier_runs_are_those_of_the_same_recipe_that_were_finished(tmp_path):
         assert [(run.run, run.station) for run in found.runs] == [(first, "bench-α"), (second, "bench-β")]
         assert found.unlike == 1
         assert found.runs[0].figures["channel_snr"] == Figure(58.0, 1, "dB")
-        assert json.loads(store.configuration(new))["seed"] == 5  # another seed is no other recipe
+        assert json.loads(store.runs.read_configuration(new))["seed"] == 5  # another seed is no other recipe

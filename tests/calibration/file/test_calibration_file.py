@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from calibration_samples import (
     assert_same,
-    forged,
-    old_calibration,
     plain_digest,
     sample_calibration,
     sample_sensor_type,
@@ -21,38 +19,18 @@ from cbsr_qa.domain.kept import as_filed, round_to_steps
 from cbsr_qa.domain.sensor.mesh import Mesh
 
 
-@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration, old_calibration])
+@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration])
 def test_every_field_comes_back_exactly(tmp_path, make):
     path = tmp_path / "sensor.h5"
     write_calibration(path, make())
     assert_same(read_calibration(path), stamp(make()), "calibration")
 
 
-def _with_choice(method, **changes):
-    sample = sample_calibration()
-    choice = replace(sample.reconstruction.choice, **changes)
-    return replace(sample, reconstruction=replace(sample.reconstruction, method=method, choice=choice))
-
-
-@pytest.mark.parametrize(
-    ("method", "called"),
-    [("gauss-newton-noser", "λ"), ("truncated-svd", "components kept"), ("pyeit-jac", "pyEIT's lamb")],
-)
-def test_a_file_of_before_is_read_with_the_name_its_method_implied(tmp_path, method, called):
-    """A file with two datasets fewer, whose digest is worked out as anybody would."""
-    path = tmp_path / "old.h5"
-    write_calibration(path, _with_choice(method))
-    with forged(path) as file:
-        del file["reconstruction/regularisation_name"], file["reconstruction/regularisation_criterion"]
-    old = read_calibration(path)
-    assert (old.reconstruction.choice.name, old.reconstruction.choice.criterion) == (called, "")
-    assert (old.reconstruction.choice.value, old.reconstruction.choice.how) == (0.03, "chosen for a test")
-    assert write_calibration(tmp_path / "again.h5", old) == plain_digest(path)
-
-
 @pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("μ", ""), ("λ", "")])
 def test_name_and_criterion_come_back_whichever_is_there(tmp_path, name, criterion):
-    made = _with_choice("gauss-newton-noser", name=name, criterion=criterion)
+    sample = sample_calibration()
+    choice = replace(sample.reconstruction.choice, name=name, criterion=criterion)
+    made = replace(sample, reconstruction=replace(sample.reconstruction, choice=choice))
     write_calibration(tmp_path / "x.h5", made)
     assert_same(read_calibration(tmp_path / "x.h5"), stamp(made), "calibration")
 
@@ -101,7 +79,6 @@ def _with_large_arrays():
 
 
 def _in_single_precision(calibration):
-    """As issued by earlier versions."""
     made = calibration.reconstruction
     jacobian, matrix = (values.astype(np.float32).astype(float) for values in (made.problem.jacobian, made.matrix))
     single = replace(made, matrix=matrix, problem=replace(made.problem, jacobian=jacobian))
@@ -113,16 +90,15 @@ def test_matrix_and_jacobian_are_compressed_and_come_back_to_the_bit_in_any_prec
     double = _with_large_arrays()
     rounded = replace(double, reconstruction=as_filed(double.reconstruction))
     sizes = []
-    for version, made in ((2, double), (3, _in_single_precision(double)), (5, rounded)):
-        path = tmp_path / f"{version}.h5"
+    for name, made in (("double", double), ("single", _in_single_precision(double)), ("steps", rounded)):
+        path = tmp_path / f"{name}.h5"
         assert write_calibration(path, made) == stamp(made).digest == plain_digest(path)
         assert_same(read_calibration(path), stamp(made), "calibration")
-        assert verify_calibration_file(path).schema_version == version
         # What is not prepared again is the same record, however the rest is kept.
         assert stamp(made).record_digest == stamp(double).record_digest
         sizes.append(path.stat().st_size)
-    with h5py.File(tmp_path / "2.h5") as file:
-        stored = [file[f"reconstruction/{name}"] for name in ("matrix", "jacobian")]
+    with h5py.File(tmp_path / "double.h5") as file:
+        stored = [file[f"reconstruction/{name}"] for name in ("matrix_columns", "jacobian")]
         assert [dataset.compression for dataset in stored] == ["gzip"] * 2
         assert all(dataset.id.get_storage_size() < dataset.nbytes for dataset in stored)
         assert file["identity/serial"].compression is None

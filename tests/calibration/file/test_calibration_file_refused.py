@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from calibration_samples import edited, forged, sample_calibration
 
-from cbsr_qa.calibration.file.content import SCHEMA_VERSION
+from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
 from cbsr_qa.domain.errors import CalibrationError
 
@@ -70,7 +70,7 @@ _UNSOUND = {
     "one less": (lambda file: file.__delitem__("image/mask"), _CHANGED),
     "no digest": (lambda file: file.attrs.__delitem__("digest"), "states no SHA-256"),
     "a digest to print": (_attribute("digest", "\x1b[31mred"), "states no SHA-256"),
-    "later version": (_attribute("schema_version", np.int64(99)), f"version 99.*up to {SCHEMA_VERSION}"),
+    "later version": (_attribute("schema_version", np.int64(99)), f"version 99.*up to {FIRST_VERSION[FORMAT]}"),
     "version 0": (_attribute("schema_version", np.int64(0)), "version"),
     "half a version": (_attribute("schema_version", np.float64(1.0)), "version"),
     "version in words": (_attribute("schema_version", "1"), "version"),
@@ -143,7 +143,7 @@ def test_another_hdf5_file_is_refused(tmp_path):
         ("image/response", "sideways", "sideways"),
         ("validity/force", [1.0, 2.0, 3.0], "instead of two"),
         ("mesh/electrode_edge_counts", [1, 1], "the counts say 2"),
-        ("reconstruction/matrix", [[1.0]], "does not fit"),
+        ("reconstruction/matrix_columns", [[1.0]], "does not fit"),
         ("relaxation/stress/number", [0], "not 0, 1, 2"),
         ("area_overlap/size_ratio", [1.0], "instead of two"),
     ],

@@ -3,13 +3,12 @@
 import dataclasses
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
-from calibration_samples import edited, forged, old_calibration, sample_calibration, sample_force
+from calibration_samples import edited, forged, sample_calibration, sample_force
 
 from cbsr_qa.calibration.file.content import PREPARED
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.results.calibration import ForceModel
 
@@ -33,27 +32,6 @@ def _set(path, changes):
                 text = isinstance(value, str)
                 made = file.create_dataset(name, data=value if text else np.asarray(value, dtype=kind))
                 made.attrs["units"] = units
-
-
-def test_a_file_of_before_there_were_force_models_is_read_and_written_as_it_was(tmp_path):
-    path = tmp_path / "old.h5"
-    write_calibration(path, old_calibration())
-    with h5py.File(path) as file:
-        assert file.attrs["schema_version"] == 1
-        assert "force" not in file
-    old = read_calibration(path)
-    assert (old.force, old.no_force) == (None, "")
-    assert verify_calibration_file(path).schema_version == 1
-    again = tmp_path / "again.h5"
-    assert write_calibration(again, old) == old.digest
-    assert again.read_bytes() == path.read_bytes()
-
-
-def test_a_version_that_does_not_fit_the_content_is_refused(issued):
-    with forged(issued) as file:
-        file.attrs["schema_version"] = np.int64(1)
-    with pytest.raises(CalibrationError, match="schema version 1, but what it holds is that of version 2"):
-        read_calibration(issued)
 
 
 _HUGE = 10**6

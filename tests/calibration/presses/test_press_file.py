@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_samples import edited
 from pressed_sheets import issued_from_presses
 
 from cbsr_qa.calibration.file.entries import decode, encode
@@ -15,7 +16,7 @@ from cbsr_qa.calibration.file.hdf5 import (
     write_calibration,
 )
 from cbsr_qa.calibration.presses.issue import noise_size
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 
 
 @pytest.fixture(scope="module")
@@ -32,24 +33,34 @@ def test_what_is_written_is_read(issued, tmp_path):
     assert repr(back) == repr(issued)
     np.testing.assert_array_equal(back.pairs, issued.pairs)
     assert (back.drive, back.measure) == (issued.drive, issued.measure)
-    assert verify_calibration_file(path).schema_version == 3
+    assert verify_calibration_file(path).schema_version == 4
     with pytest.raises(CalibrationError, match="not issued by a run"):
         read_calibration(path)
     with pytest.raises(CalibrationError, match="is not what was issued"):
         write_calibration(tmp_path / "other.h5", replace(issued, used=11))
 
 
-def test_what_knows_no_force_is_a_file_of_the_first_version(issued, tmp_path):
-    """So that programs of before open it, and it keeps its digest."""
-    versions, before = [], replace(issued, drive=(), measure=())
-    for name, each in (("force", stamp(before)), ("none", stamp(replace(before, force=None)))):
-        write_calibration(tmp_path / f"{name}.h5", each)
-        versions.append(verify_calibration_file(tmp_path / f"{name}.h5").schema_version)
-    assert versions == [2, 1]
+def test_what_knows_no_force_comes_back_and_what_has_no_order_of_a_frame_is_refused(issued, tmp_path):
+    write_calibration(tmp_path / "none.h5", stamp(replace(issued, force=None)))
     assert read_issued(tmp_path / "none.h5").force is None
+    write_calibration(tmp_path / "force.h5", issued)
     back = read_issued(tmp_path / "force.h5").force
     assert back.error == issued.force.error
     np.testing.assert_array_equal(back.strength, issued.force.strength)
+    write_calibration(tmp_path / "bare.h5", stamp(replace(issued, drive=())))
+    with pytest.raises(CalibrationError, match="readings/drive or readings/measure is empty"):
+        read_issued(tmp_path / "bare.h5")
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_a_file_of_before_the_first_version_is_refused(issued, tmp_path, version):
+    path = tmp_path / "presses.h5"
+    write_calibration(path, issued)
+    with edited(path) as file:
+        file.attrs["schema_version"] = np.int64(version)
+    with pytest.raises(CalibrationError, match=rf"schema version {version}, from before version 0\.1\.0") as caught:
+        read_issued(path)
+    assert LAST_UNRELEASED in caught.value.remedy
 
 
 def test_frames_without_a_load_are_not_larger_than_the_noise_of_one():

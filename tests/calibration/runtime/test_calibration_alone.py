@@ -17,7 +17,7 @@ from cbsr_qa.calibration.file.firmware import firmware_document, measure_loss, t
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
-from cbsr_qa.calibration.force.templates import prepare_force, template_bank
+from cbsr_qa.calibration.force.templates import template_bank
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.kept import as_filed
@@ -232,8 +232,6 @@ def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
     issued = force_calibration()
     with pytest.raises(CalibrationError, match="0193-c of sensor S-1 holds no force model: too few loads"):
         Calibration(replace(issued, force=None, no_force="too few loads"))
-    with pytest.raises(CalibrationError, match="issued before calibrations held force models"):
-        Calibration(replace(issued, force=None))
 
 
 def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calibration):
@@ -257,17 +255,6 @@ def test_rounding_of_a_file_changes_no_force_by_more_than_a_two_thousandth(calib
         there = Calibration(replace(issued, force=double)).force(seen, place_mm=place)
         np.testing.assert_allclose(here.force_N, there.force_N, rtol=5e-4)
         np.testing.assert_allclose(here.stderr_N, there.stderr_N, rtol=5e-4)
-
-
-def test_templates_prepared_from_the_record_are_those_that_were_issued():
-    issued = force_calibration()
-    merging, about = issued.force.merging, (issued.reference, issued.indenter)
-    used = issued.reconstruction.problem.used
-    prepared = prepare_force(issued.sensor_type, used, merging, *about)
-    np.testing.assert_allclose(prepared.templates, issued.force.templates, atol=1e-7)
-    np.testing.assert_allclose(prepared.log_size, issued.force.log_size, rtol=1e-6)
-    with pytest.raises(CalibrationError, match="does not make 104 rows of 208 readings"):
-        prepare_force(issued.sensor_type, used, merging[1:], *about)
 
 
 # --- firmware ------------------------------------------------------------------------------------------------

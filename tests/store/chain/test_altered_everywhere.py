@@ -37,36 +37,42 @@ def refusing(read):
 
 
 def measured(store, run):
-    found = store.read_measurements([run])
+    found = store.lists.read_measurements([run])
     return [*dict.fromkeys((run, "") for run in found.runs), *found.altered.items()]
 
 
 #: What shows something of runs: the tables that it shows, and what returns runs with their marks, or refuses.
 READERS = {
-    "load_run": (set(KEYS), refusing(lambda store, run: store.load_run(run))),
-    "analyses": (ANALYSIS, refusing(lambda store, run: store.analyses(run))),
-    "lists": (JUDGED, lambda store, run: marked(store.list_runs())),
-    "run lines": (VERDICT, lambda store, run: marked(store.run_lines())),
-    "runs of a sensor": (VERDICT, lambda store, run: marked(store.find_runs("S-1"))),
-    "comparison, charts, gauge": (JUDGED, refusing(lambda store, run: store.fleet())),
+    "load_run": (set(KEYS), refusing(lambda store, run: store.runs.load(run))),
+    "analyses": (ANALYSIS, refusing(lambda store, run: store.analyses.load(run))),
+    "lists": (JUDGED, lambda store, run: marked(store.lists.read_runs())),
+    "run lines": (VERDICT, lambda store, run: marked(store.fleet.read_lines())),
+    "runs of a sensor": (VERDICT, lambda store, run: marked(store.runs.find("S-1"))),
+    "comparison, charts, gauge": (JUDGED, refusing(lambda store, run: store.fleet.read_table())),
     "table of measurements": (JUDGED, measured),
-    "judged measurements": (JUDGED, refusing(lambda store, run: store.read_limited_measurements([run]) or None)),
-    "page of a station": (VERDICT, lambda store, run: marked([store.latest_run_at("bench-α")])),
-    "page of a run": (VERDICT, lambda store, run: marked([store.look_at(run)])),
+    "judged measurements": (
+        JUDGED,
+        refusing(lambda store, run: store.lists.read_limited_measurements([run]) or None),
+    ),
+    "page of a station": (VERDICT, lambda store, run: marked([store.live.find_latest("bench-α")])),
+    "page of a run": (VERDICT, lambda store, run: marked([store.live.find_run(run)])),
     "history of a sensor": (
         VERDICT,
-        lambda store, run: [(one.run, one.changed) for one in store.sensor_history(SENSOR, "short").earlier],
+        lambda store, run: [(one.run, one.changed) for one in store.sensors.read_history(SENSOR, "short").earlier],
     ),
-    "overrides": ({"verdict_overrides"}, refusing(lambda store, run: store.overrides(run))),
-    "changes": (RECORDS, lambda store, run: [(run, store.find_altered_records().get(run, ""))]),
+    "overrides": ({"verdict_overrides"}, refusing(lambda store, run: store.changes.list_overrides(run))),
+    "changes": (RECORDS, lambda store, run: [(run, store.changes.find_altered().get(run, ""))]),
     "re-analysis": (
         {"reanalyses"},
-        refusing(lambda store, run: [store.reanalysis(one) for one in store.reanalyses_of(run)] or None),
+        refusing(lambda store, run: [store.reanalyses.load(one) for one in store.reanalyses.list_names(run)] or None),
     ),
     "file of a calibration": (
         {"calibrations"},
         refusing(
-            lambda store, run: [store.calibration_file(one.calibration) for one in store.calibrations("S-1")] or None
+            lambda store, run: (
+                [store.calibrations.load_file(one.calibration) for one in store.calibrations.list_issued("S-1")]
+                or None
+            )
         ),
     ),
 }
@@ -112,18 +118,16 @@ def test_every_reader_shows_a_sound_run(copied):
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
         assert [name for name, (_, read) in READERS.items() if (run, "") not in read(store, run)] == []
-        (listed,) = (one for one in store.list_runs() if one.run == run)
+        (listed,) = (one for one in store.lists.read_runs() if one.run == run)
         assert (listed.verdict, listed.outcome) == (Outcome.PASS, Outcome.FAIL)
 
 
 QUICK = {("analyses", "outcome"), ("verdict_overrides", "outcome"), ("runs", "serial"), ("measurements", "outcome")}
-#: Filled up to schema 0011 only.
-OF_BEFORE = {f"calibration_{what}" for what in ("forces", "settling", "relaxations", "parameters", "overlap_bands")}
 CELLS = [
     pytest.param(
         table, column, id=f"{table}.{column.name}", marks=[] if (table, column.name) in QUICK else [pytest.mark.rest]
     )
-    for table in sorted(set(KEYS) - OF_BEFORE)
+    for table in sorted(KEYS)
     for column in list_covered(Base.metadata.tables[table])
 ]
 
@@ -173,7 +177,7 @@ def test_a_latest_analysis_that_was_removed_with_its_links_leaves_a_gap(copied):
     """An override follows it: the older verdict does not come back."""
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
-        analysis = store.analyses(run)[0].analysis
+        analysis = store.analyses.load(run)[0].analysis
     for table in ("calibration_baselines", "calibrations"):
         change(path, f"delete from {table}")
     for table in ("measurements", "warnings", "analyses"):
@@ -185,7 +189,7 @@ def test_a_latest_analysis_that_was_removed_with_its_links_leaves_a_gap(copied):
 def test_an_override_that_was_removed_with_its_link_leaves_a_gap(copied):
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
-        store.override_verdict(run, Outcome.FAIL, operator="Ada", why="seen again")
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="seen again")
     change(path, "delete from verdict_overrides where operator = 'Zoë'")
     change(
         path,
@@ -212,7 +216,7 @@ def test_links_that_were_computed_again_without_the_key_are_believed_by_nobody(c
         assert believing(path, run, table) == []
     else:  # what digests alone are worth
         with open_store(f"sqlite:///{path}") as store:
-            assert ("load_run" in believing(path, run, table)) or store.look_at(run) is not None
+            assert ("load_run" in believing(path, run, table)) or store.live.find_run(run) is not None
 
 
 def test_the_verdict_that_the_parent_process_reads_back_is_checked(copied):
@@ -227,10 +231,10 @@ def test_the_verdict_that_the_parent_process_reads_back_is_checked(copied):
 def test_changes_of_files_are_shown_without_those_of_an_altered_run(copied):
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
-        record = store.load_run(run)
-        assert len(store.change_history(record).changes) == 1
+        record = store.runs.load(run)
+        assert len(store.changes.read_history(record).changes) == 1
         change(path, "update configuration_changes set why = 'nobody asked'")
-        history = store.change_history(record)
+        history = store.changes.read_history(record)
     assert history.changes == ()
     assert f"run {run}: configuration_changes was changed" in history.warnings[0]
 
@@ -238,11 +242,11 @@ def test_changes_of_files_are_shown_without_those_of_an_altered_run(copied):
 def test_a_recipe_counts_as_accepted_only_by_a_run_that_is_sound(copied):
     path, run, _ = copied
     with open_store(f"sqlite:///{path}") as store:
-        record = store.load_run(run)
-        (first,) = {one.run for one in store.find_runs()} - {run}
-        assert store.change_history(record).accepted_run == first
+        record = store.runs.load(run)
+        (first,) = {one.run for one in store.runs.find()} - {run}
+        assert store.changes.read_history(record).accepted_run == first
         change(path, "update analyses set reason = 'all is well' where run = ?", first)
-        assert store.change_history(record).accepted_run == ""
+        assert store.changes.read_history(record).accepted_run == ""
 
 
 @pytest.mark.parametrize("kinds", ["'runs', 'run_states', 'analyses', 'verdict_overrides', 'measurements'", "'runs'"])
@@ -252,5 +256,5 @@ def test_a_run_whose_chain_was_removed_but_not_all_its_links_is_altered(copied, 
     change(path, "update analyses set outcome = 'pass'")
     change(path, f"delete from run_links where kind in ({kinds})")
     with open_store(f"sqlite:///{path}") as store:
-        (listed,) = [one for one in store.list_runs() if one.run == run]
+        (listed,) = [one for one in store.lists.read_runs() if one.run == run]
     assert "states no chain, and run_links holds links" in listed.altered

@@ -32,13 +32,13 @@ def made(tmp_path_factory):
             store_run(store, serial, values)
             for serial, values in (("S-1", good), ("S-1", bad), ("S-2", good), ("S-3", bad))
         ]
-        store.save_station_check(golden_check(store, names[3]))
-        assert [run.verdict for run in store.list_runs()][1] is Outcome.FAIL
+        store.stations.save_check(golden_check(store, names[3]))
+        assert [run.verdict for run in store.lists.read_runs()][1] is Outcome.FAIL
     return file, names
 
 
 def golden_check(store, run):
-    (listed,) = store.list_runs(RunSelection(up_to=run, latest=1))
+    (listed,) = store.lists.read_runs(RunSelection(up_to=run, latest=1))
     return StationCheck(
         check=store.new_id(),
         station=listed.station,
@@ -89,7 +89,7 @@ def test_a_failed_run_that_was_moved_out_of_a_selection_is_listed_as_altered(
     assert not (tmp_path / "runs.xml").exists()
     assert names[1] in capsys.readouterr().err
     with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match=names[1]):
-        store.fleet(RunSelection(stations=("bench-α",), recipe="short", batch="golden", serials=("S-1",)))
+        store.fleet.read_table(RunSelection(stations=("bench-α",), recipe="short", batch="golden", serials=("S-1",)))
 
 
 def test_a_selection_of_the_latest_runs_looks_no_further_back_than_the_oldest_of_them(moved):
@@ -97,7 +97,7 @@ def test_a_selection_of_the_latest_runs_looks_no_further_back_than_the_oldest_of
     change(path, "update runs set station = 'line-9' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
         for latest, altered in ((1, []), (2, []), (3, [names[1]])):
-            listed = store.list_runs(RunSelection(stations=("bench-α",), latest=latest))
+            listed = store.lists.read_runs(RunSelection(stations=("bench-α",), latest=latest))
             assert [run.run for run in listed if run.altered] == altered
 
 
@@ -105,8 +105,8 @@ def test_a_failed_run_that_was_given_another_serial_number_is_listed_with_the_ru
     path, names = moved
     change(path, "update runs set serial = 'S-2' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
-        listed = store.list_runs(RunSelection(serials=("S-1",)))
-        found = store.find_runs("S-1")
+        listed = store.lists.read_runs(RunSelection(serials=("S-1",)))
+        found = store.runs.find("S-1")
     assert [(run.run, bool(run.altered)) for run in listed] == [(names[0], False), (names[1], True)]
     assert [(run.run, bool(run.altered)) for run in reversed(found)] == [(names[0], False), (names[1], True)]
 
@@ -116,13 +116,13 @@ def test_a_serial_number_is_not_resolved_past_an_altered_run(moved):
     change(path, "update runs set serial = 'S-2' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
         with pytest.raises(StoreError, match=rf"{names[1]}.* it may be a later run of sensor S-1"):
-            store.resolve("S-1")
-        assert store.resolve(names[0]) == names[0]
-        assert store.resolve("S-3") == names[3]
-        assert list(store.find_altered_elsewhere("S-1")) == [names[1]]
+            store.runs.resolve("S-1")
+        assert store.runs.resolve(names[0]) == names[0]
+        assert store.runs.resolve("S-3") == names[3]
+        assert list(store.sensors.find_altered_elsewhere("S-1")) == [names[1]]
     change(path, "update runs set serial = 'S-1' where run = ?", names[1])
     with open_store(f"sqlite:///{path}") as store:
-        assert (store.resolve("S-1"), store.find_altered_elsewhere("S-1")) == (names[1], {})
+        assert (store.runs.resolve("S-1"), store.sensors.find_altered_elsewhere("S-1")) == (names[1], {})
 
 
 def test_an_altered_run_has_a_row_of_its_own_among_sensors(moved):
@@ -174,11 +174,11 @@ def test_one_odd_cell_marks_its_run_and_hides_no_other(moved, tmp_path, capsys, 
             assert list(marked) == [run]
             assert run in marked[run]
         if not measuring:
-            assert [one.run for one in store.find_runs() if one.altered] == [run]
-            assert [one.run for one in store.run_lines() if one.altered] == [run]
-        assert list(store.read_measurements(names).altered) == [run]
+            assert [one.run for one in store.runs.find() if one.altered] == [run]
+            assert [one.run for one in store.fleet.read_lines() if one.altered] == [run]
+        assert list(store.lists.read_measurements(names).altered) == [run]
         with pytest.raises(StoreError):
-            store.read_limited_measurements([run])
+            store.lists.read_limited_measurements([run])
     expected = 1 if marked else 0
     assert run_guarded(["runs", *at]) == expected
     assert run_guarded(["sensors", *at]) == expected
@@ -220,7 +220,7 @@ def test_a_check_that_does_not_fit_hides_no_failed_run(moved, capsys, statement,
     with open_store(f"sqlite:///{path}") as store:
         listed = {one.run: one for one in list_runs(store, list_request()).runs}
         assert (listed[names[1]].verdict, listed[names[1]].of_check) == (Outcome.FAIL, False)
-        assert names[1] in [one.run for one in store.run_lines(RunSelection(checks=False))]
+        assert names[1] in [one.run for one in store.fleet.read_lines(RunSelection(checks=False))]
     assert run_guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
     assert words in " ".join(capsys.readouterr().out.split())
 
@@ -237,7 +237,7 @@ def test_a_check_that_does_not_fit_hides_no_failed_run(moved, capsys, statement,
 def test_a_sealed_check_of_another_station_or_time_hides_no_failed_run(moved, capsys, changes, words):
     path, names = moved
     with open_store(f"sqlite:///{path}") as store:
-        store.save_station_check(replace(golden_check(store, names[1]), **changes))
+        store.stations.save_check(replace(golden_check(store, names[1]), **changes))
         assert [one.run for one in list_runs(store, list_request()).runs] == names[:3]
     assert run_guarded(["db", "check", "--database", f"sqlite:///{path}"]) == 1
     assert words in " ".join(capsys.readouterr().out.split())
@@ -249,10 +249,10 @@ def test_a_check_without_the_key_hides_no_signed_run(tmp_path, monkeypatch):
     monkeypatch.setenv(VARIABLE, "a key of twenty-two let")
     with open_store(url) as store:
         runs = [store_run(store, serial, values) for serial in ("S-1", "S-2")]
-        store.save_station_check(golden_check(store, runs[0]))
+        store.stations.save_check(golden_check(store, runs[0]))
     monkeypatch.delenv(VARIABLE)
     with open_store(url) as store:
-        store.save_station_check(golden_check(store, runs[1]))
+        store.stations.save_check(golden_check(store, runs[1]))
         assert [one.run for one in list_runs(store, list_request()).runs] == runs[1:]
 
 
@@ -262,7 +262,7 @@ def test_an_override_that_cannot_be_read_hides_no_other(moved, capsys, cell, cha
     path, names = moved
     with open_store(f"sqlite:///{path}") as store:
         for run in names[:2]:
-            store.override_verdict(run, Outcome.PASS, operator="Ada", why="seen")
+            store.changes.override_verdict(run, Outcome.PASS, operator="Ada", why="seen")
     if not chained:
         change(path, "delete from run_links")
         change(path, "update runs set chain = null")

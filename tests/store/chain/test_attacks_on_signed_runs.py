@@ -132,12 +132,12 @@ def test_a_verdict_that_another_login_added_to_a_signed_run_at_the_centre_is_ref
     assert synchronise(place.url, centre.url).exit_code == 0
     key.delenv("CBSR_QA_SIGNING_KEY")
     unsign(centre, runs[2])
-    centre.store.override_verdict(runs[2], Outcome.FAIL, operator="Mallory", why="so")
+    centre.store.changes.override_verdict(runs[2], Outcome.FAIL, operator="Mallory", why="so")
     key.setenv("CBSR_QA_SIGNING_KEY", KEY)
     problems = checked(centre).result.problems
     assert any(runs[2] in problem.what and "is not signed" in problem.what for problem in problems)
     with open_store(place.url) as store:
-        store.override_verdict(runs[2], Outcome.FAIL, operator="Zoë", why="so")
+        store.changes.override_verdict(runs[2], Outcome.FAIL, operator="Zoë", why="so")
     assert [one.item for one in synchronise(place.url, centre.url).result.held] == [runs[2]]
     centre.engine.dispose()
 

@@ -49,15 +49,17 @@ def filled(url):
         first, second = store.new_id(), store.new_id()
         journalled(store, short_run(first), gate=[ANSWER])
         journalled(store, short_run(second, "S-2"))
-        record = store.load_run(first)
+        record = store.runs.load(first)
         issued = calibration(store.new_id(), first)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
         issued = stamp(replace(issued, force=model, digest="", record_digest=""))
         software = (("cbsr-qa", "0.2.0"),)
         again = Reanalysis(first, 64 * "0", "{}", software, decide(MEASURED), MEASURED, ("one",), "equal", None, ())
-        store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
-        store.save_result(RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two")))
-        store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
+        store.reanalyses.adopt(store.reanalyses.save(again), operator="Zoë", why="corrected")
+        store.analyses.save(
+            RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two"))
+        )
+        store.changes.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
     return first
 
 
@@ -192,19 +194,19 @@ def test_an_edit_is_refused_by_name(copied, statement, said):
     path, run = copied
     edit(path, statement, run)
     with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match=said) as refused:
-        store.load_run(run)
+        store.runs.load(run)
     assert run in refused.value.reason
 
 
 READ_ALL = (
-    lambda store, run: store.load_run(run),
-    lambda store, run: store.find_runs(),
-    lambda store, run: store.analyses(run),
-    lambda store, run: store.overrides(run),
-    lambda store, run: store.calibrations("S-1"),
-    lambda store, run: store.latest_station_check("bench-α"),
-    lambda store, run: store.station_check_ring("check"),
-    lambda store, run: store.all_chart_references(),
+    lambda store, run: store.runs.load(run),
+    lambda store, run: store.runs.find(),
+    lambda store, run: store.analyses.load(run),
+    lambda store, run: store.changes.list_overrides(run),
+    lambda store, run: store.calibrations.list_issued("S-1"),
+    lambda store, run: store.stations.read_latest_check("bench-α"),
+    lambda store, run: store.stations.read_ring("check"),
+    lambda store, run: store.charts.read_all(),
 )
 
 
@@ -212,7 +214,6 @@ READ_ALL = (
 EMPTY = (
     *("sensors", "configuration_changes", "releases", "archives", "outbox", "sync_accepts", "sync_refusals"),
     *("sync_settlements", "runs_begun"),
-    *(f"calibration_{what}" for what in ("settling", "relaxations", "parameters", "overlap_bands", "forces")),
 )
 
 
@@ -221,11 +222,11 @@ def add_checks(store, run):
     smu = InstrumentIdentity("source_meter", "keithley-2600", "2634B", "123", "4.0.1", False, None)
     lines = (CheckResult("gain error", CheckOutcome.FAILED, -1.5, "%", "−1 to 1 %", "adjust it", "", "ring"),)
     check = StationCheck("check", "bench-α", "Zoë", at, "disc-100mm", 64 * "a", (("cbsr-qa", "1"),), (smu,), lines)
-    store.save_station_check(check, RingReadings(frames(0.0, 4, own_times=True), (1000.0,) * 16))
+    store.stations.save_check(check, RingReadings(frames(0.0, 4, own_times=True), (1000.0,) * 16))
     made = {"operator": "Zoë", "made_at": at, "why": "first lot"}
     of = {"station": "bench-α", "recipe": "short", "golden": None, "name": "drift", "unit": "mm"}
     period = {"mean": 4.0, "deviation": 0.1, "runs": 2, "first_run": run, "last_run": run}
-    store.save_chart_references([ChartReference(reference=store.new_id(), **of, **period, **made)])
+    store.charts.save([ChartReference(reference=store.new_id(), **of, **period, **made)])
 
 
 #: Its signatures are empty unless runs are signed.
@@ -272,20 +273,26 @@ def refusals(store, run):
             read(store, run)
         except StoreError as refused:
             yield refused.reason
-    yield from store.find_odd_rows()  # of rows outside of runs: passed over, and named by db check
+    yield from store.soundness.find_odd_rows()  # of rows outside of runs: passed over, and named by db check
 
 
 RUN, VALUE = "update runs set batch = 'B8' where run = :run", "update measurements set value = 1 where number = 1"
 READERS = {
-    "load_run": (VALUE, lambda store, run, _: store.load_run(run)),
-    "resume": (VALUE, lambda store, run, _: store.check_resumable(run)),
-    "configuration": (RUN, lambda store, run, _: store.configuration(run)),
-    "identity": (RUN, lambda store, run, _: store.identity(run)),
-    "analyses": (VALUE, lambda store, run, _: store.analyses(run)),
-    "calibration": ("update calibrations set scale = 1", lambda store, _, issued: store.calibration_file(issued)),
-    "override": (VALUE, lambda store, run, _: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")),
-    "fleet of a sensor": (VALUE, lambda store, *_: store.fleet(RunSelection(serials=("S-1",)))),
-    "fleet": (RUN, lambda store, *_: store.fleet()),
+    "load_run": (VALUE, lambda store, run, _: store.runs.load(run)),
+    "resume": (VALUE, lambda store, run, _: store.runs.check_resumable(run)),
+    "configuration": (RUN, lambda store, run, _: store.runs.read_configuration(run)),
+    "identity": (RUN, lambda store, run, _: store.runs.read_identity(run)),
+    "analyses": (VALUE, lambda store, run, _: store.analyses.load(run)),
+    "calibration": (
+        "update calibrations set record_sha256 = '1'",
+        lambda store, _, issued: store.calibrations.load_file(issued),
+    ),
+    "override": (
+        VALUE,
+        lambda store, run, _: store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
+    ),
+    "fleet of a sensor": (VALUE, lambda store, *_: store.fleet.read_table(RunSelection(serials=("S-1",)))),
+    "fleet": (RUN, lambda store, *_: store.fleet.read_table()),
 }
 
 
@@ -293,14 +300,14 @@ READERS = {
 def test_every_reader_refuses_what_it_uses(copied, statement, read):
     path, run = copied
     with open_store(f"sqlite:///{path}") as store:
-        again = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, "")
-        issued, before = store.analyses(run)[0].calibration, store.counts()
+        again = RunResult(store.runs.load(run), None, MEASURED, decide(MEASURED), None, "")
+        issued, before = store.analyses.load(run)[0].calibration, store.count_rows()
         edit(path, statement, run)
         with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
             read(store, run, issued)
         with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
-            store.save_result(again)
-        assert store.counts() == before
+            store.analyses.save(again)
+        assert store.count_rows() == before
 
 
 def test_every_table_of_a_run_is_covered_or_said_not_to_be():
@@ -342,7 +349,7 @@ def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
     """Rows that are copied from SQLite keep their chain."""
     path, run = copied
     with open_store(postgres_database) as target:
-        target.counts()
+        target.count_rows()
     source, central = (
         create_engine(f"sqlite:///{path}"),
         create_engine(postgres_database.replace("postgresql:", "postgresql+psycopg:")),
@@ -356,26 +363,26 @@ def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
     source.dispose()
     central.dispose()
     with open_store(f"sqlite:///{path}") as store:
-        here = store.load_run(run).chain
+        here = store.runs.load(run).chain
     with open_store(postgres_database) as store:
-        assert store.load_run(run).chain == here
-        assert store.fleet().runs
+        assert store.runs.load(run).chain == here
+        assert store.fleet.read_table().runs
 
 
 # Keys
 
 
-def test_a_run_of_before_is_unchained_and_goes_on_so(tmp_path):
+def test_a_run_whose_chain_was_removed_is_unchained_and_goes_on_so(tmp_path):
     url = f"sqlite:///{tmp_path / 'runs.db'}"
     with open_store(url) as store:
         run = store.new_id()
         journalled(store, short_run(run)[:8])
     edit(tmp_path / "runs.db", "delete from run_links; update runs set chain = null", run)
     with open_store(url) as store:
-        assert store.load_run(run).chain == ChainState()
-        assert store.load_run(run).chain.words.startswith("no chain: ")
+        assert store.runs.load(run).chain == ChainState()
+        assert store.runs.load(run).chain.words.startswith("no chain: ")
         journalled(store, [RunStarted(identity(run)), *short_run(run)[10:12]])
-        assert store.load_run(run).chain == ChainState("unchained", "none", None)
+        assert store.runs.load(run).chain == ChainState("unchained", "none", None)
 
 
 @pytest.mark.parametrize(
@@ -400,14 +407,14 @@ def test_the_state_of_a_chain_is_said(tmp_path, monkeypatch, begun_with, read_wi
         journalled(store, short_run(run)[:8])
     key(read_with)
     with open_store(url) as store:
-        assert words in store.load_run(run).chain.words
+        assert words in store.runs.load(run).chain.words
         if begun_with and begun_with != read_with:
             with pytest.raises(StoreError, match=r"is signed with key .* (is set|set here)"):
-                store.check_resumable(run)
+                store.runs.check_resumable(run)
             with pytest.raises(StoreError, match="is signed with key"):
                 journalled(store, [RunStarted(identity(run))])
         elif begun_with == read_with:
-            store.check_resumable(run)
+            store.runs.check_resumable(run)
     assert KEY not in "".join(sqlite3.connect(tmp_path / "runs.db").iterdump())
 
 
@@ -434,13 +441,13 @@ def test_who_has_no_key_cannot_compute_a_signed_chain_again(copied, stored):
     forged(path, run)
     with open_store(f"sqlite:///{path}") as store:
         if not stored[1]:
-            assert store.load_run(run).phases[0].loads[0].load.x_mm == 15.5  # what digests alone are worth
+            assert store.runs.load(run).phases[0].loads[0].load.x_mm == 15.5  # what digests alone are worth
             return
         with pytest.raises(StoreError, match=r"link .* loads .* was not signed with key"):
-            store.load_run(run)
+            store.runs.load(run)
     edit(path, "update run_links set mac = null where number > 3", run)
     with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match="is not signed, unlike its run"):
-        store.load_run(run)
+        store.runs.load(run)
 
 
 @pytest.mark.parametrize(
@@ -480,7 +487,7 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch)
     with open_store(url, durable=False) as store:
         for n in range(3):
             store_run(store, f"S-{n}", judged(measured(random, random.standard_normal(3))), batch="41")
-        before = store.fleet()
+        before = store.fleet.read_table()
     with sqlite3.connect(tmp_path / "runs.db") as database:
         rows = database.execute("select * from measurements order by number desc, analysis").fetchall()
         database.execute("delete from measurements")
@@ -488,7 +495,7 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch)
     by_itself = []
     monkeypatch.setattr(fleet, "check_run", lambda _, run: by_itself.append(run))
     with open_store(url) as store:
-        assert sorted(store.fleet().value) == sorted(before.value)
+        assert sorted(store.fleet.read_table().value) == sorted(before.value)
     assert by_itself == []
 
 
@@ -497,20 +504,20 @@ def test_a_result_is_added_to_what_was_analysed_or_the_run_is_checked_again(copi
     """An analysis takes minutes: only what is added meanwhile makes a second check of all rows necessary."""
     path, run = copied
     with open_store(f"sqlite:///{path}") as store:
-        result = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, "")
+        result = RunResult(store.runs.load(run), None, MEASURED, decide(MEASURED), None, "")
         if added_between:
-            store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
-        before = len(store.analyses(run))
+            store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+        before = len(store.analyses.load(run))
         with closing(sqlite3.connect(path)) as database, database:
             database.execute("UPDATE steps SET time_s = 7e6 WHERE run = ? AND number = 0", (run,))
         if added_between:
             with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
-                store.save_result(result)
+                store.analyses.save(result)
         else:
-            store.save_result(result)
-        assert len(store.analyses(run)) == before + (not added_between)
+            store.analyses.save(result)
+        assert len(store.analyses.load(run)) == before + (not added_between)
         with pytest.raises(StoreError, match=f"run {run}: .* was changed"):  # whoever reads it next
-            store.load_run(run)
+            store.runs.load(run)
 
 
 def stripped(path):
@@ -527,22 +534,25 @@ def test_a_run_that_no_key_vouches_for_is_not_added_to_where_a_key_is_set(tmp_pa
     monkeypatch.setenv(VARIABLE, KEY)
     said = f"run {run} {'is not signed' if chained else 'has no chain'}, and a signing key is set"
     with open_store(url) as store:
-        result, before = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, ""), store.counts()
+        result, before = (
+            RunResult(store.runs.load(run), None, MEASURED, decide(MEASURED), None, ""),
+            store.count_rows(),
+        )
         for add in (
-            lambda: store.check_resumable(run),
-            lambda: store.save_result(result),
-            lambda: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
+            lambda: store.runs.check_resumable(run),
+            lambda: store.analyses.save(result),
+            lambda: store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
         ):
             with pytest.raises(StoreError, match=said) as refused:
                 add()
             assert f"unset {VARIABLE}" in refused.value.remedy
-        assert store.counts() == before
+        assert store.count_rows() == before
 
 
 def test_a_run_without_a_chain_warns_of_it(tmp_path):
     url = f"sqlite:///{tmp_path / 'runs.db'}"
     run = filled(url)
     with open_store(url) as store:
-        assert store.load_run(run).chain.warnings == ()
+        assert store.runs.load(run).chain.warnings == ()
         stripped(tmp_path / "runs.db")
-        assert "or the chain was removed" in store.load_run(run).chain.warnings[0]
+        assert "or the chain was removed" in store.runs.load(run).chain.warnings[0]

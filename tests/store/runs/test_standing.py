@@ -19,7 +19,6 @@ from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.engine import open_engine, parse_url, writing
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.runs.outcomes import latest_result
-from cbsr_qa.store.runs.sessions import runs_without_result
 
 _NOON = datetime(2026, 11, 21, 12, tzinfo=UTC)
 _FINISHED, _ABORTED = RunEnded(EndReason.FINISHED, "", 10.0, ()), RunEnded(EndReason.ABORTED, "by Zoë", 10.0, ())
@@ -44,17 +43,17 @@ class _Told:
         self.now += timedelta(hours=1)
         begun, *events, _ = short_run(self.run)
         begun = RunStarted(replace(identity(self.run), started_at=self.now))
-        first = not self.store.find_runs("S-1")
+        first = not self.store.runs.find("S-1")
         journalled(self.store, [begun, *(events if first else ()), *([] if end is None else [end])])
 
     def analysed(self):
         """Store what is concluded of the run as it is now."""
         self.now += timedelta(hours=1)
-        record = self.store.load_run(self.run)
+        record = self.store.runs.load(self.run)
         finished = record.end is EndReason.FINISHED
         values = measured(5.0, 0.1) if finished else ()
         verdict = decide(values) if finished else _NOT_MEASURED
-        self.store.save_result(RunResult(record, None, values, verdict, None, "not asked for"))
+        self.store.analyses.save(RunResult(record, None, values, verdict, None, "not asked for"))
 
     def unchain(self):
         """Make the run as one of a database without chains."""
@@ -137,20 +136,20 @@ def _check(story, state, outcome, url, *, chained):
             told.unchain()
     with told.store as store:
         run, finished = told.run, state in (ResultState.MISSING, ResultState.STORED)
-        assert store.result_state(run) is state
-        assert {one.verdict.outcome for one in store.analyses(run)[:1]} == ({outcome} - {None})
-        (listed,) = store.list_runs()
-        (line,) = store.run_lines()
-        (earlier,) = store.sensor_history(SensorIdentity("S-1", "B7", "disc-100mm"), "short").earlier
-        shown = (listed, line, earlier, *store.find_runs(), store.look_at(run))
+        assert store.runs.read_result_state(run) is state
+        assert {one.verdict.outcome for one in store.analyses.load(run)[:1]} == ({outcome} - {None})
+        (listed,) = store.lists.read_runs()
+        (line,) = store.fleet.read_lines()
+        (earlier,) = store.sensors.read_history(SensorIdentity("S-1", "B7", "disc-100mm"), "short").earlier
+        shown = (listed, line, earlier, *store.runs.find(), store.live.find_run(run))
         assert [one.outcome for one in shown] == [outcome] * 5
-        assert [one.run for one in store.fleet(RunSelection()).runs] == [run]
-        assert (run in store.read_limited_measurements([run])) is (state is ResultState.STORED)
-        assert store.look_at(run).result is state
+        assert [one.run for one in store.fleet.read_table(RunSelection()).runs] == [run]
+        assert (run in store.lists.read_limited_measurements([run])) is (state is ResultState.STORED)
+        assert store.live.find_run(run).result is state
         assert latest_result(url, run) == (state, outcome)
-        assert [one.run for one in store.incomplete_runs()] == ([] if finished else [run])
+        assert [one.run for one in store.unfinished.list_incomplete()] == ([] if finished else [run])
         engine = open_engine(parse_url(url))
-        assert runs_without_result(engine) == (((run, "S-1"),) if state is ResultState.MISSING else ())
+        assert store.unfinished.list_without_result() == (((run, "S-1"),) if state is ResultState.MISSING else ())
         with writing(engine) as connection:
             (view,) = connection.execute(sa.text("SELECT verdict, outcome FROM v_runs")).all()
         engine.dispose()
@@ -158,5 +157,5 @@ def _check(story, state, outcome, url, *, chained):
         if state is not ResultState.STORED:
             remedy = "computes it" if finished else "continues it"
             with pytest.raises(StoreError) as refused:
-                store.override_verdict(run, Outcome.PASS, operator="Ada", why="as I say")
+                store.changes.override_verdict(run, Outcome.PASS, operator="Ada", why="as I say")
             assert refused.value.remedy == f"cbsr-qa run --resume {run} {remedy}"

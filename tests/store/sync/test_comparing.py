@@ -150,7 +150,7 @@ def test_a_run_that_was_removed_before_it_was_sent_is_named_at_both_ends(station
     assert entry.why.startswith(f"the run before {runs[2]} (begun 2026-11-21 08:00 UTC) is missing: run {runs[1]}")
     (refused,) = refusals(centre.engine)
     assert (refused.run, refused.station, refused.why) == (runs[1], "bench-α", entry.why)
-    problems, notes = centre.store.order_problems()
+    problems, notes = centre.store.soundness.find_order_problems()
     assert problems == ()
     assert notes == (f"run {runs[1]} is not here: it was refused when it was sent, see cbsr-qa db sync --status",)
     send_again(station.engine, runs[1])
@@ -165,7 +165,7 @@ def test_a_run_that_was_removed_after_it_was_sent_is_named(station, centre):
     sent(station, centre)
     remove_run(station, runs[0])
     assert [entry.item for entry in sent(station, centre).quarantined] == [runs[0]]
-    assert centre.store.order_problems() == ((), ())
+    assert centre.store.soundness.find_order_problems() == ((), ())
 
 
 @on_both
@@ -173,12 +173,12 @@ def test_the_last_run_removed_without_a_trace_is_known_to_the_centre(station, ce
     runs = [run_of(station.store) for _ in range(2)]
     sent(station, centre)
     remove_run(station, runs[1], begun=True)
-    assert station.store.order_problems() == ((), ())  # here, nothing says so
+    assert station.store.soundness.find_order_problems() == ((), ())  # here, nothing says so
     assert "follows run" in sent(station, centre).notes[0]
     later = run_of(station.store)
     (note,) = sent(station, centre).notes
     assert note.startswith(f"the centre has run {runs[1]} (begun ")
-    problems, (fork,) = centre.store.order_problems()
+    problems, (fork,) = centre.store.soundness.find_order_problems()
     assert problems == ()
     assert fork.startswith(f"runs {runs[1]} and {later} follow the same run {runs[0]}")
 
@@ -193,8 +193,8 @@ def test_databases_that_went_on_from_one_copy_are_no_fault(station, centre, plac
         run_of(one.store)
         assert sent(one, centre).quarantined == []
     for one in (station, copy):
-        assert one.store.order_problems() == ((), ())
-    problems, notes = centre.store.order_problems()
+        assert one.store.soundness.find_order_problems() == ((), ())
+    problems, notes = centre.store.soundness.find_order_problems()
     assert (problems, len(notes)) == ((), 1)
     assert refusals(centre.engine) == []
 
@@ -205,10 +205,10 @@ def test_each_station_has_its_own_order_at_the_centre(place, centre):
         run_of(station.store)
         assert sent(station, centre).notes == []
     assert centre.said("SELECT count(*) FROM runs_begun") == [(0,)]
-    assert centre.store.order_problems() == ((), ())
+    assert centre.store.soundness.find_order_problems() == ((), ())
     (first, _) = stations[1].said("SELECT run FROM runs ORDER BY run")
     remove_run(centre, first[0])
-    ((gap,), notes) = centre.store.order_problems()
+    ((gap,), notes) = centre.store.soundness.find_order_problems()
     assert (gap.run, notes) == (first[0], ())
 
 
@@ -220,7 +220,7 @@ def test_a_run_that_waits_for_a_refused_one_is_no_gap_at_the_centre(station, cen
     done = sent(station, centre)
     assert ([one.item for one in done.quarantined], [one.item for one in done.blocked]) == ([first], [second])
     assert centre.said("SELECT run FROM runs") == [(third,)]
-    problems, (note,) = centre.store.order_problems()
+    problems, (note,) = centre.store.soundness.find_order_problems()
     assert (problems, note.startswith(f"run {second} is not here: it was refused")) == ((), True)
     station.change(f"UPDATE loads SET x_mm = 15.0 WHERE run = '{first}'")
     send_again(station.engine, first)
@@ -233,7 +233,7 @@ def run_of_a_recipe(store, recipe):
     """Store a run of a recipe with a content of its own."""
     run, configuration = store.new_id(), f'{{"recipe":{{"name":"{recipe}"}}}}'
     digest = hashlib.sha256(configuration.encode()).hexdigest()
-    journal = store.journal(configuration=configuration, **SETTING)
+    journal = store.open_journal(configuration=configuration, **SETTING)
     journal(RunStarted(replace(identity(run), recipe=recipe, configuration_digest=digest)))
     for event in short_run(run)[1:]:
         journal(event)

@@ -6,20 +6,21 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
+import later_schema
 import pytest
 import sqlalchemy as sa
 import synced
 from stored_runs import calibration, frames, journalled, short_run
 from synced import assert_all_there, content, everything, judged, on_both, run_of, send, sent
 
-from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, StoreError
 from cbsr_qa.domain.run.run import FramesTaken, RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store import archives
 from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import sending_alone
-from cbsr_qa.store.schema import HEAD
+from cbsr_qa.store.schema import HEAD, OLDEST_SENDER
 from cbsr_qa.store.sync import parcels, storing
 from cbsr_qa.store.sync.centre import refusals
 from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
@@ -171,8 +172,8 @@ def test_each_alteration_is_named(station, centre, statement, why):
 def test_frames_archived_before_they_were_sent_are_read_from_their_file(station, centre, tmp_path, spoil):
     judged(station.store, run_of(station.store))
     before = content(station.engine)
-    (one,) = station.store.archivable(LATER)
-    file = Path(station.store.archive_run(one, tmp_path / "kept", LATER).file)
+    (one,) = station.store.archives.find_archivable(LATER)
+    file = Path(station.store.archives.archive(one, tmp_path / "kept", LATER).file)
     if spoil is None:
         sent(station, centre)
         assert content(centre.engine) == before
@@ -185,8 +186,8 @@ def test_frames_archived_before_they_were_sent_are_read_from_their_file(station,
 def test_an_archive_is_read_once_however_many_parcels_its_run_makes(station, centre, tmp_path, monkeypatch):
     judged(station.store, run_of(station.store))
     before = content(station.engine)
-    (one,) = station.store.archivable(LATER)
-    station.store.archive_run(one, tmp_path / "kept", LATER)
+    (one,) = station.store.archives.find_archivable(LATER)
+    station.store.archives.archive(one, tmp_path / "kept", LATER)
     read, parcelled = [], []
     monkeypatch.setattr(archives, "read_checked", counted(archives.read_checked, read))
     monkeypatch.setattr("cbsr_qa.store.sync.send.store_parcel", counted(storing.store_parcel, parcelled))
@@ -258,7 +259,7 @@ def test_of_calibrations_from_several_stations_one_is_valid(place, centre):
     for station in reversed(stations):
         sent(station, centre)
     assert centre.said("SELECT calibration FROM v_calibrations") == [(max(issued),)]
-    assert [one.calibration for one in centre.store.calibrations("S-1")] == sorted(issued, reverse=True)
+    assert [one.calibration for one in centre.store.calibrations.list_issued("S-1")] == sorted(issued, reverse=True)
 
 
 def test_what_refers_to_a_quarantined_run_waits_for_it(station, centre):
@@ -288,7 +289,7 @@ def unchain(place):
 
 
 @on_both
-def test_runs_of_before_chains_are_compared_as_a_whole(full, centre, place):
+def test_runs_without_a_chain_are_compared_as_a_whole(full, centre, place):
     unchain(full)
     sent(full, centre)
     assert content(centre.engine) == content(full.engine)
@@ -301,6 +302,20 @@ def test_runs_of_before_chains_are_compared_as_a_whole(full, centre, place):
     (entry,) = sent(full, centre).quarantined
     assert entry.item == run
     assert "loads (phase 0, load_index 0)" in list_held(full.engine)[0].why
+
+
+@on_both
+def test_nothing_is_sent_to_a_centre_of_before_the_first_version(full, centre):
+    centre.change("UPDATE alembic_version SET version_num = '0024'")
+    with pytest.raises(StoreError, match=r"has schema 0024, from before version 0\.1\.0") as caught:
+        sent(full, centre)
+    assert LAST_UNRELEASED in caught.value.remedy
+    assert centre.said("SELECT count(*) FROM runs") == [(0,)]
+
+
+def test_programs_of_before_the_first_version_find_that_a_centre_does_not_take_their_rows():
+    """They compare the oldest schema that it accepts with their own, as text."""
+    assert all(f"{number:04}" < OLDEST_SENDER for number in range(1, 25))
 
 
 @on_both
@@ -341,12 +356,14 @@ def test_an_older_station_sends_to_a_newer_centre_that_accepts_it(full, centre):
     assert len(waiting(full.engine)) == 1
 
 
-def test_a_newer_station_waits_for_the_upgrade_of_the_centre(full, centre):
-    centre.change("UPDATE alembic_version SET version_num = '0015'")
-    with pytest.raises(StoreError, match=f"schema 0015, older than the station's .{HEAD}") as caught:
-        sent(full, centre)
+def test_a_newer_station_waits_for_the_upgrade_of_the_centre(full, centre, tmp_path):
+    with pytest.MonkeyPatch.context() as patch:
+        later_schema.add_revision(patch, tmp_path)
+        with pytest.raises(
+            StoreError, match=f"schema {HEAD}, older than the station's .{later_schema.LATER}"
+        ) as caught:
+            sent(full, centre)
     assert "upgrade the central database first: cbsr-qa db upgrade" in caught.value.remedy
-    centre.change(f"UPDATE alembic_version SET version_num = '{HEAD}'")
     sent(full, centre)
     assert_all_there(centre.engine, full.engine)
 

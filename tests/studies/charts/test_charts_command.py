@@ -115,9 +115,9 @@ def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_pa
     assert document(path, *second)["in_control"]
     assert document(path)["in_control"]
     with open_store(f"sqlite:///{path}") as store:
-        old, new = store.all_chart_references(STATION)
-        (holds,) = store.chart_references(STATION)
-        assert store.chart_references(STATION, until=old.reference) == (old,)
+        old, new = store.charts.read_all(STATION)
+        (holds,) = store.charts.read_current(STATION)
+        assert store.charts.read_current(STATION, until=old.reference) == (old,)
     assert (old.operator, old.why, new.operator) == ("Zoë", "after the move", "Ada")
     assert holds == new
 
@@ -211,7 +211,7 @@ def test_runs_of_golden_sensors_are_no_production(tmp_path, document):
     runs = fill(path, values(count=20))
     with open_store(f"sqlite:///{path}", durable=False) as store:
         check = (store.new_id(), STATION, "Zoë", datetime.now(UTC), "disc-100mm", 64 * "a", (), (), ())
-        store.save_station_check(StationCheck(*check, golden_run=runs[7]))
+        store.stations.save_check(StationCheck(*check, golden_run=runs[7]))
     found = document(path, "--reference-runs", 15, "--operator", "Zoë")
     assert found["runs"] == 19
     assert runs[7] not in found["charts"][0]["runs"]
@@ -257,7 +257,7 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
 def test_what_cannot_be_charted_is_refused_by_name(shifted, refusal, arguments, words):
     assert words in refusal("charts", "--database", shifted[0], *arguments)
     with open_store(f"sqlite:///{shifted[0]}") as store:
-        assert store.all_chart_references(STATION) == ()
+        assert store.charts.read_all(STATION) == ()
 
 
 def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, refusal, document):

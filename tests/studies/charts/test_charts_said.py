@@ -83,18 +83,18 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     assert "retired by Ada: force gain, chart cusum; a new reference starts them again" in out
     assert "1 of 1 chart" in out
     with open_store(f"sqlite:///{path}") as store:
-        assert [str(one.chart) for one in store.chart_references(STATION)] == ["i-mr"]
-        first, _, last = store.all_chart_references(STATION)
+        assert [str(one.chart) for one in store.charts.read_current(STATION)] == ["i-mr"]
+        first, _, last = store.charts.read_all(STATION)
         assert (first.retired, last.retired, last.operator, last.why) == (False, True, "Ada", "one chart is enough")
         # What held before holds for what was made before.
-        assert len(store.chart_references(STATION, until=store.all_chart_references(STATION)[1].reference)) == 2
+        assert len(store.charts.read_current(STATION, until=store.charts.read_all(STATION)[1].reference)) == 2
     assert run_guarded(["db", "changes", "--database", str(path)]) == 0
     assert "retired: nothing is charted against these limits from here on" in capsys.readouterr().out
     page = tmp_path / "page.html"
     assert command(path, "--retire", "i-mr", "--operator", "Ada", "--output", page)[0] == 0
     assert "Nothing is charted now." in page.read_text()
     with open_store(f"sqlite:///{path}") as store:
-        assert charts_after(store, store.find_runs()[0].station) is None
+        assert charts_after(store, store.runs.find()[0].station) is None
     assert "no reference period is stored" in command(path)[2]
     assert command(path, *NEW, "--chart", "cusum")[0] == 1
     assert "1 of 1 chart" in command(path)[1]
@@ -120,7 +120,7 @@ def test_what_cannot_be_retired_is_refused(tmp_path, command, refused, arguments
     command(path, *NEW)
     assert words in refused(path, *arguments)
     with open_store(f"sqlite:///{path}") as store:
-        assert len(store.all_chart_references(STATION)) == 1
+        assert len(store.charts.read_all(STATION)) == 1
 
 
 def test_runs_without_measurements_are_said(tmp_path, refused):
@@ -140,7 +140,7 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     with open_store(f"sqlite:///{path}", durable=False) as store:
         run = store_run(store, "S-700", odd, station=STATION, day=30)
         # At the end of a run too: it is no value there, neither of its units alone.
-        there = store.identity(run)
+        there = store.runs.read_identity(run)
         assert (
             charts_after(store, there.station).signals == charts_after(store, there.station, there, odd).signals == ()
         )
@@ -163,7 +163,7 @@ def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path
     fill(database, values(count=40))
     assert "runs.db: not an HTML page" in refused(database, *NEW, "--output", database)
     with open_store(f"sqlite:///{database}") as store:
-        assert store.chart_references(STATION) == ()
+        assert store.charts.read_current(STATION) == ()
     command(database, *NEW)
     with open_store(f"sqlite:///{database}") as store:
-        assert len(store.chart_references(STATION)) == 1
+        assert len(store.charts.read_current(STATION)) == 1

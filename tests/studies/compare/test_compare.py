@@ -69,8 +69,8 @@ def test_a_metric_is_the_mean_of_its_loads_and_a_retest_decides_by_policy(url):
     assert first["groups"][0]["failures"] == [{"metric": f"{ERROR} (nine locations)", "sensors": 3}]
     assert last["groups"][0]["failures"] == []
     with open_store(url, durable=False) as store:
-        latest = {line.serial: line.run for line in store.run_lines()}
-        store.override_verdict(latest["S-0"], Outcome.FAIL, operator="Zoë", why="scratched")
+        latest = {line.serial: line.run for line in store.fleet.read_lines()}
+        store.changes.override_verdict(latest["S-0"], Outcome.FAIL, operator="Zoë", why="scratched")
     again = json_of(compared(url))["groups"][0]
     assert again["yield"] == pytest.approx(2 / 3)
     assert again["failures"] == [{"metric": "decided by an operator", "sensors": 1}]
@@ -193,8 +193,8 @@ def test_only_the_latest_analysis_counts(url):
         from cbsr_qa.domain.results.report import RunResult
 
         again = (Measurement("drift", 0.25, "%/min"),)
-        result = RunResult(store.load_run(run), None, again, Verdict(Outcome.NOT_JUDGED, ""), None, "")
-        store.save_result(result)
+        result = RunResult(store.runs.load(run), None, again, Verdict(Outcome.NOT_JUDGED, ""), None, "")
+        store.analyses.save(result)
     document = json_of(compared(url))
     assert [(d["name"], d["mean"]) for d in document["distributions"]] == [("drift", 0.25)]
     assert document["groups"][0]["yield"] is None

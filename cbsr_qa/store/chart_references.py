@@ -1,0 +1,83 @@
+"""References of control charts: appended; the latest of each chart holds, unless it retires the chart.
+
+Rows that cannot be read are passed over; db check names them.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from sqlalchemy import Engine, insert
+
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.results.charts import ChartKind, ChartReference
+from cbsr_qa.store.damage import read_word
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import row_of
+from cbsr_qa.store.odd_rows import read_rows_apart
+from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.tables.records import ChartReferenceRow
+
+_SETTINGS: Final = ("subgroup", "rules", "weight", "width", "slack", "threshold")
+
+
+class ChartReferences:
+    """References of control charts."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def save(self, references: Sequence[ChartReference]) -> None:
+        """Store references of charts in one transaction; earlier ones are kept.
+
+        Raises
+        ------
+        StoreError
+            If one is already stored, one of its runs is missing, or the database cannot be written.
+        """
+        if references:
+            with writing(self._engine) as connection:
+                connection.execute(insert(ChartReferenceRow), [_values(one) for one in references])
+                announce(connection, Kind.CHART_REFERENCE, [one.reference for one in references])
+
+    def read_current(self, station: str, until: str = "") -> tuple[ChartReference, ...]:
+        """Return the current references of a station's charts in the order stored; retired charts have none.
+
+        Parameters
+        ----------
+        until : ignore references that sort after this name.
+        """
+        wanted = [ChartReferenceRow.station == station]
+        if until:
+            wanted.append(ChartReferenceRow.reference <= until)
+        with reading(self._engine) as connection:
+            rows = read_rows_apart(connection, ChartReferenceRow, *wanted).rows
+        latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
+        holding = (one for one in latest.values() if not one.retired)
+        return tuple(sorted(holding, key=lambda one: one.reference))
+
+    def read_all(self, station: str = "") -> tuple[ChartReference, ...]:
+        """Return all references of a station's charts (empty: of all stations), oldest first."""
+        wanted = [ChartReferenceRow.station == station] if station else []
+        with reading(self._engine) as connection:
+            return tuple(map(_reference, read_rows_apart(connection, ChartReferenceRow, *wanted).rows))
+
+
+def _values(one: ChartReference) -> dict[str, Any]:
+    settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
+    return {
+        **row_of(ChartReferenceRow, one, golden=one.golden or "", kind=str(one.chart)),
+        # Only where set: most references are of charts in use.
+        "settings": settings | ({"retired": True} if one.retired else {}),
+    }
+
+
+def _reference(row: Mapping[str, Any]) -> ChartReference:
+    settings = {name: row["settings"][name] for name in _SETTINGS}
+    return fill_from_mapping(
+        ChartReference,
+        row,
+        chart=read_word(ChartKind, row["kind"], "chart_references.kind", f"reference {row['reference']}"),
+        golden=row["golden"] or None,
+        retired=bool(row["settings"].get("retired", False)),
+        **settings | {"rules": tuple(settings["rules"])},
+    )

@@ -1,0 +1,96 @@
+"""Versions of the calibration file: those from before 0.1.0 are refused, and a later one only adds entries."""
+
+import hashlib
+from dataclasses import dataclass, fields
+from typing import Annotated
+
+import numpy as np
+import pytest
+from calibration_samples import edited, forged, sample_calibration
+
+from cbsr_qa.calibration.file import content, entries
+from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT, PRESS_FORMAT
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
+from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
+from cbsr_qa.domain.kept import Kept
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.press_calibration import PressCalibration
+
+FIRST = FIRST_VERSION[FORMAT]
+LATER = FIRST + 1
+
+
+@dataclass(frozen=True, repr=False)
+class LaterCalibration(Calibration):
+    """As a later version of the program knows it."""
+
+    humidity: Annotated[float | None, Kept("identity/humidity", "%", since=LATER)] = None
+
+
+def later_sample(humidity):
+    sample = sample_calibration()
+    return LaterCalibration(
+        **{field.name: getattr(sample, field.name) for field in fields(sample)}, humidity=humidity
+    )
+
+
+@pytest.fixture
+def later(monkeypatch):
+    monkeypatch.setattr(content, "_KINDS", {FORMAT: LaterCalibration, PRESS_FORMAT: PressCalibration})
+    monkeypatch.setattr(entries, "Calibration", LaterCalibration)
+
+
+@pytest.mark.parametrize("version", [-1, 0, 1, 2, 3, 4])
+def test_a_file_of_before_the_first_version_is_refused_and_stays_as_it_is(issued, version):
+    with edited(issued) as file:
+        file.attrs["schema_version"] = np.int64(version)
+    before = hashlib.sha256(issued.read_bytes()).hexdigest()
+    said = rf"written to schema version {version}, from before version 0\.1\.0, which this program does not read"
+    for read in (read_calibration, verify_calibration_file):
+        with pytest.raises(CalibrationError, match=said) as caught:
+            read(issued)
+        assert f"commit {LAST_UNRELEASED} of cbsr-qa still reads this one" in caught.value.remedy
+        assert caught.value.exit_code == 2
+    assert hashlib.sha256(issued.read_bytes()).hexdigest() == before
+
+
+def test_what_is_issued_now_is_of_the_first_version(issued):
+    assert verify_calibration_file(issued).schema_version == FIRST
+
+
+@pytest.mark.usefixtures("later")
+def test_a_field_that_is_added_later_comes_back_and_raises_the_version(tmp_path):
+    path = tmp_path / "later.h5"
+    write_calibration(path, later_sample(55.0))
+    assert verify_calibration_file(path).schema_version == LATER
+    assert read_calibration(path).humidity == 55.0
+
+
+@pytest.mark.usefixtures("later")
+def test_a_file_without_the_field_keeps_version_digest_and_bytes(issued, tmp_path):
+    before = read_calibration(issued)
+    assert before.humidity is None
+    assert write_calibration(tmp_path / "again.h5", before) == before.digest
+    assert (tmp_path / "again.h5").read_bytes() == issued.read_bytes()
+    assert verify_calibration_file(issued).schema_version == FIRST
+    assert stamp(later_sample(None)).record_digest == stamp(sample_calibration()).record_digest
+
+
+def test_a_file_of_a_later_version_is_refused_by_this_one(tmp_path, monkeypatch):
+    path = tmp_path / "later.h5"
+    with monkeypatch.context() as patched:
+        patched.setattr(content, "_KINDS", {FORMAT: LaterCalibration, PRESS_FORMAT: PressCalibration})
+        write_calibration(path, later_sample(55.0))
+    with pytest.raises(CalibrationError, match=f"schema version {LATER}; this program knows versions up to {FIRST}"):
+        read_calibration(path)
+
+
+def test_a_version_that_does_not_fit_the_content_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "later.h5"
+    write_calibration(path, sample_calibration())
+    with monkeypatch.context() as patched:
+        patched.setattr(content, "_KINDS", {FORMAT: LaterCalibration, PRESS_FORMAT: PressCalibration})
+        with forged(path) as file:
+            file.attrs["schema_version"] = np.int64(LATER)
+        with pytest.raises(CalibrationError, match=f"version {LATER}, but what it holds is that of version {FIRST}"):
+            read_calibration(path)
