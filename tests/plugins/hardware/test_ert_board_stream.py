@@ -178,7 +178,7 @@ def test_the_memory_of_the_readings_can_be_taken_out(opened, order):
         np.abs(remembered.voltages - plain.voltages)[0, USABLE].max() > 0.05 * np.abs(plain.voltages[0, USABLE]).max()
     )
     # What follows a driven pair that was cut keeps a share of nobody knows what; whole counts are rounded.
-    order = stream_order(order, 0)
+    order = stream_order(16, order, 0)
     follows_cut = np.zeros(256, dtype=bool)
     follows_cut[order[1:]] = corrected.flags[0].ravel()[order[:-1]] > 0
     known = USABLE & ~follows_cut.reshape(16, 16) & (corrected.flags[0] == 0)
@@ -270,7 +270,7 @@ def test_a_port_without_a_board_is_refused():
 
 def test_a_sensor_of_other_readings_is_refused():
     of = replace(sensor_type(), pattern=replace(sensor_type().pattern, drive=sensor_type().pattern.drive[:8]))
-    with pytest.raises(ConfigError, match="sends 16 x 16 readings; sensor type 'disc-100mm' has 8 x 16"):
+    with pytest.raises(ConfigError, match="sends 16 x 16 or 32 x 32 readings; sensor type 'disc-100mm' has 8 x 16"):
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock(), of))
 
 
