@@ -13,7 +13,6 @@ from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.geometry.footprints import RoundFootprint
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
@@ -22,6 +21,7 @@ from cbsr_qa.eit.forward.model import ForwardModel, point_model
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.eit.mesh.pyeit import import_pyeit_mesh
 from cbsr_qa.eit.mesh.sheet import sheet_mesh
 from cbsr_qa.testing.numerics import convergence_order
 
@@ -82,13 +82,13 @@ def _error_row(
 
 def _forward_solve() -> Row:
     other = peer()
-    mesh, nodes = _as_ours(other)
-    model = point_model(mesh, nodes, _ARCS.pattern, np.ones(len(mesh.elements)))
+    sheet = import_pyeit_mesh(other.mesh)
+    model = point_model(sheet.mesh, sheet.electrode_nodes, _ARCS.pattern, sheet.conductance)
     theirs = other.forward()
-    apart = _largest_difference(model, other)
+    apart, count = _largest_difference(model, other), len(sheet.mesh.elements)
     return ratio_row(
         compare(
-            f"forward solve, 16 drives, {len(mesh.elements)} elements; same mesh, readings alike to {apart:.0e}",
+            f"forward solve, 16 drives, {count} elements; same mesh, readings alike to {apart:.0e}",
             ("assembled, factorised, solved", lambda: model.with_values().voltages()),
             ("pyEIT", lambda: theirs.solve_eit(perm=1.0)),
             repeats=_REPEATS,
@@ -220,16 +220,6 @@ def _errors(found: Array, exact: Array) -> tuple[float, float]:
     norm = np.linalg.norm
     used = norm((found - exact)[_USED]) / norm(exact[_USED])
     return float(used), float(norm(found - exact) / norm(exact))
-
-
-def _as_ours(other: Peer) -> tuple[Mesh, NDArray[np.int64]]:
-    elements = np.asarray(other.mesh.element, dtype=np.int64)
-    nodes = np.asarray(other.mesh.node, dtype=np.float64)[:, :2]
-    first, second, third = (nodes[elements[:, k]] for k in range(3))
-    one, two = second - first, third - first
-    turned = one[:, 0] * two[:, 1] < one[:, 1] * two[:, 0]
-    elements[turned] = elements[turned][:, ::-1]
-    return Mesh(nodes, elements), np.asarray(other.mesh.el_pos, dtype=np.int64)
 
 
 def _largest_difference(model: ForwardModel, other: Peer) -> float:

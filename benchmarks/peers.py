@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.reference_solutions import point_transfer_impedance
 from cbsr_qa.eit.forward.closed_forms import ConcentricSheet
+from cbsr_qa.eit.mesh.pyeit import import_pyeit_protocol
 
 Array = NDArray[np.float64]
 
@@ -57,14 +58,18 @@ class Peer:
         """Its 208 readings, for a conductance per element or a homogeneous disc."""
         return np.asarray(self.forward().solve_eit(perm=1.0 if conductance is None else conductance))
 
+    def exact_readings(self, sheet: ConcentricSheet) -> Array:
+        """Readings of point electrodes where its are, without a mesh."""
+        nodes = np.asarray(self.mesh.node)[np.asarray(self.mesh.el_pos)]
+        impedance = point_transfer_impedance(sheet, np.arctan2(nodes[:, 1], nodes[:, 0]))
+        read = import_pyeit_protocol(self.protocol, len(nodes))
+        currents, weights = read.pattern.drive_currents(), read.pattern.measure_matrix()
+        return read.list_readings((impedance @ currents).T @ weights)
+
     def voltage_error(self) -> float:
         """Relative error of the homogeneous disc's readings against the exact point solution."""
-        nodes = np.asarray(self.mesh.node)[np.asarray(self.mesh.el_pos)]
-        exact = point_transfer_impedance(ConcentricSheet(1.0, 1.0), np.arctan2(nodes[:, 1], nodes[:, 0]))
-        found = self.readings()
-        pairs = zip(np.asarray(self.protocol.ex_mat), np.asarray(self.protocol.meas_mat), strict=True)
-        expected = np.array([_pair(exact, drive, pair) for drive, measured in pairs for pair in measured])
-        return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+        expected = self.exact_readings(ConcentricSheet(1.0, 1.0))
+        return float(np.linalg.norm(self.readings() - expected) / np.linalg.norm(expected))
 
 
 @lru_cache(maxsize=3)
@@ -77,8 +82,3 @@ def peer(size: float = SIZES[-1]) -> Peer:
 
         mesh = pyeit.mesh.create(16, h0=size)
         return Peer(mesh, protocol.create(16, dist_exc=1, step_meas=1, parser_meas="std"))
-
-
-def _pair(impedance: Array, drive: Array, pair: Array) -> float:
-    (source, sink), (plus, minus) = drive.astype(int), pair.astype(int)
-    return float(impedance[plus, source] - impedance[plus, sink] - impedance[minus, source] + impedance[minus, sink])

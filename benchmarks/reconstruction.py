@@ -24,6 +24,7 @@ from cbsr_qa.eit.inverse.pixels import pixel_imaging
 from cbsr_qa.eit.inverse.priors import noser
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.regularisation import Criterion
+from cbsr_qa.eit.mesh.pyeit import import_pyeit_mesh
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 TITLE = "Linear reconstructions"
@@ -59,9 +60,8 @@ def notes() -> str:
 @lru_cache(maxsize=1)
 def _mesh() -> tuple[Mesh, Indices]:
     """The finest disc of pyEIT, and the nodes of its electrodes."""
-    theirs = peer().mesh
-    nodes, elements = np.asarray(theirs.node)[:, :2], np.asarray(theirs.element)
-    return Mesh(nodes, elements.astype(np.int64)), np.asarray(theirs.el_pos).astype(np.int64)
+    sheet = import_pyeit_mesh(peer().mesh)
+    return sheet.mesh, sheet.electrode_nodes
 
 
 def _distinct() -> tuple[Indices, Indices, Indices]:

@@ -21,19 +21,32 @@ _DOORS = ("cbsr_qa.calibration", "cbsr_qa.interface")
 def __getattr__(name: str) -> Any:
     if name == "__all__":
         return __dir__()
+    missing = ""
     if not name.startswith("_"):
         for door in _DOORS:
-            offer = _list_offer(door)
+            offer, absent = _list_offer(door)
             if name in offer:
                 return offer[name]
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            missing = missing or absent
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{missing}")
 
 
 def __dir__() -> list[str]:
-    return sorted(name for door in _DOORS for name in _list_offer(door))
+    return sorted(name for door in _DOORS for name in _list_offer(door)[0])
 
 
-def _list_offer(door: str) -> dict[str, Any]:
-    """Return what a package imports to be used by others: no modules, which importing them adds to it."""
-    members = vars(import_module(door)).items()
-    return {name: value for name, value in members if not name.startswith("_") and not isinstance(value, ModuleType)}
+def _list_offer(door: str) -> tuple[dict[str, Any], str]:
+    """Return what a package imports to be used by others: no modules, which importing them adds to it.
+
+    Where something that it needs is not installed, as in a robot, it offers nothing, and the second says why.
+    """
+    try:
+        members = vars(import_module(door)).items()
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith(__name__):
+            raise
+        return {}, f" beside {door}, which needs {error.name}: install cbsr-qa with what it requires"
+    offered = {
+        name: value for name, value in members if not name.startswith("_") and not isinstance(value, ModuleType)
+    }
+    return offered, ""

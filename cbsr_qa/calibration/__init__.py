@@ -11,3 +11,4 @@ from cbsr_qa.calibration.runtime.press_calibration import PressCalibration as Pr
 from cbsr_qa.calibration.runtime.pressure import PressureMap as PressureMap
 from cbsr_qa.calibration.runtime.tracking import ForceStream as ForceStream
 from cbsr_qa.domain.errors import CbsrError as CbsrError
+from cbsr_qa.domain.readings.loads import Indenter as Indenter

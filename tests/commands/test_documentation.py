@@ -214,7 +214,8 @@ def test_the_sheet_of_the_forward_model_page_is_pressed():
 _RUN_ABOVE = {"write-a-plugin.md", "describe-a-sensor.md", "forward-model.md", "reconstruction.md"}
 _RUN_ABOVE |= {"your-first-plugin.md"}  # by test_plugin_tutorial.py
 _RUN_ABOVE |= {
-    "use-a-calibration.md",
+    "use-in-a-robot.md",
+    "use-the-eit-engine.md",
     "sign-calibrations.md",
     "stream-forces.md",
     "calibration-file.md",

@@ -25,16 +25,16 @@ OHM = np.add.outer(100.0 * np.arange(1, 17), np.arange(1, 17)) + np.diag(np.full
 class TabledWorld:
     """A sheet that is a table of readings per ampere; it counts how often it was solved."""
 
-    def __init__(self, ohm=OHM, *, began_s=0.0):
+    def __init__(self, ohm=OHM, *, began_s=0.0, kind=SENSOR):
         self.ohm = np.array(ohm, dtype=float)
         self.drive_ohm = np.abs(np.diag(self.ohm)).copy()
-        self.setting = SceneSetting(SENSOR, MATERIAL, Indenter(13.0), 1, SCENE_A, began_s=began_s)
+        self.setting = SceneSetting(kind, MATERIAL, Indenter(13.0), 1, SCENE_A, began_s=began_s)
         self.presses = []
         self.asked = []
 
     def frame(self, time_s, index):
         self.asked.append((time_s, index))
-        shape = PATTERN.shape
+        shape = self.ohm.shape
         current_A = np.full(shape, SCENE_A)
         drive_ohm = np.broadcast_to(self.drive_ohm[:, None], shape)
         return SimulatedFrame(self.ohm * SCENE_A, np.zeros(shape, np.uint8), None, current_A, drive_ohm)
@@ -70,7 +70,9 @@ class Scanning:
     def context(self, role, **options):
         spec = self.specs.get(role)
         told = self.options[role] if spec is None else self.emulation.fill_address(spec).options
-        return StationContext(role, self.clock, SENSOR, MATERIAL, Indenter(13.0), 1, {**told, **options})
+        return StationContext(
+            role, self.clock, self.world.setting.sensor_type, MATERIAL, Indenter(13.0), 1, {**told, **options}
+        )
 
     def open_meter(self, **options):
         self.opened.append(open_source_meter(self.context("meter", **options)))

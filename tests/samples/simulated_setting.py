@@ -9,6 +9,8 @@ from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
 from cbsr_qa.domain.plan.plan import Motion, PluginChoice, Scene
 from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
 from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
+from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
@@ -23,6 +25,18 @@ MOTION = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
 @lru_cache
 def sensor_type() -> SensorType:
     return load_sensor_type("disc-100mm").value
+
+
+def larger_sensor(count: int = 32) -> SensorType:
+    """The same disc with more electrodes, read by adjacent pairs."""
+    kind = sensor_type()
+    assert isinstance(kind.electrodes, ElectrodeLayout)
+    return replace(
+        kind,
+        name=f"disc of {count}",
+        electrodes=replace(kind.electrodes, count=count),
+        pattern=adjacent_pattern(count),
+    )
 
 
 @lru_cache
@@ -50,9 +64,16 @@ def installed(name: str) -> Callable[..., Any]:
 
 
 def world(
-    of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed, **more: Any
+    of: Scene,
+    *,
+    kind: SensorType | None = None,
+    seed: int = 1,
+    effect_factory: Callable[[str], Callable[..., Any]] = installed,
+    **more: Any,
 ) -> SimulatedWorld:
-    return SimulatedWorld(of, sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory, **more)
+    return SimulatedWorld(
+        of, kind or sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory, **more
+    )
 
 
 def context(

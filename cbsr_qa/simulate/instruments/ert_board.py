@@ -12,7 +12,6 @@ from cbsr_qa.simulate.instruments.streams import Fault, Port
 
 Counts = Indices
 
-_PAIRS: Final = 16
 #: Readings away from the driven electrodes use this much of the converter, to leave room for loads.
 _FILLED: Final = 0.4
 _UNSIGNED: Final = (0, 2**16 - 1)
@@ -45,7 +44,8 @@ class EmulatedErtBoard:
         self._zero = float(options.get("zero_counts", 0))
         self._by_drive = options.get("order", "measure") == "drive"
         self._first = int(options.get("first_reading", 0))
-        self._row_s = float(options.get("frame_period_s", rig.world.setting.frame_period_s)) / _PAIRS
+        self._pairs = len(rig.world.setting.sensor_type.pattern.drive)
+        self._row_s = float(options.get("frame_period_s", rig.world.setting.frame_period_s)) / self._pairs
         self._line: Port | None = None
         self._origin_s = rig.clock.now()
         self._next_row = 0
@@ -78,7 +78,7 @@ class EmulatedErtBoard:
             self._frame = None
 
     def _time_passed(self, now_s: float) -> None:
-        self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * _PAIRS)
+        self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * self._pairs)
         while self._next_row < self._due(now_s) and self._line is not None and not self._silent:
             row, self._next_row = self._next_row, self._next_row + 1
             if self._line.unread() < _ROOM:
@@ -107,19 +107,21 @@ class EmulatedErtBoard:
 
     def _encode_row(self, row: int) -> bytes:
         """Bytes sent for a row; the text marker follows as soon as the previous frame ends."""
-        frame, pair = divmod(row, _PAIRS)
-        counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()
+        frame, pair = divmod(row, self._pairs)
+        counts = self._counts(frame).ravel()[self._pairs * pair : self._pairs * (pair + 1)].tolist()
         if self._text:
-            return "".join(f"{count}," for count in counts).encode() + (b"\nA\n" if pair == _PAIRS - 1 else b"\n")
+            return "".join(f"{count}," for count in counts).encode() + (
+                b"\nA\n" if pair == self._pairs - 1 else b"\n"
+            )
         sent = b"".join((count & 0xFFFF).to_bytes(2, "little") + b"\r" for count in counts)
-        return sent + (b"A\r" if pair == _PAIRS - 1 else b"")
+        return sent + (b"A\r" if pair == self._pairs - 1 else b"")
 
     def _counts(self, frame: int) -> Counts:
-        """Counts of a frame in the order they are sent, (16, 16)."""
+        """Counts of a frame in the order they are sent, (pairs, pairs)."""
         if self._frame is None or self._frame[0] != frame:
-            middle_s = self._origin_s + (frame + 0.5) * _PAIRS * self._row_s
+            middle_s = self._origin_s + (frame + 0.5) * self._pairs * self._row_s
             volts = self._rig.world.frame(middle_s, (self._session << 32) + frame).voltages
             scanned = np.roll((volts.T if self._by_drive else volts).ravel(), -self._first)
             counts = np.rint(np.clip(self._zero + self._scale * scanned, *self._range)).astype(np.int64)
-            self._frame = (frame, counts.reshape(_PAIRS, _PAIRS))
+            self._frame = (frame, counts.reshape(self._pairs, self._pairs))
         return self._frame[1]

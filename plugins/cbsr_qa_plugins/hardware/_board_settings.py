@@ -16,13 +16,15 @@ from cbsr_qa.plugin import (
     VoltageUnit,
     correct_carry_over,
 )
-from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, stream_order
+from cbsr_qa_plugins.hardware._board_stream import Counts, binary_frame_bytes, stream_order
 from cbsr_qa_plugins.hardware._driver import Port, config_error
 
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
-_SHAPE: Final = (PAIRS, PAIRS)
+#: Boards of this firmware by their pairs: the authors', and one with twice the multiplexers.
+_BOARDS: Final = (16, 32)
 _BITS_A_BYTE: Final = 10  # with start and stop bit
+_CORRECT_HASTE: Final = "correct frame_period_s or baud"
 
 
 class BoardOptions(PluginOptions):
@@ -57,9 +59,8 @@ class BoardOptions(PluginOptions):
         """What the line can send, and what a converter can count."""
         if self.speed is None:
             yield Problem(("baud",), "is missing", "it must be that of the board's text")
-        elif self.format == "binary" and self.frame_period_s < (least_s := BINARY_FRAME * _BITS_A_BYTE / self.speed):
-            what = f"is {self.frame_period_s:g}, but {BINARY_FRAME} bytes at {self.speed} baud take {least_s:.3g} s"
-            yield Problem(("frame_period_s",), what, "correct frame_period_s or baud")
+        elif (what := self.find_haste(_BOARDS[0])) is not None:
+            yield Problem(("frame_period_s",), what, _CORRECT_HASTE)
         if self.signed and self.format == "binary":
             what = "is true, but binary counts are unsigned"
             yield Problem(("signed",), what, "leave it out; zero_counts says which count is 0 V")
@@ -68,18 +69,29 @@ class BoardOptions(PluginOptions):
             allowed = f"the lowest and the highest count of a 16-bit converter, within {list(self.limits)}"
             yield Problem(("range_counts",), f"is [{low:g}, {high:g}]", f"it must be {allowed}")
 
+    def find_haste(self, pairs: int) -> str | None:
+        """Return what is wrong with a period in which the line cannot send a binary frame; None if it can."""
+        if self.format != "binary" or self.speed is None:
+            return None
+        count = binary_frame_bytes(pairs)
+        least_s = count * _BITS_A_BYTE / self.speed
+        if self.frame_period_s >= least_s:
+            return None
+        return f"is {self.frame_period_s:g}, but {count} bytes at {self.speed} baud take {least_s:.3g} s"
+
     def block(self, ends_s: Sequence[float], sent: Sequence[Counts]) -> FrameBlock:
         """Return frames in canonical order.
 
         Parameters
         ----------
         ends_s : when each of them was over, on the station's clock.
-        sent : (16, 16) counts each, in the order of the stream.
+        sent : (pairs, pairs) counts each, in the order of the stream.
         """
-        order = stream_order(self.order, self.first_reading)
-        flat = np.empty((len(sent), PAIRS * PAIRS))
+        shape = sent[0].shape
+        order = stream_order(len(sent[0]), self.order, self.first_reading)
+        flat = np.empty((len(sent), order.size))
         flat[:, order] = np.reshape(sent, (len(sent), -1))
-        counts = flat.reshape(-1, *_SHAPE)
+        counts = flat.reshape(-1, *shape)
         low, high = self.ends
         flags = np.zeros(counts.shape, dtype=np.uint8)
         flags[(counts <= low) | (counts >= high)] = ReadingFlag.SATURATED
@@ -87,18 +99,25 @@ class BoardOptions(PluginOptions):
         if self.memory_share:
             values = correct_carry_over(values, self.memory_share, order)
         times_s = np.array(ends_s) - self.frame_period_s / 2
-        # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
+        # The board reads one after the other: the n-th of all in the middle of the n-th part of the frame.
         offsets = np.empty(order.size)
         offsets[order] = (np.arange(order.size) + 0.5) / order.size - 0.5
-        own_s = times_s[:, None, None] + self.frame_period_s * offsets.reshape(_SHAPE)
+        own_s = times_s[:, None, None] + self.frame_period_s * offsets.reshape(shape)
         current_A = None if self.current_mA is None else 1e-3 * self.current_mA
         return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, current_A, own_s)
 
 
-def check_sensor(context: StationContext, driver: str) -> None:
-    """Refuse a sensor type that is not read by 16 x 16 (ConfigError)."""
+def count_pairs(context: StationContext, driver: str, options: BoardOptions) -> int:
+    """Return the pairs of the board: as many as the sensor type has.
+
+    ConfigError if no board has so many, or a frame of so many takes longer to send than its period.
+    """
     rows, columns = context.sensor_type.pattern.shape
-    if (rows, columns) != _SHAPE:
-        problem = f" sends 16 x 16 readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}"
-        remedy = "use a sensor type of 16 drive and 16 measure pairs, or another driver"
+    if rows != columns or rows not in _BOARDS:
+        boards = " or ".join(f"{pairs} x {pairs}" for pairs in _BOARDS)
+        problem = f" sends {boards} readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}"
+        remedy = "use a sensor type with as many drive and measure pairs as the board, or another driver"
         raise config_error(context, driver, problem, remedy)
+    if (haste := options.find_haste(rows)) is not None:
+        raise config_error(context, driver, f": frame_period_s {haste}", _CORRECT_HASTE)
+    return rows

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 Counts = NDArray[np.int64]
 
-#: Of the board: current pairs, and voltages read for each.
-PAIRS: Final = 16
-_READINGS: Final = PAIRS * PAIRS
 _RECORD: Final = 3  # a count, low byte first, and a carriage return
-#: A frame in bytes: its records, then ``A`` and a carriage return.
-BINARY_FRAME: Final = _RECORD * _READINGS + 2
 _RETURN: Final = 0x0D
 _MARK: Final = ord("A")
 #: What the mark and its carriage return are taken for, read late and read early.
 _MARKS_AS_COUNTS: Final = (_MARK + 256 * _RETURN, _RETURN + 256 * _MARK)
 #: Readings are noisy: two places fit so often only in a stream that does not change at all.
 _MOST_ROUNDS: Final = 6
-#: A line of text that is longer holds no row: 17 numbers of at most 11 characters.
-_LONGEST_LINE: Final = 400
+#: Characters of a number and its comma, and of the board's clock; a line of more for each number holds no row.
+_LONGEST_NUMBER: Final = 24
+
+
+def binary_frame_bytes(pairs: int) -> int:
+    """Return the length of a binary frame: its records, then ``A`` and a carriage return."""
+    return _RECORD * pairs * pairs + 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class BoardFrame:
 
     Parameters
     ----------
-    counts : (16, 16) int64; rows and columns in the order of the stream.
+    counts : (pairs, pairs) int64; rows and columns in the order of the stream.
     after_loss : bytes between the frame before and this one belonged to no whole frame.
     """
 
@@ -40,9 +40,15 @@ class BoardFrame:
 
 
 class BoardStream(ABC):
-    """Parses the board's bytes."""
+    """Parses the board's bytes.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    pairs : of the board: current pairs, and voltages read for each.
+    """
+
+    def __init__(self, pairs: int) -> None:
+        self._pairs = pairs
         self.restart()
 
     @abstractmethod
@@ -65,9 +71,9 @@ class BoardStream(ABC):
 
 
 class BinaryStream(BoardStream):
-    r"""Frames of 770 bytes: 256 records of a count (uint16, low byte first) and ``\r``, then ``A\r``.
+    r"""Frames of 770 bytes with 16 pairs: 256 records of a count (uint16, low byte first) and ``\r``, then ``A\r``.
 
-    A byte of a count can be ``\r`` or ``A`` too, so that frames are cut by length: one begins where all 257
+    A byte of a count can be ``\r`` or ``A`` too, so that frames are cut by length: one begins where all
     separators stand where they should. They also do so 3 k bytes beside a frame whose first or last k counts
     happen to hold the right bytes; the mark is then taken for a count. Where a count looks like the mark, as
     many frames are looked at as it takes until only one place is left, up to :data:`_MOST_ROUNDS`.
@@ -77,18 +83,22 @@ class BinaryStream(BoardStream):
 
     _locked = False
 
+    def __init__(self, pairs: int) -> None:
+        super().__init__(pairs)
+        self._bytes = binary_frame_bytes(pairs)
+
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
         self._held += data
         frames: list[BoardFrame] = []
         while self._locked or self._synchronise():
-            if len(self._held) < BINARY_FRAME:
+            if len(self._held) < self._bytes:
                 break
-            if not _fits(self._held, 0):
+            if not self._fits(self._held, 0):
                 self._locked = False
                 continue
-            frames.append(self._whole(_counts(self._held)))
-            self._held = self._held[BINARY_FRAME:]
+            frames.append(self._whole(self._counts(self._held)))
+            self._held = self._held[self._bytes :]
         return frames
 
     def restart(self) -> None:
@@ -98,11 +108,11 @@ class BinaryStream(BoardStream):
     def _synchronise(self) -> bool:
         """Find the start of a frame, and drop bytes before it."""
         held = self._held
-        start = next((k for k in range(len(held) - BINARY_FRAME + 1) if _fits(held, k)), None)
+        start = next((k for k in range(len(held) - self._bytes + 1) if self._fits(held, k)), None)
         if start is None:
-            self._drop(max(len(held) - BINARY_FRAME + 1, 0))
+            self._drop(max(len(held) - self._bytes + 1, 0))
             return False
-        if np.isin(_counts(held, start), _MARKS_AS_COUNTS).any():
+        if np.isin(self._counts(held, start), _MARKS_AS_COUNTS).any():
             undoubted = self._find_unique_start(start)
             if undoubted is None:
                 return False
@@ -113,11 +123,11 @@ class BinaryStream(BoardStream):
 
     def _find_unique_start(self, start: int) -> int | None:
         """Return the only start within a round that keeps fitting; None if more bytes are needed."""
-        left = list(range(start, start + BINARY_FRAME))
+        left = list(range(start, start + self._bytes))
         for number in range(_MOST_ROUNDS):
-            if len(self._held) < start + (number + 2) * BINARY_FRAME - 1:
+            if len(self._held) < start + (number + 2) * self._bytes - 1:
                 return None
-            left = [k for k in left if _fits(self._held, k + number * BINARY_FRAME)]
+            left = [k for k in left if self._fits(self._held, k + number * self._bytes)]
             if len(left) < 2:
                 break
         return left[0] if left else start
@@ -127,36 +137,35 @@ class BinaryStream(BoardStream):
             self._spoil()
             self._held = self._held[count:]
 
+    def _fits(self, data: bytes, at: int) -> bool:
+        end = at + self._bytes
+        if data[end - 2] != _MARK or data[end - 1] != _RETURN:
+            return False
+        return data[at + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == self._pairs**2
 
-def _fits(data: bytes, at: int) -> bool:
-    end = at + BINARY_FRAME
-    if data[end - 2] != _MARK or data[end - 1] != _RETURN:
-        return False
-    return data[at + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == _READINGS
-
-
-def _counts(data: bytes, at: int = 0) -> Counts:
-    records = np.frombuffer(data, np.uint8, _RECORD * _READINGS, at).reshape(_READINGS, _RECORD)
-    return (records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)).reshape(PAIRS, PAIRS)
+    def _counts(self, data: bytes, at: int = 0) -> Counts:
+        records = np.frombuffer(data, np.uint8, self._bytes - 2, at).reshape(-1, _RECORD)
+        counts = records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)
+        return counts.reshape(self._pairs, self._pairs)
 
 
 class TextStream(BoardStream):
-    """Frames of text: a line ``A``, then 16 rows of 16 counts, one a line, each count with a comma behind it.
+    """Frames of text: a line ``A``, then a row of counts for each drive pair, each count with a comma behind it.
 
-    A frame is whole when the next ``A`` follows its sixteenth row: a row that came twice would make one too early.
+    A frame is whole when the next ``A`` follows its last row: a row that came twice would make one too early.
 
     The board's clock [ms] may stand in front of a row. Logs that the board prints between rows are left out; a row
     that is cut, joined with another or holds anything but counts spoils its frame.
     """
 
-    def __init__(self, lowest: int, highest: int) -> None:
-        super().__init__()
+    def __init__(self, pairs: int, lowest: int, highest: int) -> None:
+        super().__init__(pairs)
         self._range = (lowest, highest)
 
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
         *lines, self._held = (self._held + data).split(b"\n")
-        if len(self._held) > _LONGEST_LINE:
+        if len(self._held) > _LONGEST_NUMBER * (self._pairs + 1):
             self._spoil_frame()
             self._held = b""
         return [frame for line in lines if (frame := self._line(line)) is not None]
@@ -171,7 +180,7 @@ class TextStream(BoardStream):
             return self._finish_frame()
         if self._rows is not None and _is_row(text):
             row = self._row(text)
-            if row is None or len(self._rows) == PAIRS:
+            if row is None or len(self._rows) == self._pairs:
                 self._spoil_frame()
             else:
                 self._rows.append(row)
@@ -179,7 +188,7 @@ class TextStream(BoardStream):
 
     def _finish_frame(self) -> BoardFrame | None:
         frame = None
-        if self._rows is not None and len(self._rows) == PAIRS:
+        if self._rows is not None and len(self._rows) == self._pairs:
             frame = self._whole(np.array(self._rows, dtype=np.int64))
         elif self._rows:
             self._spoil()
@@ -194,9 +203,9 @@ class TextStream(BoardStream):
             numbers = [int(field) for field in text[:-1].split(",")]
         except ValueError:
             return None
-        counts = numbers[-PAIRS:]
+        counts = numbers[-self._pairs :]
         low, high = self._range
-        right = len(numbers) in (PAIRS, PAIRS + 1) and all(low <= count <= high for count in counts)
+        right = len(numbers) in (self._pairs, self._pairs + 1) and all(low <= count <= high for count in counts)
         return counts if right else None
 
     def _spoil_frame(self) -> None:
@@ -210,14 +219,15 @@ def _is_row(text: str) -> bool:
     return len(fields) > 2 and sum(field.strip().lstrip("-").isdigit() for field in fields) > len(fields) / 2
 
 
-def stream_order(order: str, first: int) -> NDArray[np.int64]:
-    """Index into the flattened canonical frame of each reading, in the order of the stream, (256,) int64.
+def stream_order(pairs: int, order: str, first: int) -> NDArray[np.int64]:
+    """Index into the flattened canonical frame of each reading, in the order of the stream, (pairs²,) int64.
 
     Parameters
     ----------
+    pairs : of the board.
     order : ``"measure"`` (the voltage pair steps faster) or ``"drive"``.
     first : how many readings later in that order the stream begins.
     """
-    canonical = np.arange(_READINGS, dtype=np.int64).reshape(PAIRS, PAIRS)
+    canonical = np.arange(pairs * pairs, dtype=np.int64).reshape(pairs, pairs)
     scanned = canonical if order == "measure" else canonical.T
     return np.roll(scanned.ravel(), -first)

@@ -1,4 +1,4 @@
-"""The authors' ERT board, and a multiplexer with streaming firmware: frames arrive unrequested."""
+"""The authors' ERT board, and others with its streaming firmware: frames arrive unrequested."""
 
 import logging
 import math
@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from typing import Final
 
 from cbsr_qa.plugin import FrameBlock, InstrumentError, InstrumentIdentity, SerialLink, StationContext, driver
-from cbsr_qa_plugins.hardware._board_settings import BoardOptions, check_sensor
+from cbsr_qa_plugins.hardware._board_settings import BoardOptions, count_pairs
 from cbsr_qa_plugins.hardware._board_stream import (
-    BINARY_FRAME,
-    PAIRS,
     BinaryStream,
     BoardFrame,
     BoardStream,
     TextStream,
+    binary_frame_bytes,
 )
 from cbsr_qa_plugins.hardware._driver import DriverBase, close_on_error
 
@@ -62,7 +61,7 @@ def open_board(context: StationContext, options: BoardOptions) -> "ErtBoardStrea
     ------
     ConfigError
         If an option is unknown, missing or out of range, the line is too slow for the frames, or the sensor type is
-        none of 16 × 16 readings.
+        none of 16 × 16 or 32 × 32 readings.
     InstrumentError
         If the port cannot be opened, or what comes from it are no frames of this format and period.
     """
@@ -79,10 +78,12 @@ class ErtBoardStream(DriverBase):
 
     def __init__(self, context: StationContext, options: BoardOptions) -> None:
         super().__init__(context, _DRIVER, options.address)
-        check_sensor(context, _DRIVER)
+        self._pairs = count_pairs(context, _DRIVER, options)
         self._options, self._period_s = options, options.frame_period_s
         self._text = options.format == "ascii"
-        self._stream: BoardStream = TextStream(*options.limits) if self._text else BinaryStream()
+        self._stream: BoardStream = (
+            TextStream(self._pairs, *options.limits) if self._text else BinaryStream(self._pairs)
+        )
         self._ready: deque[tuple[float, BoardFrame]] = deque()
         self._read_s = -math.inf
         self._heard = self._waits = 0
@@ -210,7 +211,7 @@ class ErtBoardStream(DriverBase):
 
     @property
     def _row_s(self) -> float:
-        return self._period_s / PAIRS
+        return self._period_s / self._pairs
 
     def _check_stream(self) -> None:
         """Check that frames arrive at the stated rate."""
@@ -248,7 +249,8 @@ class ErtBoardStream(DriverBase):
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return
         held = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
-        expected = "A and 16 lines of 16 counts" if self._text else f"frames of {BINARY_FRAME} bytes"
+        text = f"A and {self._pairs} lines of {self._pairs} counts"
+        expected = text if self._text else f"frames of {binary_frame_bytes(self._pairs)} bytes"
         raise self._error(
             f"sent {held} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
             "check address, baud and format, and that the board has power",

@@ -25,6 +25,8 @@ _DRIVER: Final = "esp32-multiplexer"
 #: Electrodes between the two of a pair.
 Skip = Annotated[int, Field(ge=0, le=10**6)]
 
+#: Of the board: more electrodes cannot be connected to it.
+_CHANNELS: Final = 16
 _ESCAPE: Final = b"\x1b"
 #: The counter arrives with the next log line, up to a second after the query.
 _COUNTER_S: Final = 1.5
@@ -66,7 +68,8 @@ def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "E
     Raises
     ------
     ConfigError
-        If an option is unknown or out of range, or the firmware's pairs are not the sensor type's.
+        If an option is unknown or out of range, or the sensor type has more than 16 electrodes or other pairs than
+        the firmware.
     InstrumentError
         If the port cannot be opened, something else answers, or it steps in another order than ``inner`` says.
     """
@@ -85,6 +88,10 @@ class Esp32Multiplexer(DriverBase):
         self._options = options
         self._time = RealClock()
         self._pattern = context.sensor_type.pattern
+        if self._pattern.electrode_count > _CHANNELS:
+            name, count = context.sensor_type.name, self._pattern.electrode_count
+            problem = f" connects {_CHANNELS} electrodes; sensor type {name!r} has {count}"
+            raise config_error(context, _DRIVER, problem, "use a smaller sensor type, or another multiplexer")
         self._order = self._build_order()
         self._lock = threading.RLock()
         self._in_step = False

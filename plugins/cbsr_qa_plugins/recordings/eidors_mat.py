@@ -1,4 +1,4 @@
-"""MATLAB files of 16-electrode adjacent data as EIDORS distributes them (format ``eidors-mat``).
+"""MATLAB files of adjacent data of 16 or 32 electrodes as EIDORS distributes them (format ``eidors-mat``).
 
 Of a file of version 5 (saved with -v6 or -v7) only real matrices are read. scipy.io would do the same for sound
 files, but looks types up without checking them: a damaged file can crash it.
@@ -9,7 +9,7 @@ variables are unpacked only when their header says a size that a file of this le
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -57,12 +57,13 @@ class _Variable:
     is_complex: bool
 
 
-def real_matrices(data: bytes, rows: int) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Read the matrices of some rows and at least one column.
+def real_matrices(data: bytes, rows: Collection[int]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Read the matrices of some numbers of rows and at least one column.
 
     Parameters
     ----------
     data : the whole file.
+    rows : that are allowed.
 
     Returns
     -------
@@ -78,15 +79,15 @@ def real_matrices(data: bytes, rows: int) -> tuple[dict[str, Array], tuple[str, 
     left = largest_content(len(data))
     for element, packed, order in _elements(data):
         variable = _header(_unpack(element, _BEGINNING) if packed else element[:_BEGINNING], order)
-        if variable is None or len(variable.shape) != 2 or variable.shape[0] != rows or not variable.shape[1]:
+        if variable is None or len(variable.shape) != 2 or variable.shape[0] not in rows or not variable.shape[1]:
             continue
         if variable.is_complex:
             complex_ones.append(variable.name)
             continue
-        left -= 8 * rows * variable.shape[1]
+        left -= 8 * variable.shape[0] * variable.shape[1]
         if left < 0:
             raise ValueError(f"{variable.name} of {variable.shape} is too large for a file of {len(data)} bytes")
-        if variable.size_bytes != rows * variable.shape[1] * np.dtype(variable.dtype).itemsize:
+        if variable.size_bytes != variable.shape[0] * variable.shape[1] * np.dtype(variable.dtype).itemsize:
             raise ValueError(f"{variable.name} of {variable.shape} holds {variable.size_bytes} bytes")
         end = variable.start + variable.size_bytes
         values = (_unpack(element, end) if packed else element)[variable.start : end]
@@ -149,25 +150,25 @@ def _part(element: memoryview, at: int, order: str) -> tuple[int, int, int, int]
     return kind, at + 8, length, at + 8 + (length + 7) // 8 * 8
 
 
-_ELECTRODES: Final = 16
-_VALUES: Final = _ELECTRODES**2
+#: Rows of matrices that hold frames, by the electrodes of the ring: every drive pair with every measure pair.
+_ELECTRODES: Final = {count**2: count for count in (16, 32)}
+_ROWS: Final = " or ".join(map(str, _ELECTRODES))
 _HEADER_BYTES: Final = 512  # in front of the HDF5 part of a file of version 7.3
 #: More than any such file; all of it is in memory.
 _LARGEST_BYTES: Final = 2**29
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 #: Frame rates the data's authors state; the files themselves hold no times.
 _DOCUMENTED_RATE_HZ: Final = {"zc_demo": 7.0, "zc_resp": 7.0, "zc_breathhold": 7.0}
-_LAYOUT: Final = ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, 1.0, 0.1, 0.0, counterclockwise=True)
 
 Matrix = NDArray[np.float64]
 
 
 class EidorsMat:
-    """Reads matrices of 256 rows, index 16·drive + measure, one column a frame, absolute values.
+    """Reads matrices of 256 (1024) rows, index 16 (32)·drive + measure, one column a frame, absolute values.
 
     Every such matrix is a data set; what one is compared with follows from the naming convention of these files
     (``zc_h_X`` is the homogeneous frame of ``zc_X``, ``vvRef`` that of ``vvAvg1`` …) unless a reference is named.
-    Electrode 0 lies on +x and electrode 4 on +y.
+    Electrode 0 lies on +x and a quarter round comes the one on +y.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
@@ -177,7 +178,7 @@ class EidorsMat:
         )
 
     def datasets(self, path: Path) -> tuple[str, ...]:
-        """Name the matrices of 256 rows, in the file's order."""
+        """Name the matrices of frames, in the file's order."""
         return tuple(_matrices(path))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
@@ -185,7 +186,7 @@ class EidorsMat:
 
         Returns
         -------
-        Recording with (n, 16, 16) frames; readings at driven electrodes are flagged MISSING.
+        Recording with (n, 16, 16) or (n, 32, 32) frames; readings at driven electrodes are flagged MISSING.
 
         Raises
         ------
@@ -213,7 +214,7 @@ class EidorsMat:
             still=still,
             magnitudes_only=True,
             clock="documented" if rate_hz is not None else "none",
-            layout=_LAYOUT,
+            layout=ElectrodeLayout(_ELECTRODES[len(matrix)], ElectrodeKind.ARC, 1.0, 0.1, 0.0, counterclockwise=True),
             notes=tuple(note for note in notes if note),
         )
 
@@ -225,7 +226,7 @@ def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
             f"{path.name} is a MATLAB file of version 7.3 (HDF5)", remedy="save it in MATLAB or Octave with -v7"
         )
     try:
-        matrices, alternating = real_matrices(data, _VALUES)
+        matrices, alternating = real_matrices(data, _ELECTRODES)
     except ValueError as error:
         raise RecordingError(
             f"{path.name} cannot be read as a MATLAB file: {error}",
@@ -236,8 +237,8 @@ def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
     _refuse_unfit(path, unfit, alternating)
     if not found:
         raise RecordingError(
-            f"{path.name} holds no matrix of {_VALUES} rows",
-            remedy=f"frames are columns of {_VALUES} values, index {_ELECTRODES}·drive + measure",
+            f"{path.name} holds no matrix of {_ROWS} rows",
+            remedy=f"frames are columns of {_ROWS} values, index 16 or 32·drive + measure",
         )
     return found
 
@@ -279,14 +280,17 @@ def _reference(matrices: dict[str, Matrix], name: str) -> tuple[FrameBlock | Non
     conventional = "vvRef" if name.startswith("vvAvg") else "zc_h_" + name.removeprefix("zc_")
     if not name.startswith(("vvAvg", "zc_")) or name.startswith("zc_h_") or conventional not in matrices:
         return None, ""
+    if len(matrices[conventional]) != len(matrices[name]):
+        return None, f"{conventional} of the same file is of another ring, and not what changes are against"
     return _block(matrices[conventional], None), f"changes are against {conventional} of the same file, by its name"
 
 
 def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:
     """Frames of a matrix. Driven positions were not measured: their values are not readings."""
-    frames = matrix.T.reshape(-1, _ELECTRODES, _ELECTRODES)
+    count = _ELECTRODES[len(matrix)]
+    frames = matrix.T.reshape(-1, count, count)
     times = np.arange(len(frames), dtype=np.float64) / (rate_hz or 1.0)
-    usable = adjacent_pattern(_ELECTRODES).usable()
+    usable = adjacent_pattern(count).usable()
     flags = np.broadcast_to(np.where(usable, 0, ReadingFlag.MISSING.value).astype(np.uint8), frames.shape).copy()
     whole = bool((matrix == np.round(matrix)).all())
     return FrameBlock(

@@ -8,7 +8,7 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import RowProblem, SampleBlock
-from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, BoardLine, LineKind, Rows
+from cbsr_qa_plugins.recordings.ert_board_rows import Assembly, BoardLine, LineKind, RowForm, Rows
 
 #: Standard gravity [m/s²] turns the load cell's grams into newtons; compression is negative grams on this rig.
 NEWTON_PER_GRAM = 9.80665e-3
@@ -44,14 +44,14 @@ class RowClock:
         return (self.row_s[rows[0].number] + self.row_s[rows[-1].number]) / 2
 
 
-def board_clock(lines: list[BoardLine], width: int) -> RowClock:
+def board_clock(lines: list[BoardLine], form: RowForm) -> RowClock:
     """Set up the clock of a file: the board's where rows carry it, the computer's otherwise."""
     rows = [line for line in lines if line.kind is LineKind.ROW]
     offsets = _session_offsets(lines)
     timed = [(line.number, line.computer_s) for line in lines if line.computer_s is not None]
     computer = {number: time_s + offsets[number] for number, time_s in timed}
-    stands = width > PAIRS and _stands_still(rows)
-    if width == PAIRS or stands:
+    stands = form.has_clock and _stands_still(rows, form.pairs)
+    if not form.has_clock or stands:
         times = np.maximum.accumulate([computer[row.number] for row in rows])
         rising = {row.number: float(time) for row, time in zip(rows, times, strict=True)}
         clock = RowClock("computer", rising, sessions=offsets)
@@ -136,9 +136,9 @@ def _follow_board(clock: RowClock, rows: list[BoardLine], computer: dict[int, fl
         clock.row_s[row.number] = now_s
 
 
-def _stands_still(rows: list[BoardLine]) -> bool:
+def _stands_still(rows: list[BoardLine], pairs: int) -> bool:
     """Whether the board's clock cannot separate frames: less than one step per frame."""
-    return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / PAIRS)
+    return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / pairs)
 
 
 def _spread_repeated(clock: RowClock, rows: list[BoardLine]) -> None:

@@ -13,11 +13,12 @@ import numpy as np
 from cbsr_qa.plugin import FrameBlock, Recording, RecordingError, RowProblem, ScanKind, Transcript, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_rows import (
-    PAIRS,
+    BOARDS,
     Assembly,
     BoardLine,
     CountScale,
     LineKind,
+    RowForm,
     assemble,
     complaint,
     count_scale,
@@ -38,6 +39,8 @@ _WITH_MASS = re.compile(r"(?i)mass")
 _TOP: Final = 10
 #: The file states the drive current in µA; this board drives far less than an ampere.
 _MOST_UA: Final = 1e6
+#: Numbers of rows, without and with the board's clock.
+_WIDTHS: Final = frozenset(pairs + clock for pairs in BOARDS for clock in (0, 1))
 
 
 class ErtBoardCsv(OneDataSet):
@@ -45,7 +48,7 @@ class ErtBoardCsv(OneDataSet):
 
     Values are converter counts whatever the titles say (they promise mV, the firmware's conversion is commented out).
     Row i of a frame is drive pair i, column j measure pair j; the board scans a row after the other. Frames are
-    (n, 16, 16), or (n, 1, 16) where the board ran in calibration mode.
+    (n, 16, 16), or (n, 1, 16) where the board ran in calibration mode; of a board of 32 pairs, as its rows say, 32.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
@@ -58,22 +61,20 @@ class ErtBoardCsv(OneDataSet):
     def _read(self, path: Path) -> Recording:
         lines, given_up = _lines(path)
         _refuse_without_rows(path, lines)
-        # Numbers of a good row: 17 where the board's clock is in front; the titles say so always, and are wrong.
-        widths = Counter(len(line.numbers) for line in lines if line.kind is LineKind.ROW)
-        width = PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
-        rows = [line.numbers for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
-        scale = count_scale([numbers[-PAIRS:] for numbers in rows])
-        lines, problems = _replace_bad_rows(lines, width, scale)
+        form = _row_form(lines)
+        rows = [line.numbers for line in lines if line.kind is LineKind.ROW and len(line.numbers) == form.width]
+        scale = count_scale([numbers[-form.pairs :] for numbers in rows])
+        lines, problems = _replace_bad_rows(lines, form, scale)
         problems += given_up
         scan = _scan_kind(lines)
-        assembly = assemble(lines, scan)
+        assembly = assemble(lines, scan, form.pairs)
         if not assembly.frames:
             raise RecordingError(
-                f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_describe_frame(scan)}",
+                f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_describe_frame(scan, form)}",
                 remedy="record for longer, or analyse another file",
                 problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
-        recording = _recording(path, lines, width, scan, assembly, problems)
+        recording = _recording(path, lines, form, scan, assembly, problems)
         return replace(recording, notes=(*recording.notes, scale.note)) if scale.note else recording
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
@@ -86,7 +87,7 @@ def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
     bad = 0
     for line in _parse_file(path):
         kept.append(line)
-        good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in (PAIRS, PAIRS + 1))
+        good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in _WIDTHS)
         bad = 0 if good else bad + 1
         if bad == MOST_BAD_IN_A_ROW:
             what = f"{bad} lines in a row hold no row of readings; the rest of the file was not read"
@@ -123,29 +124,40 @@ def _refuse_without_rows(path: Path, lines: list[BoardLine]) -> None:
         )
 
 
+def _row_form(lines: list[BoardLine]) -> RowForm:
+    """Find what good rows hold: what most of them do.
+
+    Two rows of a small board that were joined are as long as one of a large board. The titles always promise the
+    board's clock, and are wrong.
+    """
+    widths = Counter(len(line.numbers) for line in lines if line.kind is LineKind.ROW)
+    pairs = max(BOARDS, key=lambda board: widths[board] + widths[board + 1])
+    return RowForm(pairs, widths[pairs + 1] >= widths[pairs] and widths[pairs + 1] > 0)
+
+
 def _replace_bad_rows(
-    lines: list[BoardLine], width: int, scale: CountScale
+    lines: list[BoardLine], form: RowForm, scale: CountScale
 ) -> tuple[list[BoardLine], list[RowProblem]]:
     """Replace bad rows by garbled ones that describe the fault."""
     judged: list[BoardLine] = []
     # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
-    closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
+    closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == form.width]
     commas = sum(closed) > len(closed) / 2
-    for line in (_scale_row(line, width, scale) for line in lines):
-        what = complaint(line.numbers, width, scale) if line.kind is LineKind.ROW else ""
+    for line in (_scale_row(line, form, scale) for line in lines):
+        what = complaint(line.numbers, form, scale) if line.kind is LineKind.ROW else ""
         if line.kind is LineKind.ROW and commas and not line.closed:
             what = what or "cut row: no comma behind the last number, which may be cut too"
         judged.append(replace(line, kind=LineKind.GARBLED, said=what) if what else line)
-    if width > PAIRS:
+    if form.has_clock:
         judged = _clock_outliers(judged)
     faulty = [line for line in judged if line.kind in (LineKind.GARBLED, LineKind.TORN)]
     return judged, [RowProblem(line.number, line.said, line.kind is LineKind.GARBLED) for line in faulty]
 
 
-def _scale_row(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
-    if scale.factor == 1 or line.kind is not LineKind.ROW or len(line.numbers) != width:
+def _scale_row(line: BoardLine, form: RowForm, scale: CountScale) -> BoardLine:
+    if scale.factor == 1 or line.kind is not LineKind.ROW or len(line.numbers) != form.width:
         return line
-    clock, readings = line.numbers[:-PAIRS], line.numbers[-PAIRS:]
+    clock, readings = line.numbers[: -form.pairs], line.numbers[-form.pairs :]
     if any(value % scale.factor for value in readings):
         said = f"impossible: a reading is not a multiple of {scale.factor}, as all others are"
         return replace(line, kind=LineKind.GARBLED, said=said)
@@ -184,14 +196,14 @@ def _inventory(lines: list[BoardLine], problems: list[RowProblem]) -> str:
     return f"{said} ({worst})" if worst else said
 
 
-def _describe_frame(scan: ScanKind) -> str:
-    return f"a frame is a mark and {PAIRS} rows" if scan is ScanKind.FULL else "a frame is one row"
+def _describe_frame(scan: ScanKind, form: RowForm) -> str:
+    return f"a frame is a mark and {form.pairs} rows" if scan is ScanKind.FULL else "a frame is one row"
 
 
 def _recording(
-    path: Path, lines: list[BoardLine], width: int, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
+    path: Path, lines: list[BoardLine], form: RowForm, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
 ) -> Recording:
-    clock = board_clock(lines, width)
+    clock = board_clock(lines, form)
     counts, unwrapped = _unwrap_counts(assembly.counts(), scan)
     current_A, current_note = _current(lines)
     flags = np.zeros(counts.shape, dtype=np.uint8)

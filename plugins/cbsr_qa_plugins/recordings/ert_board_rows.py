@@ -25,7 +25,8 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import RowProblem, ScanKind
 from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
-PAIRS: Final = 16
+#: Boards by the readings of a row, which are as many as the rows of a frame: the authors', and one of twice the size.
+BOARDS: Final = (16, 32)
 #: A 16-bit converter, printed as signed or unsigned.
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
 #: No converter, whatever its counts were multiplied by, fills more.
@@ -183,12 +184,12 @@ def count_scale(rows: Sequence[tuple[int, ...]]) -> CountScale:
 
     Parameters
     ----------
-    rows : (16,) readings of each row. Single damaged ones do not matter: only if most rows leave 16 bits is the scale
+    rows : readings of each row. Single damaged ones do not matter: only if most rows leave 16 bits is the scale
         in doubt; the factor is that of most rows.
     """
     if not rows or 2 * sum(_sixteen_bits(row) for row in rows) >= len(rows):
         return CountScale()
-    # Sixteen unrelated numbers have a common divisor by chance once in 65 000 rows.
+    # Sixteen or more unrelated numbers have a common divisor by chance once in 65 000 rows.
     factor = max(Counter(gcd(*row) for row in rows).most_common(1)[0][0], 1)
     divided = [tuple(value // factor for value in row) for row in rows]
     if factor > 1 and 2 * sum(_sixteen_bits(row) for row in divided) >= len(rows):
@@ -202,23 +203,42 @@ def _sixteen_bits(row: tuple[int, ...]) -> bool:
     return all(LOWEST_COUNT <= value <= HIGHEST_COUNT for value in row)
 
 
-def complaint(numbers: tuple[int, ...], width: int, scale: CountScale) -> str:
+@dataclass(frozen=True, slots=True)
+class RowForm:
+    """What a good row of a file holds.
+
+    Parameters
+    ----------
+    pairs : readings of a row, and rows of a frame.
+    has_clock : whether the board's clock stands in front.
+    """
+
+    pairs: int
+    has_clock: bool
+
+    @property
+    def width(self) -> int:
+        """Numbers of a good row."""
+        return self.pairs + self.has_clock
+
+
+def complaint(numbers: tuple[int, ...], form: RowForm, scale: CountScale) -> str:
     """Say what is wrong with a row of numbers; empty if nothing is.
 
     Parameters
     ----------
     numbers : of the row, divided by the scale's factor.
-    width : numbers a good row of this file has (16, or 17 with the board's clock).
+    form : of good rows of this file.
     """
-    count = len(numbers)
+    count, width = len(numbers), form.width
     if count != width:
         shape = "joined lines" if count > width else "cut row"
-        shape += " (the board's time is missing, or a reading)" if PAIRS == count < width else ""
+        shape += " (the board's time is missing, or a reading)" if form.pairs == count < width else ""
         return f"{shape}: {count} numbers where a row has {width}"
-    for value in numbers[width - PAIRS :]:
+    for value in numbers[-form.pairs :]:
         if not scale.lowest <= value <= scale.highest:
             return f"absurd: {value} is not a count of a {scale.highest.bit_length()}-bit converter"
-    if width > PAIRS and not 0 <= numbers[0] <= LAST_BOARD_MS:
+    if form.has_clock and not 0 <= numbers[0] <= LAST_BOARD_MS:
         return f"absurd: the board's clock says {numbers[0]} ms; it counts in 32 bits"
     return ""
 
@@ -254,30 +274,33 @@ class Assembly:
 
     Parameters
     ----------
+    pairs : readings of a row, and rows of a frame.
     frames : rows of each whole frame, in time order.
     dropped : frames that broke between two marks. The one cut by the start or the end of the file is not among
         them: every recording has those.
     dumps : stretches of log lines, one entry each.
     """
 
+    pairs: int
     frames: list[Rows] = field(default_factory=list)
     dropped: list[DroppedFrame] = field(default_factory=list)
     dumps: list[RowProblem] = field(default_factory=list)
 
     def counts(self) -> Array:
-        """Return the readings, (frames, rows, 16) float64 [counts]."""
-        return np.array([[row.numbers[-PAIRS:] for row in rows] for rows in self.frames], dtype=np.float64)
+        """Return the readings, (frames, rows, pairs) float64 [counts]."""
+        return np.array([[row.numbers[-self.pairs :] for row in rows] for rows in self.frames], dtype=np.float64)
 
 
-def assemble(lines: list[BoardLine], scan: ScanKind) -> Assembly:
+def assemble(lines: list[BoardLine], scan: ScanKind, pairs: int) -> Assembly:
     """Put frames together.
 
     Parameters
     ----------
     lines : of the whole file; bad rows are GARBLED.
-    scan : FULL: a mark and 16 rows; DRIVEN_PAIRS: every row is a frame and marks only separate them.
+    scan : FULL: a mark and a row for each pair; DRIVEN_PAIRS: every row is a frame and marks only separate them.
+    pairs : readings of a row.
     """
-    assembly = Assembly(dumps=_dumps(lines))
+    assembly = Assembly(pairs, dumps=_dumps(lines))
     if scan is ScanKind.DRIVEN_PAIRS:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
@@ -300,19 +323,23 @@ def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assemb
         inside = lines[begin + 1 : end]
         rows = tuple(line for line in inside if line.kind is LineKind.ROW)
         bad = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
-        if len(rows) == PAIRS and not bad:
+        if len(rows) == assembly.pairs and not bad:
             assembly.frames.append(rows)
-        elif bad or (inside and (end is not None or following)) or (end is None and _begins_with_a_frame(following)):
-            why = f"{len(rows)} whole rows where a frame has {PAIRS}"
+        elif (
+            bad
+            or (inside and (end is not None or following))
+            or (end is None and _begins_with_a_frame(following, assembly.pairs))
+        ):
+            why = f"{len(rows)} whole rows where a frame has {assembly.pairs}"
             if end is None and following:
                 why += f", then headers, and the recording continues in line {following[0].number}"
             assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
 
 
-def _begins_with_a_frame(lines: list[BoardLine]) -> bool:
+def _begins_with_a_frame(lines: list[BoardLine], pairs: int) -> bool:
     """Whether a whole frame's rows stand before the first mark: then headers were put between it and its mark."""
     before = list(takewhile(lambda line: line.kind is not LineKind.MARK, lines))
-    return sum(line.kind is LineKind.ROW for line in before) == PAIRS
+    return sum(line.kind is LineKind.ROW for line in before) == pairs
 
 
 def _dumps(lines: list[BoardLine]) -> list[RowProblem]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.plugin import Dump, ReadingFlag, Recording, RefusedError, SampleBlock, Transcript
+from cbsr_qa.plugin import Dump, ReadingFlag, Recording, RefusedError, SampleBlock, Transcript, adjacent_pattern
 from cbsr_qa_plugins.recordings import lab_files
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
-from cbsr_qa_plugins.recordings.ert_board_rows import LAST_BOARD_MS
+from cbsr_qa_plugins.recordings.ert_board_rows import BOARDS, LAST_BOARD_MS
 
 NAME: Final = "ert-board-csv"
 TITLES: Final = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
@@ -61,7 +61,7 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     -------
     What the file does not say, in words.
     """
-    lab_files.refuse_unfit(NAME, path, recording, transcript)
+    lab_files.refuse_unfit(NAME, path, recording, transcript, BOARDS)
     row_s: Array = lab_files.reading_times(NAME, recording, transcript, "measure").mean(axis=2)
     _refuse_too_long(float(row_s[-1, -1] - row_s[0, 0]))
     gain = scale_of(recording.frames.voltages)
@@ -79,15 +79,9 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
 
 
 def scale_of(voltages_V: Array) -> float:
-    """Counts per volt for frames (n, 16, 16): so that what their used readings usually are fills the 16 bits."""
+    """Counts per volt for frames (n, pairs, pairs): what their used readings usually are fills the 16 bits."""
     usual = np.median(np.abs(voltages_V), axis=0)
-    return counts_per_volt(_HEADROOM * float(usual[_away()].max() or usual.max()))
-
-
-def _away() -> NDArray[np.bool_]:
-    """Readings that touch no driven electrode, (16, 16)."""
-    apart = np.subtract.outer(np.arange(16), np.arange(16)) % 16
-    return (apart > 1) & (apart < 15)
+    return counts_per_volt(_HEADROOM * float(usual[adjacent_pattern(len(usual)).usable()].max() or usual.max()))
 
 
 def counts_per_volt(largest_V: float) -> float:
@@ -163,8 +157,8 @@ def _describe_conversion(recording: Recording, gain: float) -> list[str]:
     ]
     cut = int((np.abs(recording.frames.voltages * gain) > END_COUNTS).any(axis=0).sum())
     if cut:
-        at_V = END_COUNTS / gain
-        said.append(f"{cut} of the 256 readings, most of them at driven electrodes, are cut at {at_V:.3g} V")
+        count, at_V = recording.frames.voltages[0].size, END_COUNTS / gain
+        said.append(f"{cut} of the {count} readings, most of them at driven electrodes, are cut at {at_V:.3g} V")
     if recording.frames.current_A is not None:
         said.append(f"the drive current of {1e3 * recording.frames.current_A:g} mA is not written")
     return said

@@ -120,6 +120,7 @@ def find_simulation_marks(lines: Iterable[str]) -> tuple[str, ...]:
 
 #: Date of every file that is written: a clock's would make two files of one scene differ.
 WRITTEN_UTC: Final = "2000-01-01 00:00:00.000000"
+#: Of the rig with a source-measure unit behind a multiplexer, and of the authors' board.
 ELECTRODES: Final = 16
 #: From this share of frames that lose rows on readers cannot tell any more how the frames follow each other.
 _MOST_LOST: Final = 0.5
@@ -137,30 +138,35 @@ def refuse_existing(path: Path) -> None:
         raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
 
 
-def refuse_unfit(name: str, path: Path, recording: Recording, transcript: Transcript) -> None:
+def refuse_unfit(
+    name: str, path: Path, recording: Recording, transcript: Transcript, counts: tuple[int, ...] = (ELECTRODES,)
+) -> None:
     """Refuse what the lab's rigs cannot have recorded.
 
     Parameters
     ----------
     name : of the format.
+    counts : numbers of electrodes that its rig is built with.
 
     Raises
     ------
     RefusedError
-        If the file exists, or the recording is not of volts of adjacent scans of 16 electrodes, with a row of the
-        transcript for each of theirs, every reading of them there, and more than half of the frames whole.
+        If the file exists, or the recording is not of volts of adjacent scans of so many electrodes, with a row of
+        the transcript for each of theirs, every reading of them there, and more than half of the frames whole.
     """
     refuse_existing(path)
     _refuse_kind(name, recording)
     pattern = transcript.setting.sensor_type.pattern
-    if pattern != adjacent_pattern(ELECTRODES):
+    electrodes = pattern.electrode_count
+    if electrodes not in counts or pattern != adjacent_pattern(electrodes):
+        allowed = " or ".join(map(str, counts))
         raise RefusedError(
-            f"{name} holds the adjacent pattern of {ELECTRODES} electrodes; this one drives {len(pattern.drive)}"
-            f" pairs of {pattern.electrode_count} and measures {len(pattern.measure)}",
-            remedy=f"{_OWN_FORMAT}, or simulate a sensor type of {ELECTRODES} electrodes with the adjacent pattern",
+            f"{name} holds the adjacent pattern of {allowed} electrodes; this one drives {len(pattern.drive)}"
+            f" pairs of {electrodes} and measures {len(pattern.measure)}",
+            remedy=f"{_OWN_FORMAT}, or simulate a sensor type of {allowed} electrodes with the adjacent pattern",
         )
-    shape = (len(recording.frames), ELECTRODES)
-    if recording.frames.voltages.shape != (*shape, ELECTRODES) or transcript.lost.shape != shape:
+    shape = (len(recording.frames), electrodes)
+    if recording.frames.voltages.shape != (*shape, electrodes) or transcript.lost.shape != shape:
         raise RefusedError(
             f"a transcript of {transcript.lost.shape[0]} frames of {transcript.lost.shape[1]} rows is not that of"
             f" readings of shape {recording.frames.voltages.shape}",
@@ -197,7 +203,7 @@ def _refuse_kind(name: str, recording: Recording) -> None:
 
 
 def reading_times(name: str, recording: Recording, transcript: Transcript, order: str) -> Array:
-    """When each reading was taken, (frames, 16, 16) in canonical order [s].
+    """When each reading was taken, (frames, drives, measures) in canonical order [s].
 
     Where a recording has no times of readings, its frames are taken at once: each reading has its frame's time.
 
@@ -213,7 +219,7 @@ def reading_times(name: str, recording: Recording, transcript: Transcript, order
     scan = times_s if order == "measure" else times_s.swapaxes(1, 2)
     step_s = np.diff(scan.reshape(-1))
     if not np.isfinite(times_s).all() or (step_s < 0).any():
-        frame = int(np.argmax(~(step_s >= 0))) // ELECTRODES**2
+        frame = int(np.argmax(~(step_s >= 0))) // times_s[0].size
         raise RefusedError(
             f"{name} is of a rig whose {order} pair steps faster; the times of frame {frame} fall in that order",
             remedy=f"{_order_remedy(transcript, order)}, or {_OWN_FORMAT}",

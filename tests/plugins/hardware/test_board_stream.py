@@ -5,8 +5,9 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, BinaryStream, TextStream, stream_order
+from cbsr_qa_plugins.hardware._board_stream import BinaryStream, TextStream, binary_frame_bytes, stream_order
 
+BINARY_FRAME = binary_frame_bytes(16)
 FRAMES = np.random.default_rng(20).integers(0, 2**16, (6, 16, 16))
 
 
@@ -35,9 +36,24 @@ def fed(stream, data, size):
 def test_binary_frames_come_whole_whatever_the_pieces(size):
     data = b"".join(binary(counts) for counts in FRAMES)
     assert len(data) == len(FRAMES) * BINARY_FRAME
-    frames = fed(BinaryStream(), data, size)
+    frames = fed(BinaryStream(16), data, size)
     np.testing.assert_array_equal([frame.counts for frame in frames], FRAMES)
     assert not any(frame.after_loss for frame in frames)
+
+
+@pytest.mark.parametrize("size", [1000, 3074])
+def test_frames_of_a_board_of_32_pairs_come_whole(size):
+    counts = np.random.default_rng(21).integers(0, 2**16, (5, 32, 32))
+    sent = b"".join(map(binary, counts))
+    np.testing.assert_array_equal([frame.counts for frame in fed(BinaryStream(32), sent, size)], counts)
+    said = b"".join(map(text, counts)) + END
+    np.testing.assert_array_equal([frame.counts for frame in fed(TextStream(32, 0, 65_535), said, size)], counts)
+
+
+def test_frames_of_another_board_are_none():
+    counts = np.random.default_rng(22).integers(0, 2**16, (5, 16, 16))
+    assert not fed(BinaryStream(32), b"".join(map(binary, counts)), 1000)
+    assert not fed(TextStream(32, 0, 65_535), b"".join(map(text, counts)) + END, 1000)
 
 
 @drawn(40)
@@ -48,7 +64,7 @@ def test_binary_frames_come_whole_whatever_the_pieces(size):
 def test_a_stream_joined_anywhere_is_cut_at_its_true_marks(cut, counts):
     """Counts made of the separators' own bytes; the first and the last are not, or it could not be told at all."""
     frame = np.array([30_000, *counts[1:-1], 30_000]).reshape(16, 16)
-    found = fed(BinaryStream(), (4 * binary(frame))[cut:], 481)
+    found = fed(BinaryStream(16), (4 * binary(frame))[cut:], 481)
     assert len(found) >= 2
     for one in found:
         np.testing.assert_array_equal(one.counts, frame)
@@ -60,7 +76,7 @@ def test_a_count_that_looks_like_the_mark_is_told_by_the_frame_in_which_it_chang
     """The first count as 0x410D fits one reading late as well; the last as 0x0D41 one early."""
     frames = np.tile(FRAMES[0], (5, 1, 1))
     frames.reshape(5, 256)[:, reading] = [count, count, count, count + 1, count]
-    stream = BinaryStream()
+    stream = BinaryStream(16)
     found = stream.feed(b"".join(binary(one) for one in frames)[cut:])
     assert len(found) >= 4
     for one, sent in zip(reversed(found), reversed(frames), strict=False):
@@ -72,7 +88,7 @@ def test_a_count_that_looks_like_the_mark_is_told_by_the_frame_in_which_it_chang
 def test_a_byte_lost_on_the_way_costs_its_frame_and_is_noticed(spoilt_at):
     data = b"".join(binary(counts) for counts in FRAMES[:4])
     at = BINARY_FRAME + spoilt_at
-    stream = BinaryStream()
+    stream = BinaryStream(16)
     frames = fed(stream, data[:at] + data[at + 1 :], 48)
     np.testing.assert_array_equal([frame.counts for frame in frames], FRAMES[[0, 2, 3]])
     assert [frame.after_loss for frame in frames] == [False, True, False]
@@ -81,13 +97,13 @@ def test_a_byte_lost_on_the_way_costs_its_frame_and_is_noticed(spoilt_at):
 def test_a_changed_separator_is_noticed_and_the_next_frames_are_whole():
     data = bytearray(b"".join(binary(counts) for counts in FRAMES[:3]))
     data[BINARY_FRAME + 2] ^= 0x15
-    frames = BinaryStream().feed(bytes(data))
+    frames = BinaryStream(16).feed(bytes(data))
     np.testing.assert_array_equal([frame.counts for frame in frames], FRAMES[[0, 2]])
 
 
 def test_after_a_restart_the_rest_of_a_frame_is_no_loss():
     data = b"".join(binary(counts) for counts in FRAMES[:3])
-    stream = BinaryStream()
+    stream = BinaryStream(16)
     stream.feed(data[:900])
     stream.restart()
     (frame,) = stream.feed(data[1000:])
@@ -96,11 +112,11 @@ def test_after_a_restart_the_rest_of_a_frame_is_no_loss():
 
 
 def test_what_is_no_board_gives_no_frame_and_does_not_pile_up():
-    stream = BinaryStream()
+    stream = BinaryStream(16)
     for _ in range(50):
         assert stream.feed(b"T:25.0 /0.0 ok\r\n" * 100) == []
     assert len(stream._held) < 2 * BINARY_FRAME
-    words = TextStream(0, 65_535)
+    words = TextStream(16, 0, 65_535)
     assert fed(words, b"x" * 100_000, 4096) == []
     assert len(words._held) <= 4096
 
@@ -109,21 +125,21 @@ def test_what_is_no_board_gives_no_frame_and_does_not_pile_up():
 @pytest.mark.parametrize("size", [1, 64, 100_000])
 def test_text_frames_come_whole_with_or_without_the_boards_clock(first_ms, size):
     data = b"1,2,3,\n" + b"".join(text(counts, first_ms=first_ms) for counts in FRAMES)
-    frames = fed(TextStream(0, 65_535), data + END, size)
+    frames = fed(TextStream(16, 0, 65_535), data + END, size)
     np.testing.assert_array_equal([frame.counts for frame in frames], FRAMES)
     assert not any(frame.after_loss for frame in frames)
 
 
 def test_signed_text_is_read_with_its_sign():
     counts = FRAMES[0] - 2**15
-    (frame,) = TextStream(-(2**15), 2**15 - 1).feed(text(counts) + END)
+    (frame,) = TextStream(16, -(2**15), 2**15 - 1).feed(text(counts) + END)
     np.testing.assert_array_equal(frame.counts, counts)
 
 
 def test_logs_between_rows_are_left_out():
     whole = text(FRAMES[0]).split(b"\n")
     dump = [b"\x1b[0;31mE (42) task_wdt: Task watchdog got triggered.\x1b[0m", b"", b"Backtrace: 0x1:0x2 0x3:0x4"]
-    (frame,) = TextStream(0, 65_535).feed(b"\n".join([*whole[:8], *dump, *whole[8:]]) + END)
+    (frame,) = TextStream(16, 0, 65_535).feed(b"\n".join([*whole[:8], *dump, *whole[8:]]) + END)
     np.testing.assert_array_equal(frame.counts, FRAMES[0])
 
 
@@ -142,7 +158,7 @@ SPOILT = {
 def test_a_spoilt_row_costs_its_frame_and_is_noticed(spoil):
     lines = text(FRAMES[1]).split(b"\n")
     lines[5] = spoil(lines[5])
-    stream = TextStream(0, 65_535)
+    stream = TextStream(16, 0, 65_535)
     frames = stream.feed(text(FRAMES[0]) + b"\n".join(lines) + text(FRAMES[2]) + text(FRAMES[3]) + END)
     np.testing.assert_array_equal([frame.counts for frame in frames], FRAMES[[0, 2, 3]])
     assert [frame.after_loss for frame in frames] == [False, True, False]
@@ -155,5 +171,5 @@ def test_the_order_of_a_stream_says_where_each_reading_belongs():
         for first in (0, 1, 255):
             stream = np.roll(sent.ravel(), -first)
             back = np.empty(256, dtype=int)
-            back[stream_order(order, first)] = stream
+            back[stream_order(16, order, first)] = stream
             np.testing.assert_array_equal(back.reshape(16, 16), frame)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_setting import HEAD, MOTION, held, material, scene, sensor_type, world
+from simulated_setting import HEAD, MOTION, held, larger_sensor, material, scene, sensor_type, world
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec
@@ -33,18 +33,18 @@ def told(options, clock, of=None):
 class Bench:
     """An emulated board over a sheet without noise, and the driver that reads it."""
 
-    def __init__(self, *effects, board=None, began_s=0.0, **options):
+    def __init__(self, *effects, board=None, kind=None, began_s=0.0, **options):
         table, board = TABLE | options, dict(board or {})
         self.clock = WatchedClock()
         memory = {"share": board.pop("memory", 0.0), "inner": table.get("order", "measure")}
         effects = (*effects, "reading-memory") if memory["share"] else effects
-        self.world = world(replace(scene(*effects, reading_memory=memory), frame_period_s=PERIOD_S))
+        self.world = world(replace(scene(*effects, reading_memory=memory), frame_period_s=PERIOD_S), kind=kind)
         self.world.setting = replace(self.world.setting, began_s=began_s)
         spec = InstrumentSpec("frames", "ert-board-stream", ("frame_source",), table | board, None)
         self.emulation = Emulation([spec], EmulatedRig(self.clock, self.world, MOTION))
         options = table | {"address": self.emulation.ports["frames"].address}
         try:
-            self.driver = open_board(told(options, self.clock))
+            self.driver = open_board(told(options, self.clock, kind))
         except BaseException:
             self.emulation.close()
             raise
@@ -59,8 +59,9 @@ class Bench:
 
     def check(self, block):
         """Hold the frames of a block, of a sheet that stands still, against what the board must have sent."""
+        usable = self.world.setting.sensor_type.pattern.usable()
         for frame in block.voltages:
-            np.testing.assert_array_equal(frame[USABLE], self.counts(block)[USABLE])
+            np.testing.assert_array_equal(frame[usable], self.counts(block)[usable])
 
 
 @pytest.fixture
@@ -178,7 +179,7 @@ def test_the_memory_of_the_readings_can_be_taken_out(opened, order):
         np.abs(remembered.voltages - plain.voltages)[0, USABLE].max() > 0.05 * np.abs(plain.voltages[0, USABLE]).max()
     )
     # What follows a driven pair that was cut keeps a share of nobody knows what; whole counts are rounded.
-    order = stream_order(order, 0)
+    order = stream_order(16, order, 0)
     follows_cut = np.zeros(256, dtype=bool)
     follows_cut[order[1:]] = corrected.flags[0].ravel()[order[:-1]] > 0
     known = USABLE & ~follows_cut.reshape(16, 16) & (corrected.flags[0] == 0)
@@ -268,9 +269,31 @@ def test_a_port_without_a_board_is_refused():
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock()))
 
 
+@pytest.mark.parametrize("options", [{}, ASCII | {"order": "drive"}], ids=["binary", "ascii"])
+def test_a_board_of_32_pairs_sends_what_the_sensor_type_has(opened, options):
+    bench = opened(kind=larger_sensor(32), **options)
+    block = bench.driver.acquire(3)
+    assert block.voltages.shape == (3, 32, 32)
+    bench.check(block)
+    assert (np.diff(np.sort(block.reading_time_s[0].ravel())) > 0).all()
+
+
+def test_a_board_of_other_pairs_than_the_sensor_type_is_refused_at_opening():
+    bench = Bench()
+    bench.driver.close()
+    with pytest.raises(InstrumentError, match=r"no whole frame, .* frames of 3074 bytes every 0\.25 s"):
+        open_board(told(TABLE | {"address": bench.emulation.ports["frames"].address}, bench.clock, larger_sensor(32)))
+    bench.emulation.close()
+
+
+def test_a_line_too_slow_for_32_pairs_is_refused():
+    with pytest.raises(ConfigError, match=r"frame_period_s is 0\.01, but 3074 bytes at 1400000 baud take 0\.022 s"):
+        open_board(told(TABLE | {"address": "/dev/none", "frame_period_s": 0.01}, RealClock(), larger_sensor(32)))
+
+
 def test_a_sensor_of_other_readings_is_refused():
     of = replace(sensor_type(), pattern=replace(sensor_type().pattern, drive=sensor_type().pattern.drive[:8]))
-    with pytest.raises(ConfigError, match="sends 16 x 16 readings; sensor type 'disc-100mm' has 8 x 16"):
+    with pytest.raises(ConfigError, match="sends 16 x 16 or 32 x 32 readings; sensor type 'disc-100mm' has 8 x 16"):
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock(), of))
 
 

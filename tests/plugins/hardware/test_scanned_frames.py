@@ -5,12 +5,14 @@ import logging
 import numpy as np
 import pytest
 from scanning_rig import OHM, Scanning, TabledWorld
+from simulated_setting import larger_sensor
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.readings.frames import ReadingFlag, VoltageUnit
 from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.simulate.instruments import streams
 from cbsr_qa.simulate.instruments.streams import Fault
+from cbsr_qa_plugins.hardware import esp32_multiplexer
 
 
 def with_open_pin(pin, ohm=1e8):
@@ -34,6 +36,18 @@ def test_a_frame_is_in_canonical_order_whatever_the_board_s(inner):
         rising = second if inner == "voltage" else second.T
         assert (np.diff(rising.ravel()) > 0).all()
         assert first[0] < first[1] or inner == "voltage"
+
+
+def test_frames_of_32_electrodes_come_through_a_multiplexer_of_so_many_channels(monkeypatch):
+    """The shipped multiplexer refuses them; another is a plugin, here the same firmware on a larger board."""
+    ohm = np.add.outer(100.0 * np.arange(1, 33), np.arange(1, 33)) + np.diag(np.full(32, 18e3))
+    with Scanning(TabledWorld(ohm, kind=larger_sensor(32))) as bench:
+        with pytest.raises(ConfigError, match="connects 16 electrodes; sensor type 'disc of 32' has 32"):
+            bench.open_multiplexer()
+        monkeypatch.setattr(esp32_multiplexer, "_CHANNELS", 32)
+        block = bench.open_frames(current_mA=0.2).acquire(1)
+        assert block.voltages.shape == (1, 32, 32)
+        assert np.allclose(block.voltages, 0.2e-3 * ohm, rtol=1e-6)
 
 
 def test_times_are_those_of_the_readings_and_the_period_is_what_a_frame_takes(bench):

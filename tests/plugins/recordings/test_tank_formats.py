@@ -76,7 +76,7 @@ def test_a_cut_mat_file_is_refused_by_name(mat, tmp_path, cut):
 def test_a_mat_file_without_frames_is_refused(tmp_path):
     path = tmp_path / "none.mat"
     scipy.io.savemat(path, {"x": np.zeros((100, 2))})
-    with pytest.raises(RecordingError, match="no matrix of 256 rows"):
+    with pytest.raises(RecordingError, match="no matrix of 256 or 1024 rows"):
         EidorsMat().read(path, ReadOptions())
 
 
@@ -152,3 +152,17 @@ def test_a_matrix_with_values_that_are_none_is_refused_for_that(tmp_path):
     scipy.io.savemat(path, {"vv": matrix})
     with pytest.raises(RecordingError, match="vv holds values that are not finite"):
         EidorsMat().read(path, ReadOptions())
+
+
+def test_a_ring_of_32_electrodes_has_rows_of_its_own(tmp_path):
+    path = tmp_path / "rings.mat"
+    large = np.arange(1, 1025, dtype=float).reshape(-1, 1)
+    scipy.io.savemat(path, {"vvRef": large, "vvAvg1": 1.5 * large, "vvAvg2": np.ones((256, 1))})
+    recording = EidorsMat().read(path, ReadOptions("vvAvg1"))
+    assert recording.layout.count == 32
+    assert recording.frames.voltages[0, 2, 7] == 1.5 * (32 * 2 + 7 + 1)
+    assert recording.reference.voltages.shape == (1, 32, 32)
+    smaller = EidorsMat().read(path, ReadOptions("vvAvg2"))
+    assert smaller.frames.voltages.shape == (1, 16, 16)
+    assert smaller.reference is None
+    assert any("vvRef of the same file is of another ring" in note for note in smaller.notes)
