@@ -155,14 +155,18 @@ class SensorFrames:
 def volts(frames: ArrayLike) -> Array:
     """Return frames as float64 with NaN for masked readings.
 
-    Raises
-    ------
-    NumericsError
-        If a dataset's variable states another unit than volts. If they are not real numbers: a cast would drop
-        imaginary parts, parse text, and reveal masked values.
+    NumericsError as :func:`read_frames`, and if a dataset's variable states another unit than volts.
     """
     if (unit := getattr(frames, "attrs", {}).get("units", "V")) != "V":
         raise NumericsError(f"the frames are in {unit}, not in volts", remedy="a calibration needs frames in volts")
+    return read_frames(frames)
+
+
+def read_frames(frames: ArrayLike) -> Array:
+    """Return frames in any unit as float64 with NaN for masked readings.
+
+    NumericsError if they are not real numbers: a cast would drop imaginary parts, parse text, reveal masked values.
+    """
     if isinstance(frames, np.ma.MaskedArray):
         frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)
     return real_numbers(frames, "frames")

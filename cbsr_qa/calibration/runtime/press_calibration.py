@@ -34,7 +34,7 @@ from cbsr_qa.calibration.runtime.estimator import (
     require_ability,
     whole_readings,
 )
-from cbsr_qa.calibration.runtime.frames import volts
+from cbsr_qa.calibration.runtime.frames import read_frames
 from cbsr_qa.domain.errors import CalibrationError, RecordingError
 from cbsr_qa.domain.goodness import ALLOWANCE
 from cbsr_qa.domain.numbers import Array, Indices, Mask
@@ -150,7 +150,7 @@ class PressCalibration:
 
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame, against the unloaded frame of the calibration; see :class:`Estimator`."""
-        pattern, read = self._require_pattern(), np.asarray(volts(frames))
+        pattern, read = self._require_pattern(), read_frames(frames)
         if read.shape[-2:] != pattern.shape or read.ndim not in (2, 3):
             raise CalibrationError(
                 f"frames of shape {read.shape} are not of this calibration",

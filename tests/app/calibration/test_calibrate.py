@@ -331,6 +331,9 @@ def test_python_tells_the_places_and_forces_of_apply(of_recording):
         assert flag_names(int(touches.flags[number])) == tuple(one["flags"])
     assert touches.depth is None
     assert estimator.lacks["depth"] == "was learned from presses that had no depth"
+    masked = np.ma.array(frames.voltages[1])
+    masked[0, 5] = np.ma.masked
+    assert "missing" in flag_names(int(estimator.estimate(masked).flags[0]))
     with pytest.raises(CalibrationError, match=r"frames of shape \(3, 3\) are not of this calibration"):
         estimator.estimate(np.zeros((3, 3)))
 
