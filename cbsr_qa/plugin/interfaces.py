@@ -18,7 +18,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 
 class RecordingFormat(Protocol):
-    """Reads one family of files."""
+    """Reads one family of files, in a child process that it is pickled for."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Whether this is such a file, by its name and first 4096 bytes."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,7 +107,7 @@ def is_press_calibration(calibration: Path) -> bool:
 
 def read_calibration_file(calibration: Path, public_key: Path | None = None) -> Issued:
     """Read a calibration of either kind; CalibrationError if it is damaged, or not signed by a given key."""
-    issued = read_in_child(calibration, lambda: read_issued(calibration))
+    issued = read_in_child(calibration, partial(read_issued, calibration))
     if public_key is not None:
         check_signed_file(calibration, issued, public_key)
     return issued
