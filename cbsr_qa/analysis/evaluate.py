@@ -20,7 +20,8 @@ from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import LoadMetric, RunMetric

@@ -13,7 +13,8 @@ from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.results.report import RunResult, Section
+from cbsr_qa.domain.results.report import Section
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 

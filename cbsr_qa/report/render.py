@@ -12,12 +12,13 @@ from markupsafe import Markup
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import with_type
 from cbsr_qa.domain.results.findings import RecordingResult
-from cbsr_qa.domain.results.report import Block, Figure, Page, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.results.report import Block, Figure, Page, Paragraph, Section, Table
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.interfaces import ReportSection
-from cbsr_qa.report.draw.style import check_svg
-from cbsr_qa.report.page import recording_page, run_page
+from cbsr_qa.report.heads import recording_page, run_page
 from cbsr_qa.report.section import limit_blocks
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import open_foreign

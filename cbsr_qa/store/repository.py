@@ -10,7 +10,7 @@ from typing import Concatenate, Final, ParamSpec, Self, TypeVar
 from sqlalchemy import Engine
 
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import ChangeHistory, SensorHistory, VerdictOverride
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from cbsr_qa.plugin import Example, Kind, Register, hookimpl
+from cbsr_qa.plugin.hooks import Example, Kind, Register, hookimpl
 
 _HERE: Final = "cbsr_qa_plugins"
 

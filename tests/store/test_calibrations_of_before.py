@@ -16,7 +16,7 @@ from cbsr_qa.domain.imaging import ParameterChoice
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.calibration import BaselineConductance, Validity
 from cbsr_qa.domain.results.measurement import Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.opening import open_store
 
 

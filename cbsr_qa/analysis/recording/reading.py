@@ -8,7 +8,8 @@ from typing import Final, TypeVar
 from cbsr_qa.domain.errors import CbsrError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import ReadOptions, Recording
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import RecordingFormat
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign

@@ -21,7 +21,8 @@ from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, Recording, ScanKind
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.report.render import render_recording, report_name, write_report
