@@ -23,7 +23,8 @@ from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
-from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.plan import Plan, PlannedPhase

@@ -13,7 +13,8 @@ from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 

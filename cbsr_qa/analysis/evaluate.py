@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from cbsr_qa.analysis.answers import validate_answer
-from cbsr_qa.analysis.run.force import begin_force, run_force
+from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.issue import issue_calibration
@@ -20,7 +20,8 @@ from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import LoadMetric, RunMetric
@@ -78,8 +79,6 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
-        if recipe.calibrate_phases:
-            begin_force(observation)
         measured, failed = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
     if recipe.analysis.learn_place:

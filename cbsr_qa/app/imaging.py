@@ -19,7 +19,8 @@ from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.scaling import changes, scale_doubts, scale_of
-from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.report.draw.images import ImagePanel, image_figure

@@ -1,25 +1,11 @@
-"""State of a station's charts after a run: charts with a stored reference, and the latest runs only."""
+"""State of a station's charts after a run."""
 
 from collections.abc import Sequence
-from typing import Final
 
-import numpy as np
-
-from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.filling import fill_from_object
-from cbsr_qa.domain.plan.limits import Bound, Outcome
-from cbsr_qa.domain.results.charts import ChartKind, ChartReference, StandingSignal, StationCharts
-from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunFigure, RunLine, RunSelection, State, ValueKind
+from cbsr_qa.domain.results.charts import StationCharts
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.run.run import RunIdentity
-from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.stats.control_charts import Standard
 from cbsr_qa.store.repository import Repository
-from cbsr_qa.studies.charts.charting import charts_of, reference_figures, standing
-from cbsr_qa.studies.selection import clock_notes
-
-#: Number of latest runs; an average or a sum of earlier ones does not describe the present.
-LOOK_BACK: Final = 100
 
 
 def charts_after(
@@ -44,79 +30,6 @@ def charts_after(
     references = store.charts.read_current(station, until)
     if not references:
         return None
-    signals: list[StandingSignal] = []
-    notes: dict[str, None] = {}
-    for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
-        members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
-        table = store.fleet.read_table(_select_chart_runs(station, members, until))
-        figures = reference_figures(table, members)
-        lines = tuple(run for run in table.runs if run.outcome is not None)
-        notes |= dict.fromkeys(clock_notes(lines))
-        if identity is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
-            own = _table_of(identity, measurements)
-            for key, of in reference_figures(own, members).items():
-                figures.setdefault(key, {}).update(of)
-            # A resumed run has an earlier identifier than some.
-            others = (run for run in lines if run.run != identity.run)
-            lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
-        for reference in members:
-            try:
-                signals += filter(None, [_signal(reference, lines, figures)])
-            except NumericsError as error:
-                notes[f"{reference.label}: {error.reason}"] = None
-    return StationCharts(station, len(references), tuple(signals), tuple(notes))
+    from cbsr_qa.app.chart_signals import find_chart_signals  # loads what few stations need
 
-
-def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
-    """Return measurements of a run in the form of the store, which does not hold them yet."""
-    line = fill_from_object(
-        RunLine,
-        identity,
-        serial=identity.sensor.serial,
-        batch=identity.sensor.batch,
-        material="",
-        made_at=None,
-        end=EndReason.FINISHED,
-        outcome=Outcome.NOT_JUDGED,
-        software=(),
-    )
-    count = len(measurements)
-    return FleetTable(
-        runs=(line,),
-        kinds=tuple(
-            ValueKind(MetricKey(m.name, m.phase, m.qualifier), m.unit, m.location, None, None) for m in measurements
-        ),
-        run=np.zeros(count, dtype=np.int32),
-        kind=np.arange(count, dtype=np.int32),
-        value=np.array([m.value for m in measurements], dtype=np.float64),
-        state=np.array(
-            [State.PLAIN if m.bound is Bound.EXACT else State.LOWER_BOUND for m in measurements], dtype=np.uint8
-        ),
-    )
-
-
-def _select_chart_runs(station: str, members: Sequence[ChartReference], until: str) -> RunSelection:
-    """Select the latest runs of one recipe, of one golden sensor or of production."""
-    first = members[0]
-    grouped = any(member.chart is ChartKind.MEANS for member in members)
-    return RunSelection(
-        serials=(first.golden,) if first.golden else (),
-        stations=(station,),
-        recipe=first.recipe,
-        checks=bool(first.golden),
-        after=min(held.last_run for held in members),
-        up_to=until,
-        latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
-    )
-
-
-def _signal(
-    reference: ChartReference, lines: Sequence[RunLine], figures: dict[MetricKey, dict[str, RunFigure]]
-) -> StandingSignal | None:
-    of = figures.get(reference.key, {})
-    pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > reference.last_run]
-    kept = [(line, value) for line, value in pairs if value is not None and of[line.run].unit == reference.unit]
-    if len(kept) < reference.subgroup:
-        return None
-    charts = charts_of([value for _, value in kept], reference, Standard(reference.mean, reference.deviation))
-    return standing(charts, [line for line, _ in kept], reference, cut=len(lines) >= LOOK_BACK)
+    return find_chart_signals(store, station, references, identity, measurements, until=until)

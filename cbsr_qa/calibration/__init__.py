@@ -1,14 +1,21 @@
 """Learning from a sensor's own loads, and calibrations in use.
 
-The names below are what a robot needs; they load numpy, scipy and h5py, and nothing else.
+The names of :mod:`cbsr_qa.calibration.offer` are what a robot needs, loaded together when one is first used. They
+load numpy, scipy and h5py, and nothing else.
 """
 
-from cbsr_qa.calibration.force.inverse import Flag as Flag
-from cbsr_qa.calibration.loading import load_calibration as load_calibration
-from cbsr_qa.calibration.runtime.calibration import Calibration as Calibration
-from cbsr_qa.calibration.runtime.estimator import Estimator as Estimator, Touches as Touches
-from cbsr_qa.calibration.runtime.press_calibration import PressCalibration as PressCalibration
-from cbsr_qa.calibration.runtime.pressure import PressureMap as PressureMap
-from cbsr_qa.calibration.runtime.tracking import ForceStream as ForceStream
-from cbsr_qa.domain.errors import CbsrError as CbsrError
-from cbsr_qa.domain.readings.loads import Indenter as Indenter
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cbsr_qa.calibration.offer import *  # noqa: F403 - its list is the only one
+
+
+def __getattr__(name: str) -> Any:
+    if name.startswith("_") and name != "__all__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return __dir__() if name == "__all__" else getattr(import_module(f"{__name__}.offer"), name)
+
+
+def __dir__() -> list[str]:
+    return [name for name in vars(import_module(f"{__name__}.offer")) if not name.startswith("_")]

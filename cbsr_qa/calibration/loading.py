@@ -1,6 +1,7 @@
 """Calibration files of every kind, read to be used; needs only numpy, scipy and h5py."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -45,7 +46,7 @@ def load_foreign_calibration(path: Path, public_key: Path | None = None) -> Esti
 
     CalibrationError also if reading it crashes, hangs or takes too much memory.
     """
-    return _make_estimator(path, read_in_child(path, lambda: read_issued(path)), public_key)
+    return _make_estimator(path, read_in_child(path, partial(read_issued, path)), public_key)
 
 
 def _make_estimator(path: Path, issued: Issued, public_key: str | Path | None) -> Estimator:

@@ -10,7 +10,7 @@ from cbsr_qa.cli.options import AsJson, plugin_options
 from cbsr_qa.cli.output import announce, emit_json, note, show
 
 
-@command("analyse", prints="cbsr_qa.app.analyse.outcome:Analysed")
+@command("analyse", prints="cbsr_qa.app.analyse.outcome:Analysed", reads="cbsr_qa.app.analyse.analyse")
 def analyse(
     files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE")],
     format_: Annotated[

@@ -10,7 +10,11 @@ from cbsr_qa.cli.options import AsJson, PageOutput
 from cbsr_qa.cli.output import announce, check_page, show
 
 
-@command("calibrate", prints="cbsr_qa.app.calibration.calibrate:PressesCalibrated")
+@command(
+    "calibrate",
+    prints="cbsr_qa.app.calibration.calibrate:PressesCalibrated",
+    reads="cbsr_qa.app.calibration.calibrate",
+)
 def calibrate(
     readings: Annotated[
         Path,

@@ -23,6 +23,7 @@ _EitherFile = Annotated[Path, typer.Argument(help="Calibration file, .h5 or .jso
 @command(
     "calibration show",
     prints="cbsr_qa.app.calibration.shown:ShownCalibration|cbsr_qa.app.calibration.presses_shown:ShownPressCalibration",
+    reads="cbsr_qa.app.calibration.page",
 )
 def show(file: _File, as_json: AsJson = False) -> None:
     """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
@@ -31,7 +32,9 @@ def show(file: _File, as_json: AsJson = False) -> None:
     show_outcome(show_calibration(file), as_json=as_json)
 
 
-@command("calibration verify", prints="cbsr_qa.app.calibration.signing:SoundFile")
+@command(
+    "calibration verify", prints="cbsr_qa.app.calibration.signing:SoundFile", reads="cbsr_qa.app.calibration.signing"
+)
 def verify(file: _EitherFile, public_key: PublicKey = None, as_json: AsJson = False) -> None:
     """Check that a calibration file is complete, unaltered and of a known version, and who signed it."""
     from cbsr_qa.app.calibration.signing import verify_file
@@ -53,7 +56,9 @@ def new_key(
     show_outcome(make_key(file), as_json=as_json)
 
 
-@command("calibration sign", prints="cbsr_qa.app.calibration.signing:SignedFile")
+@command(
+    "calibration sign", prints="cbsr_qa.app.calibration.signing:SignedFile", reads="cbsr_qa.app.calibration.signing"
+)
 def sign(
     file: _EitherFile,
     key: Annotated[Path, typer.Option(help="Private key, made by cbsr-qa calibration keygen.")],
@@ -69,7 +74,7 @@ def sign(
     show_outcome(sign_file(file, key, again=again), as_json=as_json)
 
 
-@command("calibration export", prints="cbsr_qa.app.calibration.file:Converted")
+@command("calibration export", prints="cbsr_qa.app.calibration.file:Converted", reads="cbsr_qa.app.calibration.file")
 def export(
     file: Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")],
     output: Annotated[Path, typer.Option(help="File to write, .json or .h5; must not exist yet.")],
@@ -93,6 +98,7 @@ def export(
 @command(
     "calibration apply",
     prints="cbsr_qa.app.calibration.apply:AppliedCalibration|cbsr_qa.app.calibration.apply_places:AppliedPlaces",
+    reads="cbsr_qa.app.calibration.apply",
 )
 def apply(
     file: _File,

@@ -26,11 +26,12 @@ _WORDS: Final = {bool: "", str: "TEXT", int: "N", float: "NUMBER", Path: "FILE",
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: its words after ``cbsr-qa``, its function, and whether it prints while it runs."""
+    """A command: its words after ``cbsr-qa``, its function, whether it prints while it runs, and what reads files."""
 
     words: str
     run: Callable[..., Any]
     live: bool = False
+    reads: str = ""
 
     @property
     def group(self) -> str:
@@ -57,7 +58,7 @@ _GROUPS: Final[dict[str, str]] = {}
 _PRINTED: Final[dict[str, str]] = {}
 
 
-def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_Run], _Run]:
+def command(words: str, *, prints: str = "", live: bool = False, reads: str = "") -> Callable[[_Run], _Run]:
     """Declare a command. A parameter that is a dataclass stands for options: one for each of its fields.
 
     Parameters
@@ -67,6 +68,8 @@ def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_R
         only to print its schema; several are separated by ``|``.
     live : whether it writes to standard output while it runs, by :func:`cbsr_qa.cli.output.live_output`; the output
         of other commands is printed when they have ended.
+    reads : module that reads files of unknown origin, if it does: it is imported, and the process that forks the
+        children which read them is begun, before anything is open.
     """
     if prints:
         document(words, prints=prints)
@@ -77,7 +80,7 @@ def command(words: str, *, prints: str = "", live: bool = False) -> Callable[[_R
         for name, info, kind in _parameters(whole):
             if info.metavar is None:
                 info.metavar = name.upper() if isinstance(info, ArgumentInfo) else _WORDS[kind]
-        _COMMANDS[words] = Command(words, whole, live)
+        _COMMANDS[words] = Command(words, whole, live, reads)
         return run
 
     return declare

@@ -43,7 +43,7 @@ def _supervise_command(command: Command) -> Callable[..., Any]:
         _asked_for_json.append(bool(options.get("as_json")))
         judging = command.words == "run" and not options["dry_run"]
         # Click parses the command line here, before any plugin code runs.
-        if _supervising and (code := supervise(judges=judging, live=command.live)) is not None:
+        if _supervising and (code := supervise(judges=judging, live=command.live, reads=command.reads)) is not None:
             return code
         claim_stdout()
         return command.run(*arguments, **options)

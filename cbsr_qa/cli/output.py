@@ -32,16 +32,18 @@ def check_page(output: Path | None) -> None:
 
 def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json: bool = False) -> int:
     """Print a command's outcome, write its page if ``output`` is given, and return its exit code."""
-    from cbsr_qa.report.document import json_document
-    from cbsr_qa.report.render import render_sections, write_report
-    from cbsr_qa.report.terminal import terminal_lines
-
     if output is not None:
+        from cbsr_qa.report.render import render_sections, write_report
+
         write_report(output, render_sections(outcome.page, outcome.sections))
         note(f"page         {output}")
     if as_json:
+        from cbsr_qa.report.document import json_document
+
         emit_json(json_document(outcome.result))
         return outcome.exit_code
+    from cbsr_qa.report.terminal import terminal_lines
+
     # Whether stdout is a terminal that shows colours, and nobody has asked for none (https://no-color.org).
     coloured = any(_on_terminal) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
     paint = _COLOURS.get(outcome.page.banner.tone, "") if coloured else ""

@@ -12,12 +12,12 @@ from cbsr_qa.cli.output import show
 
 if TYPE_CHECKING:
     from cbsr_qa.domain.results.report import Section
-    from cbsr_qa.plugin.reference import PluginReference
+    from cbsr_qa.plugin.listed import PluginReference
 
 group("plugins", "List, describe, check and start plugins.")
 
 
-@command("plugins list", prints="cbsr_qa.plugin.reference:ListedPlugins")
+@command("plugins list", prints="cbsr_qa.plugin.listed:ListedPlugins")
 def list_plugins(
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     options: Annotated[bool, typer.Option("--options", help="List the options of each plugin.")] = False,
@@ -30,7 +30,7 @@ def list_plugins(
     from cbsr_qa.domain.results.report import Section
     from cbsr_qa.plugin.discovery import discover
     from cbsr_qa.plugin.hooks import Kind
-    from cbsr_qa.plugin.reference import FailedPlugin, ListedPlugin, ListedPlugins, plugin_reference
+    from cbsr_qa.plugin.listed import FailedPlugin, ListedPlugin, ListedPlugins
     from cbsr_qa.plugin.software import kind_named
     from cbsr_qa.report.page import answer
     from cbsr_qa.report.tables import plural, text_table
@@ -40,6 +40,8 @@ def list_plugins(
     columns: tuple[str, ...] = ("kind", "name", "from")
     rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in found]
     if options:
+        from cbsr_qa.plugin.reference import plugin_reference
+
         taken = [plugin_reference(plugins, Kind(plugin.kind), plugin.name).options for plugin in found]
         found = [replace(plugin, options=each) for plugin, each in zip(found, taken, strict=True)]
         columns += ("options",)
@@ -51,7 +53,7 @@ def list_plugins(
     show(replace(outcome, sections=(Section("Installed", (table,)),)), as_json=as_json)
 
 
-@command("plugins show", prints="cbsr_qa.plugin.reference:ShownPlugins")
+@command("plugins show", prints="cbsr_qa.plugin.listed:ShownPlugins")
 def show_plugin(
     name: Annotated[str, typer.Argument(help="Name of the plugin.")],
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
@@ -62,7 +64,8 @@ def show_plugin(
 
     from cbsr_qa.plugin.discovery import discover
     from cbsr_qa.plugin.hooks import Kind
-    from cbsr_qa.plugin.reference import ShownPlugins, plugin_reference
+    from cbsr_qa.plugin.listed import ShownPlugins
+    from cbsr_qa.plugin.reference import plugin_reference
     from cbsr_qa.plugin.software import kind_named
     from cbsr_qa.report.page import answer
 

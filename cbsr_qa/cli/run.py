@@ -74,11 +74,12 @@ def run(
     from cbsr_qa.app.gate.request import Override
     from cbsr_qa.app.run.outcome import run_outcome
     from cbsr_qa.app.run.planned import plan_outcome
-    from cbsr_qa.app.run.resume import resume_run
     from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
 
     overridden = Override(tuple(override or ()), override_by, override_why)
     if resume is not None:
+        from cbsr_qa.app.run.resume import resume_run
+
         report_run(resume, database)
         outcome = resume_run(
             resume,

@@ -17,7 +17,7 @@ document(
 )
 
 
-@command("stream", live=True)
+@command("stream", live=True, reads="cbsr_qa.app.stream.stream")
 def stream(
     calibration: Annotated[Path, typer.Argument(help="Calibration file (HDF5) of the sensor.")],
     driver: Annotated[

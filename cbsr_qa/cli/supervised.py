@@ -10,11 +10,13 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from importlib import import_module
 from typing import Any, ClassVar, Final, NamedTuple
 
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain.errors import BrokenError, BrokenRunError, CbsrError
 from cbsr_qa.system.copies import end_copies_of_threads, end_copy
+from cbsr_qa.system.fork_server import begin_fork_server
 from cbsr_qa.system.json_text import parse_json
 from cbsr_qa.system.stubborn import be_watched
 
@@ -39,13 +41,14 @@ def report_run(run: str, database: str | None) -> None:
     _Child.tell(run=run, database=database)
 
 
-def supervise(*, judges: bool, live: bool = False) -> int | None:
+def supervise(*, judges: bool, live: bool = False, reads: str = "") -> int | None:
     """Fork: the child carries out the command, the parent waits for its end and shows its output.
 
     Parameters
     ----------
     judges : whether success means that a sensor passed, which the database must confirm.
     live : whether the child keeps standard output; else its parent prints what it leaves.
+    reads : module that the child imports before it has anything open; its fork server has it then.
 
     Returns
     -------
@@ -63,6 +66,10 @@ def supervise(*, judges: bool, live: bool = False) -> int | None:
     if child == 0:
         for end in (report[0], alive[1]):  # echo stays open at both ends: its reader may be killed
             os.close(end)
+        if reads:
+            with suppress(ImportError):  # the command says it
+                import_module(reads)
+            begin_fork_server()
         _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1], live=live)
         return None
     for end in (report[1], alive[0], echo[1]):

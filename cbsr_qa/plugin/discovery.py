@@ -11,12 +11,10 @@ from typing import Any
 
 import pluggy
 
-from cbsr_qa.domain.errors import AbortedError, ConfigError, PluginError
-from cbsr_qa.domain.plan.plan import PluginChoice
-from cbsr_qa.plugin import hooks as hookspecs
-from cbsr_qa.plugin.failures import blame_plugin, failure
+import cbsr_qa.plugin.hooks as hookspecs
+from cbsr_qa.domain.errors import AbortedError, PluginError
+from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import PROJECT, Example, Kind
-from cbsr_qa.plugin.options import options_of
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.words import describe_error
 
@@ -230,25 +228,6 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
         if distribution not in set(blocked):
             plugins.load(point, distribution, version)
     return plugins
-
-
-def create_plugin(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
-    """Create an instance of a plugin with its options.
-
-    Raises
-    ------
-    PluginError
-        If the plugin is unknown, cannot be loaded, or its factory fails.
-    ConfigError
-        If it refuses its options; the message names their origin.
-    """
-    factory, who = plugins.factory(kind, choice.name), f"{where}: {kind} {choice.name!r}"
-    try:
-        with blame_plugin(who):
-            options_of(factory).read(choice.options)
-            return factory(**choice.options)
-    except ConfigError as error:
-        raise ConfigError(f"{who}: {error.reason}", remedy=error.remedy) from error
 
 
 def name_left_threads(before: Iterable[threading.Thread]) -> list[str]:

@@ -8,13 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pluggy
 
-from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.run.run import RunIdentity
-from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+if TYPE_CHECKING:  # plugins are listed without numpy
+    from cbsr_qa.domain.results.calibration import Calibration
+    from cbsr_qa.domain.run.run import RunIdentity
+    from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 
 PROJECT: Final = "cbsr_qa"
 
@@ -103,7 +104,7 @@ class Veto:
 
 
 @hookspec
-def cbsr_before_run(sensor: SensorIdentity, station: str, recipe: str, operator: str) -> Veto | None:
+def cbsr_before_run(sensor: "SensorIdentity", station: str, recipe: str, operator: str) -> Veto | None:
     """A run is about to begin: files and names are checked, no instrument is open, nothing is stored.
 
     None lets it begin; a :class:`Veto` is handled by the policy ``before_run`` of the station file
@@ -120,7 +121,7 @@ def cbsr_before_run(sensor: SensorIdentity, station: str, recipe: str, operator:
 
 
 @hookspec
-def cbsr_run_started(identity: RunIdentity) -> None:
+def cbsr_run_started(identity: "RunIdentity") -> None:
     """A run begins: its instruments are open and have said who they are, nothing has moved yet.
 
     All implementations are called; None is expected. An exception is reported as a warning of the run; it stops
@@ -134,7 +135,7 @@ def cbsr_run_started(identity: RunIdentity) -> None:
 
 
 @hookspec
-def cbsr_phase_finished(identity: RunIdentity, phase: str) -> None:
+def cbsr_phase_finished(identity: "RunIdentity", phase: str) -> None:
     """A phase has ended and all its frames are stored. All implementations are called; None is expected.
 
     Parameters
@@ -145,7 +146,7 @@ def cbsr_phase_finished(identity: RunIdentity, phase: str) -> None:
 
 
 @hookspec
-def cbsr_calibration_issued(calibration: Calibration) -> None:
+def cbsr_calibration_issued(calibration: "Calibration") -> None:
     """A calibration was stored and its file written.
 
     All implementations are called; None is expected. An exception is reported as a warning.

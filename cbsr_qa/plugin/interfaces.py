@@ -13,12 +13,13 @@ from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.results.report import RunResult, Section
+from cbsr_qa.domain.results.report import Section
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 
 class RecordingFormat(Protocol):
-    """Reads one family of files."""
+    """Reads one family of files, in a child process that it is pickled for."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Whether this is such a file, by its name and first 4096 bytes."""

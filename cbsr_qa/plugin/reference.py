@@ -4,14 +4,13 @@ import inspect
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
-from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.listed import OptionReference, PluginReference
 from cbsr_qa.plugin.options import options_of
 from cbsr_qa.plugin.problems import describe_allowed
 
@@ -33,63 +32,6 @@ _UNITS: Final[Mapping[str, str]] = {
     "_C": "°C",
     **{f"_{unit}": unit for unit in ("mm", "ms", "s", "mV", "mA", "V", "A", "N", "g", "K", "kPa")},
 }
-
-
-@dataclass(frozen=True, slots=True)
-class OptionReference:
-    """One option: unit, allowed values, default as TOML (may be empty) and description."""
-
-    name: str
-    unit: str
-    allowed: str
-    default: str
-    required: bool
-    description: str
-
-
-@dataclass(frozen=True, slots=True)
-class PluginReference:
-    """Description and options of a plugin, and the measurements of a metric with their units."""
-
-    kind: str
-    name: str
-    summary: str
-    options: tuple[OptionReference, ...]
-    measures: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class ListedPlugin:
-    """A registered plugin, the distribution it comes from, and with ``--options`` what it takes."""
-
-    kind: str
-    name: str
-    distribution: Annotated[str, Field(serialization_alias="from")]
-    version: str
-    options: tuple[OptionReference, ...] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FailedPlugin:
-    """A distribution whose plugins could not be loaded."""
-
-    distribution: Annotated[str, Field(serialization_alias="from")]
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class ShownPlugins:
-    """Every plugin of one name, with its options and measurements."""
-
-    plugins: tuple[PluginReference, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ListedPlugins:
-    """Plugins by kind and name, and those that could not be loaded."""
-
-    plugins: tuple[ListedPlugin, ...]
-    failed: tuple[FailedPlugin, ...]
 
 
 def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference:

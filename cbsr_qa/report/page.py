@@ -1,37 +1,13 @@
-"""The head of a report: the banner, its subject, and what was simulated."""
+"""The page of a command that has none of its own."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, TypeVar
+from typing import TypeVar
 
-from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.findings import RecordingResult
-from cbsr_qa.domain.results.measurement import explain_verdict
-from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, RunResult
-from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.report.tables import duration, plural
-
-_SYMBOLS: Final = {
-    Outcome.PASS: "✓",
-    Outcome.MARGINAL: "≈",
-    Outcome.FAIL: "✗",
-    Outcome.NOT_MEASURED: "?",
-    Outcome.NOT_JUDGED: "–",
-}
-
-#: Headline of a run that did not finish, which its verdict alone would hide.
-_ENDS: Final = {
-    EndReason.RUNNING: "The run is incomplete: it began and did not end",
-    EndReason.ABORTED: "The run was aborted",
-    EndReason.BROKEN: "The run broke off",
-}
-
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page
 
 R = TypeVar("R")
 Facts = Sequence[tuple[str, str]]
-
-#: Clock of a recording's times, if not the computer's.
-_CLOCKS = {"given": "that of the given times", "none": "no time recorded", "documented": "as the format documents it"}
 
 
 def answer(
@@ -50,112 +26,3 @@ def answer(
     """
     page = Page("", "", Banner("pass", "✓", headline, reason), tuple(facts))
     return CommandOutcome(result, replace(page, printed=tuple(printed), warnings=tuple(warnings)))
-
-
-def run_page(result: RunResult) -> Page:
-    """Return the head of a run's report."""
-    record, identity = result.record, result.record.identity
-    facts = (
-        ("Sensor", identity.sensor.serial),
-        ("Batch", identity.sensor.batch or "not stated"),
-        ("Type", identity.sensor.sensor_type),
-        ("Material", record.material.name),
-        ("Station", identity.station),
-        ("Recipe", identity.recipe),
-        ("Operator", identity.operator or "not stated"),
-        ("Started", identity.started_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
-        ("Run", identity.run),
-        ("Station time", duration(record.station_s)),
-        _describe_issued(result),
-        *_tries(result),
-    )
-    observed = result.observation.warnings if result.observation else ()
-    warnings = tuple(dict.fromkeys((*_overridden(result), *result.warnings, *observed)))
-    return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
-
-
-def _describe_issued(result: RunResult) -> tuple[str, str]:
-    """What a run issued: a calibration, or a material file where a material was characterised."""
-    characterised = result.characterisation
-    if characterised is None:
-        signature = result.calibration.signature if result.calibration else None
-        issued = f"issued, signed by {signature.words}" if signature else "issued"
-        return "Calibration", issued if result.calibration else f"none: {result.calibration_why}"
-    passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
-    why = next(iter(characterised.refused), "" if passed else "the run did not pass")
-    return "Material file", f"none: {why}" if why else "issued"
-
-
-def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
-    """Number of this try of the recipe, and the sensor's runs that began before this one."""
-    history = result.sensor_history
-    if history is None:
-        return ()
-    return (("Earlier runs", history.words or "none of this sensor in the database"),)
-
-
-def recording_page(result: RecordingResult) -> Page:
-    """Return the head of a recording's report."""
-    recording, count = result.recording, len(result.events)
-    rate = result.frame_rate_hz
-    facts = (
-        ("File", recording.path.name),
-        *((("Data set", recording.dataset),) if recording.dataset else ()),
-        ("Format", recording.format),
-        ("Sensor type", _sensor_type(result)),
-        ("Frames", str(len(recording.frames))),
-        ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),
-        ("Clock", _CLOCKS.get(recording.clock, f"the {recording.clock}'s")),
-        ("Rows rejected", str(recording.rows_rejected)),
-        ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
-        *_imaging(result),
-    )
-    headline = f"{plural(count, 'event')} found" if count else "no event"
-    banner = Banner("plain", "●" if count else "○", headline, _describe_strongest(result))
-    return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
-
-
-def _sensor_type(result: RecordingResult) -> str:
-    if result.sensor_type is not None:
-        return result.sensor_type.name
-    return result.recording.sensor_type or "not stated: lengths are in units of the radius"
-
-
-def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:
-    if result.imaging is None:
-        return ()
-    name = result.imaging.reconstruction.name
-    return (("Images by", name if result.events else f"{name}: nothing was imaged"),)
-
-
-def _verdict(result: RunResult) -> Banner:
-    outcome, end = result.verdict.outcome, result.record.end
-    tone = "plain" if outcome is Outcome.NOT_JUDGED else outcome.value.replace(" ", "-")
-    reason = explain_verdict(result.verdict, result.measurements)
-    if end in _ENDS:
-        # An unfinished run is never judged: how it ended is the one reason.
-        detail = f": {result.record.end_detail}" if result.record.end_detail else ""
-        reason = f"{_ENDS[end]}{detail}"
-    headline = "MARGINAL PASS" if outcome is Outcome.MARGINAL else outcome.value.upper()
-    if result.overrides:
-        latest = result.overrides[-1]
-        headline += f", overridden to {latest.outcome.value.upper()} by {latest.by}"
-    return Banner(tone, _SYMBOLS[outcome], headline, reason)
-
-
-def _overridden(result: RunResult) -> tuple[str, ...]:
-    """Report an override of the verdict; its history is under Traceability."""
-    if not result.overrides:
-        return ()
-    decided = f"The verdict was {result.overrides[-1].words}"
-    return (f"{decided}. What was measured and found is unchanged, and an override issues no calibration.",)
-
-
-def _describe_strongest(result: RecordingResult) -> str:
-    if not result.events:
-        return result.events_why
-    strongest = max(result.events, key=lambda event: event.snr)
-    sense = "conducts more" if strongest.sign > 0 else "conducts less"
-    when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
-    moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
-    return f"the clearest{when} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

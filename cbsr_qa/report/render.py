@@ -3,8 +3,6 @@
 import re
 from collections.abc import Iterator, Sequence, Sized
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,13 +12,13 @@ from markupsafe import Markup
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import with_type
 from cbsr_qa.domain.results.findings import RecordingResult
-from cbsr_qa.domain.results.report import Block, Figure, Page, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.results.report import Block, Figure, Page, Paragraph, Section, Table
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.interfaces import ReportSection
-from cbsr_qa.report.draw.style import check_svg
-from cbsr_qa.report.page import recording_page, run_page
+from cbsr_qa.report.heads import recording_page, run_page
 from cbsr_qa.report.section import limit_blocks
-from cbsr_qa.system.beside import side_by_side
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import open_foreign
@@ -74,9 +72,7 @@ def render_sections(page: Page, sections: Sequence[Section]) -> str:
     RefusedError
         If a section holds what cannot be shown safely.
     """
-    blocks = iter(side_by_side([partial(_block, block) for section in sections for block in section.blocks]))
-    shown = [_Shown(f"s{n}", one.title, tuple(islice(blocks, len(one.blocks)))) for n, one in enumerate(sections, 1)]
-    return _page(page, shown, ())
+    return _page(page, [_prepare(section, f"s{n}") for n, section in enumerate(sections, start=1)], ())
 
 
 def render_fragment(page: Page, sections: Sequence[Section]) -> str:
@@ -191,8 +187,8 @@ def _environment() -> Environment:
 def _render_each(
     sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
 ) -> Iterator[_Shown]:
-    tasks = [partial(_section_shown, section, result, f"s{n}") for n, section in enumerate(sections, start=1)]
-    for shown in side_by_side(tasks):
+    for number, section in enumerate(sections, start=1):
+        shown = _section_shown(section, result, f"s{number}")
         if isinstance(shown, str):
             failed.append(shown)
         elif shown is not None:

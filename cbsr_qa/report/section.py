@@ -8,7 +8,8 @@ from typing import ClassVar, Final
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.results.observation import RunObservation
-from cbsr_qa.domain.results.report import Block, RunResult, Section
+from cbsr_qa.domain.results.report import Block, Section
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import Kind

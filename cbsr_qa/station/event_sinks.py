@@ -11,7 +11,8 @@ from cbsr_qa.domain.errors import CbsrError, DeliveryError
 from cbsr_qa.domain.plan.plan import EventSinkSpec
 from cbsr_qa.domain.run.event_documents import event_document, event_message
 from cbsr_qa.domain.run.run import RunConcluded, RunEvent, RunIdentity
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.documents import Warn

@@ -4,25 +4,27 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.config.merging import Configuration, merge
 from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan.plan import InstrumentSpec, PluginChoice
 from cbsr_qa.domain.readings.frames import Recording
 from cbsr_qa.domain.run.run import InstrumentIdentity
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.instruments import Instrument, StationContext
-from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
 from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.station.bench import Action, Bench, open_bench
 from cbsr_qa.station.plan import Plan, PlannedPhase
 from cbsr_qa.system.clock import Clock, RealClock, VirtualClock
+
+if TYPE_CHECKING:
+    from cbsr_qa.simulate.instruments.rig import Emulation
 
 
 def configure(
@@ -96,7 +98,7 @@ def open_station(
     *,
     resumed_at_s: float = 0.0,
     ask: Callable[[str], str] | None = None,
-    emulated: Callable[[Emulation], None] = lambda emulation: None,
+    emulated: "Callable[[Emulation], None]" = lambda emulation: None,
 ) -> Bench:
     """Open every instrument of the station; emulators start first and end with the bench.
 
@@ -127,7 +129,7 @@ def opener(
     *,
     resumed_at_s: float = 0.0,
     ask: Callable[[str], str] | None = None,
-    emulated: Callable[[Emulation], None] = lambda emulation: None,
+    emulated: "Callable[[Emulation], None]" = lambda emulation: None,
 ) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
     """Start the station's emulators; parameters and errors as for :func:`open_station`.
 
@@ -154,7 +156,9 @@ def check_clock(configuration: Configuration, instruments: Iterable[InstrumentId
         )
 
 
-def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, resumed_at_s: float) -> Emulation | None:
+def _emulation(
+    configuration: Configuration, plugins: Plugins, clock: Clock, resumed_at_s: float
+) -> "Emulation | None":
     station = configuration.station
     if station.emulated_scene is None:
         return None
@@ -165,6 +169,8 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
             f"station {station.name!r} emulates instruments on a real clock",
             remedy='set clock = "virtual": emulated time advances by commands, without waiting',
         )
+    from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation  # other stations have no emulators
+
     world = SimulatedWorld(
         load_scene(station.emulated_scene).value,
         configuration.sensor_type,
@@ -178,6 +184,8 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
 
 
 def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
+    from cbsr_qa.analysis.recording.reading import read_recording_file  # few stations replay a recording
+
     return read_recording_file(path, plugins, format_=format_, dataset=dataset)
 
 

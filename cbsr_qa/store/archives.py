@@ -8,6 +8,7 @@ import io
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -155,7 +156,7 @@ class Archives:
         if run != self._run:
             row, data = archive_row(connection, run), read_checked(connection, run)
             self._archive = (
-                None if row is None or data is None else Archive(data, file_at(connection.engine, row.file))
+                None if row is None or data is None else open_archive(data, file_at(connection.engine, row.file))
             )
             self._run = run
         return self._archive
@@ -236,25 +237,37 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-class Archive:
-    """Content of an archive; arrays are read when they are asked for.
+def open_archive(data: bytes, file: Path) -> "Archive":
+    """Open the content of an archive's file; arrays are read when they are asked for.
 
     All of it is read once in a limited child process before: a database may name a file of anybody's.
 
-    Raises
-    ------
-    StoreError
-        If the data are no archive, or cannot be read within the limits; also of :meth:`cells`, if the block is not
-        there.
+    StoreError if the data are no archive, or cannot be read within the limits.
+    """
+    read_untrusted(file, partial(_read_archive, data), refusal=StoreError)
+    return Archive(data)
+
+
+def _read_archive(data: bytes) -> None:
+    Archive(data).read_all()
+
+
+class Archive:
+    """Content of an archive that :func:`open_archive` has checked.
+
+    StoreError if the data are no archive; also of :meth:`cells`, if the block is not there.
     """
 
-    def __init__(self, data: bytes, file: Path) -> None:
-        read_untrusted(file, lambda: self._read_all(data), refusal=StoreError)
-        self._open(data)
+    def __init__(self, data: bytes) -> None:
+        self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
+        with _readable():
+            self._content = h5py.File(io.BytesIO(data), "r")
+            for name, phase in _own_members(self._content):
+                for _, group in _own_members(phase):
+                    self._add(int(name.removeprefix("phase-")), group)
 
-    def _read_all(self, data: bytes) -> None:
+    def read_all(self) -> None:
         """Read every chunk, and the largest block of all as it is read later."""
-        self._open(data)
         longest = max(self._places, key=lambda place: _frames(self._places[place][1]), default=None)
         if longest is not None:
             self.cells(*longest)
@@ -264,14 +277,6 @@ class Archive:
                     rows = (dataset.chunks or dataset.shape)[0]
                     for first in range(0, len(dataset), max(rows, 1)):
                         dataset[first : first + rows]
-
-    def _open(self, data: bytes) -> None:
-        self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
-        with _readable():
-            self._content = h5py.File(io.BytesIO(data), "r")
-            for name, phase in _own_members(self._content):
-                for _, group in _own_members(phase):
-                    self._add(int(name.removeprefix("phase-")), group)
 
     def _add(self, phase: int, group: h5py.Group) -> None:
         arrays = dict(_own_members(group))

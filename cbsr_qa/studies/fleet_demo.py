@@ -16,7 +16,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load, LoadRecord
 from cbsr_qa.domain.results.measurement import Measurement, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import (
     InstrumentIdentity,
     LoadFinished,

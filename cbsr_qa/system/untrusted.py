@@ -1,19 +1,18 @@
 """Reading of untrusted files in a child process, so that a crash, hang or memory bomb cannot harm the parent.
 
 Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So what
-reads a file is called in a forked child, whose memory, time and open files are limited; its result comes back as
+reads a file is called in a child, whose memory, time and open files are limited; its result comes back as
 plain data: dataclasses and enumerations of :mod:`cbsr_qa.domain`, numpy arrays, numbers and texts, and nothing else.
-A child that dies is a refusal that names the file.
+A child that dies is a refusal that names the file. It is forked by a process
+that has nothing else open (:mod:`cbsr_qa.system.fork_server`), not by this one.
 
 Only on Linux. Elsewhere the function is called directly, and the bounds that readers put on sizes are all there is:
-Windows cannot fork, and on macOS a fork after the system's libraries have started threads is not safe.
+Windows cannot fork, and on macOS a fork of a process with the system's libraries is not safe.
 """
 
 import codecs
-import contextlib
 import errno
 import faulthandler
-import gc
 import io
 import os
 import pickle
@@ -23,10 +22,10 @@ import signal
 import struct
 import sys
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, is_dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
@@ -34,6 +33,7 @@ from cbsr_qa.domain import errors
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
+from cbsr_qa.system.fork_server import obtain_fork_server
 
 Result = TypeVar("Result")
 
@@ -126,6 +126,7 @@ def read_untrusted(
     refusal: type[RefusedError],
     seconds_per_mb: float = _SECONDS_PER_MB,
     open_files: int = _OPEN_FILES,
+    modules: tuple[str, ...] = (),
 ) -> Result:
     """Call a function that reads a file in a child process, and return its result.
 
@@ -137,10 +138,11 @@ def read_untrusted(
     ----------
     path : of the file; the limits depend on its size, and refusals name it.
     read : reads it, and says what is wrong where there is none. While it has the file open it can open no other, and
-        it can write none.
+        it can write none. It is pickled: a function of a module, or a ``functools.partial`` of one.
     refusal : what is raised where the child dies.
     seconds_per_mb : of processor time, in addition to what any file may take.
     open_files : that ``read`` may have at once, if its library opens the file twice.
+    modules : of other packages, which ``read`` imports and cannot while its file is open.
     """
     size_bytes = _size(path, refusal)
     if not CONTAINED:
@@ -149,20 +151,20 @@ def read_untrusted(
         except RefusedError as error:
             problems = tuple(getattr(error, "problems", ()))
             raise _restore_error(type(error).__name__, error.reason, error.remedy, problems) from error
-    for codec in _CODECS:
-        codecs.lookup(codec)
     limits = Limits.from_size(size_bytes, seconds_per_mb, open_files)
-    deadline = time.monotonic() + limits.clock_s
+    task, ours = _pickle_task(partial(_send_result, read=read, limits=limits))
+    server = obtain_fork_server()
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
-        child = _fork_reader(read, outgoing, limits)
-        os.close(outgoing)
+        try:
+            child = server.fork(task, outgoing, (*ours, *modules))
+        finally:
+            os.close(outgoing)
+        deadline = time.monotonic() + limits.clock_s
         try:
             received = _parts_of(pipe, deadline, limits)
         finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)  # it has sent all, or has stopped
-            _, status = os.waitpid(child, 0)
+            status = server.end(child)  # it has sent all, or has stopped
     if received is None:
         late = time.monotonic() >= deadline
         remedy = _BUSY if late else _TOO_MUCH if _ran_too_long(status) else _COPY
@@ -186,28 +188,43 @@ def _size(path: Path, refusal: type[RefusedError]) -> int:
         return 0  # the reader reports what is wrong
 
 
-def _fork_reader(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
-    with warnings.catch_warnings():
-        # Newer Pythons warn of threads that hold locks. Readers take none that another thread of ours could hold.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child = os.fork()
-    if child:
-        return child
-    try:
-        outgoing = _confine(outgoing, limits)
-        with os.fdopen(outgoing, "wb", closefd=False) as pipe:
-            for part in _message(read, limits):
-                pipe.write(_LENGTH.pack(memoryview(part).nbytes))
-                pipe.write(part)
-    finally:
-        os._exit(0)
+def _pickle_task(task: Callable[[int], None]) -> tuple[bytes, list[str]]:
+    """Pickle what a child does; also return the modules of this package that it needs."""
+    content = io.BytesIO()
+    pickler = _TaskPickler(content, protocol=5)
+    pickler.dump(task)
+    return content.getvalue(), sorted(pickler.modules)
+
+
+class _TaskPickler(pickle.Pickler):
+    """Lists modules of this package that what it pickles comes from. Others change: each child imports them."""
+
+    def __init__(self, file: io.BytesIO, protocol: int) -> None:
+        super().__init__(file, protocol)
+        self.modules: set[str] = set()
+
+    def reducer_override(self, obj: Any) -> Any:
+        module = str(getattr(obj, "__module__", ""))
+        if module.startswith(("cbsr_qa.", "cbsr_qa_plugins.")):
+            self.modules.add(module)
+        return NotImplemented
+
+
+def _send_result(outgoing: int, *, read: Callable[[], Any], limits: Limits) -> None:
+    """Read in the child, and send what was read."""
+    for codec in _CODECS:
+        codecs.lookup(codec)
+    outgoing = _confine(outgoing, limits)
+    with os.fdopen(outgoing, "wb", closefd=False) as pipe:
+        for part in _message(read, limits):
+            pipe.write(_LENGTH.pack(memoryview(part).nbytes))
+            pipe.write(part)
 
 
 def _confine(outgoing: int, limits: Limits) -> int:
     """Release in the child what reading does not need; return the pipe's new descriptor."""
     import resource
 
-    gc.disable()  # finalisers of what the parent holds are the parent's
     faulthandler.disable()
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(each, signal.SIG_DFL)

@@ -15,7 +15,8 @@ from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.plan.steps import Press, Role
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.report.draw.sheet import Raster
 from cbsr_qa.station.plan import ScheduledPhase, schedule

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from cbsr_qa.plugin import Example, Kind, Register, hookimpl
+from cbsr_qa.plugin.hooks import Example, Kind, Register, hookimpl
 
 _HERE: Final = "cbsr_qa_plugins"
 
@@ -50,7 +50,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.METRIC, "load-assignment", "metrics.images:LoadAssignment"),
     (Kind.METRIC, "two-touch-resolution", "metrics.images:TwoTouchResolution"),
     (Kind.METRIC, "size-response", "metrics.images:SizeResponseMetric"),
-    (Kind.METRIC, "calibration-check", "metrics.force:CalibrationCheck"),
+    (Kind.METRIC, "calibration-check", "metrics.calibration_check:CalibrationCheck"),
     (Kind.METRIC, "event-rate", "metrics.relaxation:EventRate"),
     (Kind.METRIC, "registration", "metrics.images:RegistrationOfPlaces"),
     (Kind.METRIC, "load-estimate", "metrics.location:LoadEstimates"),

@@ -18,7 +18,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa.domain.results.measurement import Verdict
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
-from cbsr_qa_plugins.metrics.force import CalibrationCheck
+from cbsr_qa_plugins.metrics.calibration_check import CalibrationCheck
 
 PLACES = ((0.0, 0.0), (25.0, 10.0), (-20.0, 18.0), (-8.0, -28.0))
 

@@ -135,7 +135,7 @@ def read_plugin_interface() -> Any:
         if inspect.isclass(one) and one.__module__ == module.__name__
     }
     return {
-        "hooks": {name: _spell_signature(one) for name, one in specified.items()},
+        "hooks": {name: _spell_signature(one).replace("'", "") for name, one in specified.items()},  # quoted types
         "kinds": [kind.value for kind in hooks.Kind],
         "interfaces": dict(sorted(protocols.items())),
         "built-in": {f"{kind} {name}": _describe_options(place) for kind, name, place in BUILT_IN},

@@ -3,9 +3,8 @@
 import os
 import signal
 import socket
-import subprocess
-import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +46,10 @@ def _exit():
     os._exit(0)
 
 
+def _give(made):
+    return made
+
+
 @pytest.mark.rest
 @pytest.mark.parametrize(
     ("read", "said"),
@@ -68,7 +71,7 @@ def test_a_child_that_dies_is_a_refusal_that_names_the_file(file, monkeypatch, r
 
 def test_plain_data_come_back_as_they_are(file):
     made = (Indenter(13.0), np.arange(6).reshape(2, 3).T, np.zeros((0, 3)), np.float64(2.5), {"a": (1, None, "ü")})
-    read = read_untrusted(file, lambda: made, refusal=RecordingError)
+    read = read_untrusted(file, partial(_give, made), refusal=RecordingError)
     assert (read[0], read[3], read[4]) == (made[0], made[3], made[4])
     np.testing.assert_array_equal(read[1], made[1])
     assert read[2].shape == (0, 3)
@@ -82,84 +85,92 @@ class Evil:
         return os.system, ("exit 3",)
 
 
+def _evil():
+    return Evil()
+
+
+def _evil_array():
+    return np.array([Evil()])
+
+
+def _unnamed():
+    return lambda: None
+
+
 @pytest.mark.parametrize(
-    "made", [Evil(), np.array([Evil()]), socket.AF_INET, lambda: None, RefusedError("no")], ids=lambda m: str(type(m))
+    "read", [_evil, _evil_array, partial(_give, socket.AF_INET), _unnamed, partial(_give, RefusedError("no"))]
 )
-def test_nothing_else_comes_back(file, made):
+def test_nothing_else_comes_back(file, read):
     with pytest.raises(RecordingError, match=r"some\.h5: its format plugin did not return"):
-        read_untrusted(file, lambda: made, refusal=RecordingError)
+        read_untrusted(file, read, refusal=RecordingError)
+
+
+def _refuse(why="why"):
+    raise RecordingError(why, remedy="what to do", problems=(RowProblem(3, "odd", True),))
 
 
 def test_refusals_come_back_whole(file):
-    def refuse():
-        raise RecordingError("why", remedy="what to do", problems=(RowProblem(3, "odd", True),))
-
     with pytest.raises(RecordingError) as caught:
-        read_untrusted(file, refuse, refusal=CalibrationError)
+        read_untrusted(file, _refuse, refusal=CalibrationError)
     assert (caught.value.reason, caught.value.remedy) == ("why", "what to do")
     assert caught.value.problems == (RowProblem(3, "odd", True),)
 
 
 def test_a_defect_of_the_reader_is_no_refusal(file):
     with pytest.raises(RuntimeError, match=r"reading some\.h5: ZeroDivisionError"):
-        read_untrusted(file, lambda: 1 / 0, refusal=RecordingError)
+        read_untrusted(file, partial(divmod, 1, 0), refusal=RecordingError)
+
+
+def _write(new):
+    with new.open("wb", buffering=0) as file:
+        return file.write(b"x")
+
+
+def _open_beside(file):
+    with file.open(), Path("/etc/passwd").open() as other:
+        return other.read()
+
+
+def _hide_beside(file):
+    try:
+        _open_beside(file)
+    except OSError as error:
+        raise RecordingError("damaged") from error
 
 
 def test_no_file_is_written_and_none_opened_beside_the_one_that_is_read(file):
-    def write():
-        with (file.parent / "new").open("wb", buffering=0) as new:
-            return new.write(b"x")
-
-    def beside():
-        with file.open(), Path("/etc/passwd").open() as other:
-            return other.read()
-
-    def hidden():
-        try:
-            beside()
-        except OSError as error:
-            raise RecordingError("damaged") from error
-
     with pytest.raises(RuntimeError, match="File too large"):
-        read_untrusted(file, write, refusal=RecordingError)
-    for read in (beside, hidden):
+        read_untrusted(file, partial(_write, file.parent / "new"), refusal=RecordingError)
+    for read in (_open_beside, _hide_beside):
         with pytest.raises(RecordingError, match=r"some\.h5 opens the file /etc/passwd beside it"):
-            read_untrusted(file, read, refusal=RecordingError)
+            read_untrusted(file, partial(read, file), refusal=RecordingError)
+
+
+def _decode(file):
+    with file.open("rb"):
+        return [b"ab".decode(coding) for coding in ("ascii", "latin-1", "utf-8-sig", "utf-16", "cp1252")]
 
 
 def test_text_in_any_coding_is_read_while_the_file_is_open(file):
-    script = f"""
-import sys
-from pathlib import Path
-from cbsr_qa.domain.errors import RecordingError
-from cbsr_qa.system.untrusted import read_untrusted
-def read():
-    with Path({str(file)!r}).open("rb"):
-        return [b"ab".decode(coding) for coding in ("ascii", "latin-1", "utf-8-sig", "utf-16", "cp1252")]
-for name in [name for name in sys.modules if name.startswith("encodings.") and name != "encodings.utf_8"]:
-    del sys.modules[name]
-print(len(read_untrusted(Path({str(file)!r}), read, refusal=RecordingError)))
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["5"]
+    assert read_untrusted(file, partial(_decode, file), refusal=RecordingError) == [*["ab"] * 3, "\u6261", "ab"]
 
 
 @pytest.mark.parametrize("contained", [True, False])
 def test_what_a_refusal_repeats_of_a_file_is_cut(file, monkeypatch, contained):
     monkeypatch.setattr(untrusted, "CONTAINED", contained)
     for said in ("x" * 60_000, "x " * 60_000):
-
-        def refuse(said=said):
-            raise RecordingError(f"the unit {said} is none", remedy="what to do")
-
         with pytest.raises(RecordingError, match=r"the unit x.*… \(\d+ characters\)") as refused:
-            read_untrusted(file, refuse, refusal=CalibrationError)
+            read_untrusted(file, partial(_refuse, f"the unit {said} is none"), refusal=CalibrationError)
         assert len(refused.value.reason) < 2100
         assert refused.value.remedy == "what to do"
 
 
+def _print():
+    return os.write(1, b"out") + os.write(2, b"err")
+
+
 def test_what_a_reader_prints_is_seen_by_nobody(file, capfd):
-    read_untrusted(file, lambda: os.write(1, b"out") + os.write(2, b"err"), refusal=RecordingError)
+    assert read_untrusted(file, _print, refusal=RecordingError) == 6
     assert capfd.readouterr() == ("", "")
 
 

@@ -12,7 +12,8 @@ from cbsr_qa.domain.plan.steps import Press, Release
 from cbsr_qa.domain.plan.world import Moment, SceneSetting
 from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.simulate.chain import build_chain

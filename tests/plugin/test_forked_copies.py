@@ -14,7 +14,8 @@ from stored_runs import journalled, short_run
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.plan.world import Moment, SceneSetting
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind, hookimpl
 from cbsr_qa.simulate.chain import build_chain
 from cbsr_qa.station.bench import Bench, stop_all

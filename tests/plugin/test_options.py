@@ -8,7 +8,8 @@ from pydantic import Field
 
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.plan.plan import PluginChoice
-from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.options import Array, PluginOptions, WithOptions, options_of
 from cbsr_qa.plugin.problems import Problem, describe_allowed

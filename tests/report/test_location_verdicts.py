@@ -10,8 +10,8 @@ from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.report import Figure
 from cbsr_qa.report.draw.images import verdict_figure
-from cbsr_qa.report.draw.style import check_svg
 from cbsr_qa.report.location_verdicts import location_verdicts, outcome_counts, verdicts_in_words
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.sections.limits import Limits
 
 

@@ -17,7 +17,7 @@ from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.report import Cell, Figure, Paragraph, Section, Table
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.report.page import recording_page, run_page
+from cbsr_qa.report.heads import recording_page, run_page
 from cbsr_qa.report.render import render_recording, render_run, report_name, write_report
 from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.locations import NineLocations

@@ -13,7 +13,7 @@ from cbsr_qa.calibration.file.hdf5 import stamp
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.store.chain.check import select_run
 from cbsr_qa.store.chain.links import link_digest

@@ -12,7 +12,7 @@ from cbsr_qa.domain.plan.steps import Press, Role
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.readings.loads import EasedStrain
 from cbsr_qa.domain.results.measurement import Measurement, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import (
     FramesTaken,
     LoadFinished,

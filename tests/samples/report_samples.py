@@ -14,7 +14,7 @@ from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
 from cbsr_qa.domain.results.calibration import BaselineConductance, Calibration, SettlingSummary, Validity
 from cbsr_qa.domain.results.measurement import Verdict, decide
 from cbsr_qa.domain.results.observation import RunObservation
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import InstrumentIdentity, PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from cbsr_qa.domain.results.report import Figure, Table
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 
 
 def observed(result, **changes):

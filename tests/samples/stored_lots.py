@@ -11,7 +11,7 @@ from stored_runs import SETTING, short_run
 
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.measurement import Measurement, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import PhaseFinished, RunEnded, RunRecord, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.results import analyses

@@ -14,7 +14,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.charts import ChartKind, ChartReference
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.chain.check import check_run, digest_documents, select_run

@@ -12,7 +12,7 @@ import pytest
 
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa.simulate.chain import STAGES
 from cbsr_qa_plugins.registry import BUILT_IN
 

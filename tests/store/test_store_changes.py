@@ -19,7 +19,7 @@ from cbsr_qa.app.run.run import RunRequest, run_sensor
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import NO_REASON, Difference, FileKind, differences
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason

@@ -18,7 +18,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.charts import ChartReference
 from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.chain.links import add_links
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.opening import open_store

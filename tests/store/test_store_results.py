@@ -14,7 +14,7 @@ from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
 from cbsr_qa.domain.results.calibration import BaselineConductance
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.opening import open_store
 
 MEASURED = (

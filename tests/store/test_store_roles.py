@@ -15,7 +15,7 @@ from cbsr_qa.app.keeping import check_database
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.engine import open_engine, parse_url, reading, writing
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.results.reanalyses import Reanalysis

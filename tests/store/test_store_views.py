@@ -9,7 +9,7 @@ from stored_runs import calibration, journalled, short_run
 
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Verdict, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.engine import open_engine, parse_url, reading
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.views import VIEWS

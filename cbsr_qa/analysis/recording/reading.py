@@ -1,13 +1,15 @@
 """Reading of recordings: detection of the format, in a sandboxed child process."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
 
 from cbsr_qa.domain.errors import CbsrError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import ReadOptions, Recording
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import RecordingFormat
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
@@ -34,7 +36,7 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
         If the file cannot be read, contains nothing usable, or has an unknown format.
     """
     reader, name = find_format(path, format_, plugins)
-    return run_guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
+    return run_guarded(path, name, partial(reader.read, path, ReadOptions(dataset)))
 
 
 def find_format(path: Path, format_name: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
@@ -88,7 +90,7 @@ def _head(path: Path) -> bytes:
 
 def run_guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     """Run a format's code on a file in a limited child process; exceptions become clear refusals."""
-    return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
+    return read_untrusted(path, partial(_refusing, path, name, work), refusal=RecordingError)
 
 
 def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import compress
 from typing import Final
 
@@ -23,7 +22,6 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
-from cbsr_qa.system.beside import Ahead
 
 #: How a load is tested.
 HELD_OUT: Final = "held out"
@@ -83,11 +81,6 @@ class RunForce:
         return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
 
 
-def begin_force(run: RunObservation) -> None:
-    """Begin what :func:`run_force` returns, in a helper while other metrics are computed."""
-    run.derive(_ahead)
-
-
 def run_force(run: RunObservation) -> RunForce:
     """Return a run's force model, learned from the phases that calibrate and tested on all other loads.
 
@@ -98,11 +91,7 @@ def run_force(run: RunObservation) -> RunForce:
     -------
     RunForce, with the reason if there is no model.
     """
-    return run.derive(_ahead).result()
-
-
-def _ahead(run: RunObservation) -> Ahead[RunForce]:
-    return Ahead(partial(_learn_and_test, run))
+    return run.derive(_learn_and_test)
 
 
 def _learn_and_test(run: RunObservation) -> RunForce:

@@ -1,9 +1,7 @@
 """Observations from a stored run: reference, noise floor, response, every press, metrics of every frame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -42,7 +40,6 @@ from cbsr_qa.eit.imaging.shape import spatial_figures
 from cbsr_qa.eit.inverse.scaling import scale_doubts, scale_of
 from cbsr_qa.eit.inverse.uncertainty import masking_effect
 from cbsr_qa.plugin.interfaces import Reconstruction
-from cbsr_qa.system.beside import side_by_side
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
@@ -148,15 +145,13 @@ def _over_time(
     cut: Sequence[tuple[PhaseRecord, LoadRecord, LoadWindow]],
     loads: tuple[LoadObservation, ...],
 ) -> tuple[tuple[LoadObservation, ...], tuple[MetricTimeline, ...]]:
-    """Return loads with their relaxations, and the metrics of every frame, computed in parallel."""
-    seen = [(load, phase, window) for load, (phase, _, window) in zip(loads, cut, strict=True)]
-    tasks: list[Callable[[], Any]] = [partial(metric_timelines, setting, record)]
-    tasks += [partial(relaxations_of, setting, phase, load, window) for load, phase, window in seen]
-    timelines, *each = side_by_side(tasks)
-    pairs = zip(seen, each, strict=True)
-    return tuple(
-        add_relaxations(load, window, found, setting.settings) for (load, _, window), found in pairs
-    ), timelines
+    """Return loads with their relaxations, and the metrics of every frame."""
+    timelines = metric_timelines(setting, record)
+    relaxed = [
+        add_relaxations(load, window, relaxations_of(setting, phase, load, window), setting.settings)
+        for load, (phase, _, window) in zip(loads, cut, strict=True)
+    ]
+    return tuple(relaxed), timelines
 
 
 def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:

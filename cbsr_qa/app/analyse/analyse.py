@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +21,8 @@ from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, Recording, ScanKind
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.report.render import render_recording, report_name, write_report
@@ -167,7 +169,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         reconstruction = _reconstruction(request, plugins)
         tell(f"reading {path.name}")
         format_, name = find_format(path, request.format, plugins)
-        datasets = run_guarded(path, name, lambda: format_.datasets(path))
+        datasets = run_guarded(path, name, partial(format_.datasets, path))
         recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
         if request.reference is not None:
             recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
@@ -198,7 +200,7 @@ def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction
 
 
 def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions) -> Recording:
-    return run_guarded(path, name, lambda: format_.read(path, options))
+    return run_guarded(path, name, partial(format_.read, path, options))
 
 
 def _empty(

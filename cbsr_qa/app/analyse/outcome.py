@@ -25,7 +25,7 @@ from cbsr_qa.domain.results.findings import (
 from cbsr_qa.domain.results.report import Block, CommandOutcome, Paragraph, Section
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.document import IF_GIVEN, Refusal
-from cbsr_qa.report.page import recording_page
+from cbsr_qa.report.heads import recording_page
 from cbsr_qa.report.tables import format_fixed, plural, text_table
 
 _USED_FOR: Final = "images of the events and their descriptions; events are found in the readings, without images"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,7 +97,7 @@ def read_any(path: Path) -> Issued:
         If the file is damaged, or cannot be read within the limits.
     """
     read = read_json_calibration if is_json(path) else read_issued
-    return read_in_child(path, lambda: read(path))
+    return read_in_child(path, partial(read, path))
 
 
 def is_json(path: Path) -> bool:

@@ -1,13 +1,15 @@
 """The page of ``cbsr-qa calibration show``."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, press_calibration_outcome
 from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
+from cbsr_qa.calibration.file.entries import Issued
 from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued, verify_calibration_file
-from cbsr_qa.domain.results.calibration import BaselineConductance
+from cbsr_qa.domain.results.calibration import BaselineConductance, VerifiedFile
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section, Table
 from cbsr_qa.domain.run.run import run_named
@@ -20,11 +22,15 @@ _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settlin
 
 def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
-    verified, held = read_in_child(path, lambda: (verify_calibration_file(path), read_issued(path)))
+    verified, held = read_in_child(path, partial(_verify_and_read, path))
     if isinstance(held, PressCalibration):
         return press_calibration_outcome(path, held)
     shown = ShownCalibration.from_calibration(path, verified, held)
     return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
+
+
+def _verify_and_read(path: Path) -> tuple[VerifiedFile, Issued]:
+    return verify_calibration_file(path), read_issued(path)
 
 
 def _page(shown: ShownCalibration) -> Page:

@@ -1,6 +1,7 @@
 """Checking, signing and the keys of calibration files."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -83,7 +84,7 @@ def verify_file(path: Path, key: Path | None = None) -> CommandOutcome[SoundFile
         If the key cannot be used.
     """
     verify = verify_json_calibration if is_json(path) else verify_calibration_file
-    checked = read_in_child(path, lambda: verify(path))
+    checked = read_in_child(path, partial(verify, path))
     issued = read_any(path)
     signature, warnings = _check_signature(path, issued, key)
     verified = fill_from_object(SoundFile, checked, file=path, sound=True, digest=issued.digest, signature=signature)

@@ -17,7 +17,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, BrokenRunError, RefusedError, StoreError, UnconcludedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import NO_REASON, ConfigurationChange
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason

@@ -9,7 +9,7 @@ from cbsr_qa.config.paths import materials_folder
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.characterisation import Characterisation
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.sensor.sensor_type import Material, Parameter
 from cbsr_qa.report.render import report_name, write_report
 

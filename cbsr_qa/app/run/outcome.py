@@ -12,13 +12,14 @@ from cbsr_qa.app.analyse.outcome import ChosenParameter
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Bound, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
-from cbsr_qa.domain.results.report import CommandOutcome, RunResult
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.gate import gate_words
-from cbsr_qa.report.page import run_page
+from cbsr_qa.report.heads import run_page
 
 
 @dataclass(frozen=True, slots=True)

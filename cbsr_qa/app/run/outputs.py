@@ -9,7 +9,7 @@ from cbsr_qa.config.paths import calibrations_folder, reports_folder
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.plan.plan import Recipe
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.report.render import render_run, report_name, write_report

@@ -16,7 +16,8 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES
 from cbsr_qa.eit.loads.bodies import check_strip
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.station.plan import Plan

@@ -25,14 +25,16 @@ from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.results.observation import RunObservation
-from cbsr_qa.domain.results.report import CommandOutcome, RunResult
+from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import VerdictOverride
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState, RunRecord
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.report.page import run_page
+from cbsr_qa.report.heads import run_page
 from cbsr_qa.report.render import render_run, report_name, write_report
 from cbsr_qa.report.section import report_sections
 from cbsr_qa.store.opening import open_store

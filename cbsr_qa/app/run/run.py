@@ -17,7 +17,6 @@ from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
 from cbsr_qa.app.run.stopping import stoppable_outside_steps
-from cbsr_qa.calibration.force.templates import begin_templates
 from cbsr_qa.config.merging import Configuration, list_files
 from cbsr_qa.config.paths import calibrations_folder, check_folder, database_url, reports_folder, writable_folder
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_reason, validate_serial
@@ -206,8 +205,6 @@ def _test_sensor(
                 "the files of this run were changed while the gate was asked",
                 remedy="start the run again: the gate answers for the files as they are then",
             )
-        if configuration.recipe.calibrate_phases:
-            begin_templates(configuration.sensor_type, configuration.station.indenter)
         with Session(
             configuration, plugins, Stages(tell), ask, why=request.why, control=control, show=show
         ) as session:

@@ -17,7 +17,8 @@ from cbsr_qa.app.stream.clients import END_S, LARGEST_QUEUE, Server, StandardOut
 from cbsr_qa.app.stream.messages import AliveMessage, StreamMessage
 from cbsr_qa.domain.errors import DeliveryError, RefusedError
 from cbsr_qa.domain.plan.plan import PluginChoice
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.event_sinks import Delivery

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -180,7 +181,7 @@ def _decode_file(data: bytes) -> Issued:
 
 def read_contained(path: Path) -> Calibration:
     """Read a run's calibration file of unknown origin; CalibrationError as the two functions that this one calls."""
-    return read_in_child(path, lambda: read_calibration(path))
+    return read_in_child(path, partial(read_calibration, path))
 
 
 def read_in_child(path: Path, read: Callable[[], _Result]) -> _Result:

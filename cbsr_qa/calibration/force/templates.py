@@ -1,8 +1,8 @@
 """Effect of one head on the readings at every possible place: the bank of templates for frames."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache
 from math import ceil, log, sqrt
 from typing import Final
 
@@ -12,10 +12,8 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel, Lattice
-from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.eit.estimate.readings import MergedReadings, load_model
+from cbsr_qa.eit.estimate.readings import MergedReadings
 from cbsr_qa.eit.loads.round_load import LoadReadings, RoundLoadModel, RoundLoads
-from cbsr_qa.system.beside import Ahead
 
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
@@ -89,28 +87,9 @@ def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
-#: Of the last sensor and head: what gives their readings at all places of the lattice. About 50 MB.
-_kept: "dict[tuple[RoundLoadModel, Indenter], Callable[[], tuple[_Pressed, ...]]]" = {}
-
-
-def begin_templates(sensor_type: SensorType, head: Indenter) -> None:
-    """Begin to compute what templates need of the sensor and the head, in a helper while the sensor is measured."""
-    model = load_model(sensor_type)
-    if (model, head) not in _kept:
-        _kept.clear()
-        _kept[model, head] = Ahead(partial(_compute_templates, model, head)).result
-
-
+@lru_cache(maxsize=1)  # of the last sensor and head; about 50 MB
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
-    if (model, head) not in _kept:
-        computed = _compute_templates(model, head)
-        _kept.clear()
-        _kept[model, head] = lambda: computed
-    return _kept[model, head]()
-
-
-def _compute_templates(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
     return tuple(_press_lattice(model, everywhere[inside], head))

@@ -11,6 +11,7 @@ from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -37,6 +38,8 @@ _MOST_LISTED: Final = 10
 _LONGEST_CELL: Final = 40
 #: Rows of a Parquet file that are decoded at once.
 _AT_ONCE: Final = 1024
+#: Reads Parquet.
+_PARQUET: Final = "pyarrow.parquet"
 #: Row and column of a cell, both from 0.
 _Cell = tuple[int, int]
 #: Names of columns, numbers, and the cells that are none.
@@ -93,15 +96,23 @@ def read_table(path: Path) -> NumberTable:
     ``read_untrusted``, has no header, no rows, rows of different lengths, a column twice, or more
     columns than any sensor has readings.
     """
-    parquet = _parquet_reader(path) if path.suffix.lower() in (".parquet", ".pq") else None
-    content = read_untrusted(path, lambda: _content(path, parquet), refusal=RecordingError)
+    read = partial(_content, path)
+    if _is_parquet(path):
+        _parquet_reader(path)
+        content = read_untrusted(path, read, refusal=RecordingError, modules=(_PARQUET,))
+    else:
+        content = read_untrusted(path, read, refusal=RecordingError)
     return NumberTable(path, *content)
 
 
-def _content(path: Path, parquet: Any) -> _Content:
+def _is_parquet(path: Path) -> bool:
+    return path.suffix.lower() in (".parquet", ".pq")
+
+
+def _content(path: Path) -> _Content:
     try:
         with open_foreign(path, _LARGEST_BYTES) as file:
-            return _csv(path, file) if parquet is None else _parquet(path, file, parquet)
+            return _parquet(path, file, _parquet_reader(path)) if _is_parquet(path) else _csv(path, file)
     except UnfitFileError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}", remedy=_TOO_MUCH) from error
     except OSError as error:
@@ -171,9 +182,9 @@ def _is_row(header: Sequence[str]) -> bool:
 
 
 def _parquet_reader(path: Path) -> Any:
-    """Import pyarrow where it may open files: a reading child may not."""
+    """Import pyarrow; RecordingError if it is not installed."""
     try:
-        return import_module("pyarrow.parquet")
+        return import_module(_PARQUET)
     except ImportError as error:
         raise RecordingError(
             f"{path} is Parquet, which needs pyarrow", remedy="pip install 'cbsr-qa[parquet]', or write CSV"

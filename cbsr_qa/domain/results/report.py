@@ -1,18 +1,10 @@
 """Content of a report, independent of layout. Text stays text: escaping is the template's job."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from cbsr_qa.domain.plan.limits import LimitsVersion, Outcome
-from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.characterisation import Characterisation
-from cbsr_qa.domain.results.charts import StationCharts
-from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.observation import RunObservation
-from cbsr_qa.domain.run.changes import ChangeHistory, SensorHistory, VerdictOverride
-from cbsr_qa.domain.run.run import RunRecord
-from cbsr_qa.domain.run.station import StationCheck
+from cbsr_qa.domain.plan.limits import Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,40 +131,3 @@ class CommandOutcome(Generic[R]):
     page: Page
     sections: tuple[Section, ...] = ()
     exit_code: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunResult:
-    """A run with all its results: the input of a report section.
-
-    Parameters
-    ----------
-    observation : None where the run ended before anything could be analysed.
-    calibration : None if not issued; ``calibration_why`` then gives the reason.
-    compute_s : seconds of computing by stage.
-    limits_version : of those limits that carry one.
-    characterisation : of the material, where the recipe is for that; there is no observation then.
-    station_check : the station's latest one when the run began; None if never checked.
-    station_charts : state of the station's control charts with this run; None without a reference.
-    history : changes of the run's files since its sensor type last passed its recipe.
-    overrides : decisions against the verdicts of the run, oldest first; ``verdict`` is not changed.
-    sensor_history : runs of the sensor that began before this one; None if not loaded.
-    missing : whether the run has no stored result; the verdict is then "not measured".
-    """
-
-    record: RunRecord
-    observation: RunObservation | None
-    measurements: tuple[Measurement, ...]
-    verdict: Verdict
-    calibration: Calibration | None
-    calibration_why: str
-    compute_s: tuple[tuple[str, float], ...] = ()
-    warnings: tuple[str, ...] = field(default=())
-    limits_version: LimitsVersion | None = None
-    characterisation: Characterisation | None = None
-    station_check: StationCheck | None = None
-    station_charts: StationCharts | None = None
-    history: ChangeHistory = field(default_factory=ChangeHistory)
-    overrides: tuple[VerdictOverride, ...] = ()
-    sensor_history: SensorHistory | None = None
-    missing: bool = False

@@ -6,6 +6,7 @@ import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -59,19 +60,20 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         If the file is missing or not a mesh, takes more than the limits of
         :func:`~cbsr_qa.system.untrusted.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
-    meshio = None if path.suffix == ".npz" else _meshio(path.suffix)
-    files = 1 if meshio is None else 2  # numpy.fromfile duplicates the one that meshio has open
-    return read_untrusted(
-        path, lambda: _read(path, meshio, electrodes, fix=fix), refusal=NumericsError, open_files=files
-    )
+    read = partial(_read, path, electrodes, fix=fix)
+    if path.suffix == ".npz":
+        return read_untrusted(path, read, refusal=NumericsError)
+    _meshio(path.suffix)
+    # numpy.fromfile duplicates the file that meshio has open
+    return read_untrusted(path, read, refusal=NumericsError, open_files=2, modules=("meshio",))
 
 
-def _read(path: Path, meshio: Any, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
+def _read(path: Path, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
     try:
         with open_foreign(path, LARGEST_BYTES) as stream:
-            if meshio is None:
+            if path.suffix == ".npz":
                 return _check_arrays(_npz(stream), electrodes, fix=fix)
-        nodes, elements, named = _read_with_meshio(path, meshio)
+        nodes, elements, named = _read_with_meshio(path, _meshio(path.suffix))
         return import_mesh(nodes, elements, named if electrodes is None else electrodes, fix=fix)
     except FileNotFoundError as error:
         raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder") from error
@@ -117,7 +119,7 @@ def _check_arrays(
 
 
 def _meshio(suffix: str) -> Any:
-    """Import meshio where it may open files: a reading child may not."""
+    """Import meshio; NumericsError if it is not installed."""
     try:
         return import_module("meshio")
     except ImportError as error:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
+from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from cbsr_qa.domain.errors import NumericsError
@@ -137,7 +138,7 @@ def check_in_one_piece(mesh: Mesh) -> None:
     first, second = mesh.neighbours.T
     count = len(mesh.elements)
     graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
-    pieces, piece = sparse.csgraph.connected_components(graph, directed=False)
+    pieces, piece = csgraph.connected_components(graph, directed=False)
     if pieces > 1:
         small = int(np.bincount(piece).min())
         raise NumericsError(

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, Row, select
 from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.store.chain.check import RESULTS, check_run, unreadable
 from cbsr_qa.store.chain.links import add_links, add_rows, chain_head
 from cbsr_qa.store.chain.run_documents import FIGURES, figures_digest

@@ -15,11 +15,11 @@ from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import (
     ARRAYS,
-    Archive,
     archive_bytes,
     archive_root,
     archive_row,
     file_at,
+    open_archive,
     place_of,
     read_checked,
     with_arrays,
@@ -188,7 +188,7 @@ def _verify(file: Path, rows: list[Any], most_bytes: int) -> bytes:
             f"{file} cannot be read: {error.strerror}", remedy="move that file away, or use --to"
         ) from error
     try:
-        archive = Archive(data, file)
+        archive = open_archive(data, file)
         for row in rows:
             frame_block(with_cells(row, archive.cells(row.phase, row.block)))
     except StoreError as error:

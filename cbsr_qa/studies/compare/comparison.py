@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from itertools import chain
 from typing import Annotated, Final
 
@@ -36,7 +35,6 @@ from cbsr_qa.studies.compare.groups import Design, Grouping, choose_reference, d
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, missing_metric_error
-from cbsr_qa.system.beside import side_by_side
 
 #: The common error of all places of a grid comes from seating the disc and from the axes: the station, not the
 #: sensor.
@@ -187,8 +185,8 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     means = np.array([values.mean for values in every]).reshape(-1, len(table.runs))
     grouping, referred = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    tasks = [partial(_compare_metric, values, table, grouping, deciding, design) for values in chosen]
-    metrics = _adjust_p_values(side_by_side(tasks), terms)
+    unadjusted = [_compare_metric(values, table, grouping, deciding, design) for values in chosen]
+    metrics = _adjust_p_values(unadjusted, terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
     differences = tuple(chain.from_iterable(metric.differences or (_explain_missing(metric),) for metric in metrics))
     return fill_from_object(

@@ -16,7 +16,8 @@ from cbsr_qa.domain.plan.world import SheetDesign
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.plugin.discovery import create_plugin, discover
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction, Sequence as LoadSequence, SequenceContext
 from cbsr_qa.station.dry_runs import dry_run

@@ -11,7 +11,8 @@ from typing import Any
 from cbsr_qa.config.paths import scenes_folder, writable_folder
 from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan.plan import PluginChoice
-from cbsr_qa.plugin.discovery import Plugins, create_plugin
+from cbsr_qa.plugin.creation import create_plugin
+from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import RecordingWriter
 from cbsr_qa.simulate.recording import RecordedScene

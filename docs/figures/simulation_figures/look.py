@@ -11,7 +11,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
-from cbsr_qa.report.draw.style import AMOUNT_MAP, INK, QUIET, check_svg, light_grid, svg_of
+from cbsr_qa.report.draw.style import AMOUNT_MAP, INK, QUIET, light_grid, svg_of
+from cbsr_qa.report.svg import check_svg
 from simulation_figures.worlds import Array, sensor_type
 
 #: Makes one figure.

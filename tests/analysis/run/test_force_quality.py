@@ -19,9 +19,10 @@ from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.domain.results.measurement import decide
-from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult, Table
+from cbsr_qa.domain.results.report import Figure, Paragraph, Table
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa.report.tables import number
 from cbsr_qa_plugins.metrics.force import ForceError
 from cbsr_qa_plugins.sections.force import Force

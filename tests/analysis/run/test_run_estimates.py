@@ -14,10 +14,11 @@ from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.load_estimates import LoadFinding
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.measurement import Verdict
-from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult, Table
+from cbsr_qa.domain.results.report import Figure, Paragraph, Table
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.eit.estimate.readings import load_model
 from cbsr_qa.report.draw.estimates import PlacedLoad, error_scale
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.metrics.location import CentreOfMassError, LoadEstimates
 from cbsr_qa_plugins.sections.loads import LoadEstimates as Section
 

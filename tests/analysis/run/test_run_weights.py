@@ -13,7 +13,8 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.results.measurement import Verdict
-from cbsr_qa.domain.results.report import RunResult, Table
+from cbsr_qa.domain.results.report import Table
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.system.clock import Stages
 from cbsr_qa_plugins.metrics.location import AreaOverlap

@@ -16,7 +16,7 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.station import StationCheck
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.report.document import json_document
-from cbsr_qa.report.page import run_page
+from cbsr_qa.report.heads import run_page
 from cbsr_qa.store.opening import open_store
 
 SENSOR = SensorIdentity("S-7", "42", "disc-100mm")

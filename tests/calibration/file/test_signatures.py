@@ -4,6 +4,7 @@ import hashlib
 import json
 import random
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -186,7 +187,7 @@ def test_bits_flipped_by_a_forger_are_found_or_no_part_of_what_is_read(calibrati
     for place, bit in _some(len(image), count, seed):
         path.write_bytes(_flipped(image, place, bit))
         unseen += not _found_or_unchanged(
-            lambda: read_untrusted(path, lambda: read_issued(path), refusal=CalibrationError), calibration, pinned
+            lambda: read_untrusted(path, partial(read_issued, path), refusal=CalibrationError), calibration, pinned
         )
     assert unseen < count
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.metrics.force import ForceError
 
 TOP = Path(__file__).parents[3]

@@ -14,7 +14,7 @@ from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.observation import LoopObservation, Trace
 from cbsr_qa.domain.results.report import Figure, Table
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.metrics.data_sheet import Hysteresis, Nonlinearity, Repeatability
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus
 from cbsr_qa_plugins.sections.data_sheet import DataSheet

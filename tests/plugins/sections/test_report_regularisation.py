@@ -13,7 +13,8 @@ from cbsr_qa.domain.results.report import Figure, Paragraph
 from cbsr_qa.eit.inverse.noise_figures import evidence_of
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.report.draw.parameter import parameter_figure
-from cbsr_qa.report.draw.style import INK, check_svg, drawing
+from cbsr_qa.report.draw.style import INK, drawing
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa.report.tables import number
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd
 from cbsr_qa_plugins.reconstruction.one_step import (

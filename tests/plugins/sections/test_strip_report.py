@@ -17,8 +17,9 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Verdict
-from cbsr_qa.domain.results.report import Figure, Paragraph, RunResult
-from cbsr_qa.report.page import run_page
+from cbsr_qa.domain.results.report import Figure, Paragraph
+from cbsr_qa.domain.results.run_result import RunResult
+from cbsr_qa.report.heads import run_page
 from cbsr_qa_plugins.sections.characterisation import MaterialCharacterisation
 
 

@@ -11,7 +11,7 @@ from sensor_samples import SENSOR
 
 from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, fit_stated_error, force_figure, ratio_figure
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure, round_levels
-from cbsr_qa.report.draw.style import check_svg
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.sections.force import Force
 
 _NONE = np.zeros(0)

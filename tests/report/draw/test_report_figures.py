@@ -25,8 +25,9 @@ from cbsr_qa.report.draw.metrics import Held, average_over_holds
 from cbsr_qa.report.draw.parameter import log_ticks
 from cbsr_qa.report.draw.relaxation import SettledLoad, relaxation_figure, relaxation_value
 from cbsr_qa.report.draw.sheet import Raster, rings
-from cbsr_qa.report.draw.style import check_svg, drawing, name_rows, spread_labels
+from cbsr_qa.report.draw.style import drawing, name_rows, spread_labels
 from cbsr_qa.report.draw.time import Span, thin_trace, timeline_figure
+from cbsr_qa.report.svg import check_svg
 from cbsr_qa_plugins.sections.recording import RecordingEvents
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">{}</svg>'

@@ -20,7 +20,7 @@ from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.charts import ChartReference
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.domain.run.run import ChainState, InstrumentIdentity, RunStarted
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck

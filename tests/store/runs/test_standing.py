@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Verdict, decide
-from cbsr_qa.domain.results.report import RunResult
+from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity

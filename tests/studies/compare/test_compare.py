@@ -190,7 +190,7 @@ def test_only_the_latest_analysis_counts(url):
     random = np.random.default_rng(9)
     with open_store(url, durable=False) as store:
         run = store_run(store, "S-1", judged(measured(random, np.zeros(3))))
-        from cbsr_qa.domain.results.report import RunResult
+        from cbsr_qa.domain.results.run_result import RunResult
 
         again = (Measurement("drift", 0.25, "%/min"),)
         result = RunResult(store.runs.load(run), None, again, Verdict(Outcome.NOT_JUDGED, ""), None, "")
