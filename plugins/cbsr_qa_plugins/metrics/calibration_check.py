@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from cbsr_qa.calibration.runtime.runtime import Calibration
 from pydantic import Field
 
 from cbsr_qa.analysis.verification import Verification, verify_calibration
 from cbsr_qa.calibration.file.hdf5 import read_contained
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.paths import calibrations_folder
 from cbsr_qa.plugin import CbsrError, ConfigError, Measurement, PluginOptions, Problem, RunObservation, WithOptions
 from cbsr_qa.system.words import quote_value
