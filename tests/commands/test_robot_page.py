@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bare_environments import PRINT_LOADED, read_loaded, run_beside
-from cbsr_qa.calibration.runtime.runtime import Calibration
 from force_calibration import force_calibration, frames
 from pages import HOW_TO, blocks
 from streamed import loaded, write_sensor
 
 import cbsr_qa as qa
 from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CbsrError
 
 PAGE = HOW_TO / "use-in-a-robot.md"
