@@ -2,13 +2,16 @@
 
 ::
 
-    python tests/mutation/mutants.py draw var/mutants --before 5f941ff
+    python tests/mutation/mutants.py draw var/mutants --before COMMIT   # 300, one per function, as many of each part
     python tests/mutation/mutants.py reach var/mutants tests/eit tests/stats   # which tests reach which mutant
     python tests/mutation/mutants.py kill var/mutants       # nearest and fastest tests first, to the first failure
-    python tests/mutation/mutants.py table var/mutants
+    python tests/mutation/mutants.py kill var/mutants 183 206 --tier rest  # some again, on all examples
+    python tests/mutation/mutants.py table var/mutants      # numbers and survivors
 
-Run by the Python of another checkout's ``.venv`` and with ``--checkout DIR``, ``reach`` and ``kill`` try what
-survived here on the tests of that checkout. What came of it: ``docs/reference/soak.md``.
+With ``--before``, only functions that were the same at that commit are changed. Run by the Python of another
+checkout's ``.venv`` and with ``--checkout DIR``, ``reach`` and ``kill`` try what survived here on the tests of that
+checkout. No source file is written: processes that a file in ``CBSR_QA_MUTANTS`` names load the changed module
+instead, through a line that the script puts into ``.venv`` and removes again.
 """
 
 import argparse
