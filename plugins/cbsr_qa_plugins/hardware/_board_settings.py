@@ -16,13 +16,11 @@ from cbsr_qa.plugin import (
     VoltageUnit,
     correct_carry_over,
 )
-from cbsr_qa_plugins.hardware._board_stream import Counts, binary_frame_bytes, stream_order
+from cbsr_qa_plugins.hardware._board_stream import BOARDS, Counts, binary_frame_bytes, stream_order
 from cbsr_qa_plugins.hardware._driver import Port, config_error
 
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
-#: Boards of this firmware by their pairs: the authors', and one with twice the multiplexers.
-_BOARDS: Final = (16, 32)
 _BITS_A_BYTE: Final = 10  # with start and stop bit
 _CORRECT_HASTE: Final = "correct frame_period_s or baud"
 
@@ -59,7 +57,7 @@ class BoardOptions(PluginOptions):
         """What the line can send, and what a converter can count."""
         if self.speed is None:
             yield Problem(("baud",), "is missing", "it must be that of the board's text")
-        elif (what := self.find_haste(_BOARDS[0])) is not None:
+        elif (what := self.find_haste(BOARDS[0])) is not None:
             yield Problem(("frame_period_s",), what, _CORRECT_HASTE)
         if self.signed and self.format == "binary":
             what = "is true, but binary counts are unsigned"
@@ -113,8 +111,8 @@ def count_pairs(context: StationContext, driver: str, options: BoardOptions) -> 
     ConfigError if no board has so many, or a frame of so many takes longer to send than its period.
     """
     rows, columns = context.sensor_type.pattern.shape
-    if rows != columns or rows not in _BOARDS:
-        boards = " or ".join(f"{pairs} x {pairs}" for pairs in _BOARDS)
+    if rows != columns or rows not in BOARDS:
+        boards = " or ".join(f"{pairs} x {pairs}" for pairs in BOARDS)
         problem = f" sends {boards} readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}"
         remedy = "use a sensor type with as many drive and measure pairs as the board, or another driver"
         raise config_error(context, driver, problem, remedy)

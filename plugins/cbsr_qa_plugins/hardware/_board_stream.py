@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Counts = NDArray[np.int64]
 
+#: Boards of this firmware by their current pairs, which are as many as the voltages read for each: the authors', and
+#: one of twice the size.
+BOARDS: Final = (16, 32)
 _RECORD: Final = 3  # a count, low byte first, and a carriage return
 _RETURN: Final = 0x0D
 _MARK: Final = ord("A")

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.plugin import FrameBlock, Recording, RecordingError, RowProblem, ScanKind, Transcript, VoltageUnit
+from cbsr_qa_plugins.hardware._board_stream import BOARDS
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_rows import (
-    BOARDS,
     Assembly,
     BoardLine,
     CountScale,

@@ -25,8 +25,6 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import RowProblem, ScanKind
 from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
-#: Boards by the readings of a row, which are as many as the rows of a frame: the authors', and one of twice the size.
-BOARDS: Final = (16, 32)
 #: A 16-bit converter, printed as signed or unsigned.
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
 #: No converter, whatever its counts were multiplied by, fills more.

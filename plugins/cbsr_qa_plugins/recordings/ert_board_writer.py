@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import Dump, ReadingFlag, Recording, RefusedError, SampleBlock, Transcript, adjacent_pattern
+from cbsr_qa_plugins.hardware._board_stream import BOARDS
 from cbsr_qa_plugins.recordings import lab_files
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
-from cbsr_qa_plugins.recordings.ert_board_rows import BOARDS, LAST_BOARD_MS
+from cbsr_qa_plugins.recordings.ert_board_rows import LAST_BOARD_MS
 
 NAME: Final = "ert-board-csv"
 TITLES: Final = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
