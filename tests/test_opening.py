@@ -92,6 +92,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/system/untrusted.py", "Path('/proc/self/statm').read_text"): (1, OWN),
     ("cbsr_qa/system/untrusted.py", "os.fdopen"): (2, OWN),
     ("cbsr_qa/system/untrusted.py", "os.open"): (1, OWN),
+    ("cbsr_qa/system/untrusted.py", "pickle.loads"): (1, OWN),
     ("cbsr_qa/testing/targets.py", "(Path(folder) / 'answered').read_bytes"): (1, OWN),
     ("cbsr_qa/testing/targets.py", "(Path(folder) / 'asked').read_bytes"): (1, OWN),
     ("cbsr_qa/testing/targets.py", "pickle.loads"): (2, OWN),

@@ -60,6 +60,7 @@ _BUSY: Final = (
 _TOO_MUCH: Final = (
     "it holds too much for its size: give a smaller one; if it is a sound file elsewhere, copy it again"
 )
+_PICKLED: Final = "a format's plugin is a class of a module that can be imported, and what it holds can be pickled"
 #: Characters without a space, and of a whole message, that are repeated from a file.
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
@@ -152,12 +153,16 @@ def read_untrusted(
             problems = tuple(getattr(error, "problems", ()))
             raise _restore_error(type(error).__name__, error.reason, error.remedy, problems) from error
     limits = Limits.from_size(size_bytes, seconds_per_mb, open_files)
-    task, ours = _pickle_task(partial(_send_result, read=read, limits=limits))
+    try:
+        pickled, ours = _pickle_reader(read)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise refusal(f"{path.name}: what reads it cannot be sent to a child: {error}", remedy=_PICKLED) from error
+    task = pickle.dumps(partial(_send_result, pickled=pickled, limits=limits))
     server = obtain_fork_server()
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
         try:
-            child = server.fork(task, outgoing, (*ours, *modules))
+            child = server.fork(task, outgoing, (__name__, *ours, *modules))
         finally:
             os.close(outgoing)
         deadline = time.monotonic() + limits.clock_s
@@ -188,15 +193,15 @@ def _size(path: Path, refusal: type[RefusedError]) -> int:
         return 0  # the reader reports what is wrong
 
 
-def _pickle_task(task: Callable[[int], None]) -> tuple[bytes, list[str]]:
-    """Pickle what a child does; also return the modules of this package that it needs."""
+def _pickle_reader(read: Callable[[], Any]) -> tuple[bytes, list[str]]:
+    """Pickle what a child calls; also return the modules of this package that it needs."""
     content = io.BytesIO()
-    pickler = _TaskPickler(content, protocol=5)
-    pickler.dump(task)
+    pickler = _ReaderPickler(content, protocol=5)
+    pickler.dump(read)
     return content.getvalue(), sorted(pickler.modules)
 
 
-class _TaskPickler(pickle.Pickler):
+class _ReaderPickler(pickle.Pickler):
     """Lists modules of this package that what it pickles comes from. Others change: each child imports them."""
 
     def __init__(self, file: io.BytesIO, protocol: int) -> None:
@@ -210,10 +215,14 @@ class _TaskPickler(pickle.Pickler):
         return NotImplemented
 
 
-def _send_result(outgoing: int, *, read: Callable[[], Any], limits: Limits) -> None:
+def _send_result(outgoing: int, *, pickled: bytes, limits: Limits) -> None:
     """Read in the child, and send what was read."""
     for codec in _CODECS:
         codecs.lookup(codec)
+    try:
+        read: Callable[[], Any] = pickle.loads(pickled)  # imports what has to be imported
+    except Exception as error:  # noqa: BLE001 - the parent says it
+        read = partial(_raise, error)
     outgoing = _confine(outgoing, limits)
     with os.fdopen(outgoing, "wb", closefd=False) as pipe:
         for part in _message(read, limits):
@@ -248,6 +257,10 @@ def _confine(outgoing: int, limits: Limits) -> int:
         # A second later the kernel kills without saying why.
         resource.setrlimit(what, (least, allowed if what == resource.RLIMIT_CPU else least))
     return 3
+
+
+def _raise(error: Exception) -> None:
+    raise error
 
 
 def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:

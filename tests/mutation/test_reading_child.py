@@ -1,8 +1,10 @@
 """The process that reads files of unknown origin: what it may not do, and what its parent makes of its end."""
 
+import importlib
 import os
 import signal
 import socket
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -102,6 +104,21 @@ def _unnamed():
 )
 def test_nothing_else_comes_back(file, read):
     with pytest.raises(RecordingError, match=r"some\.h5: its format plugin did not return"):
+        read_untrusted(file, read, refusal=RecordingError)
+
+
+def test_what_cannot_be_sent_to_a_child_is_refused(file):
+    with pytest.raises(CalibrationError, match=r"some\.h5: what reads it cannot be sent to a child: .*lambda"):
+        read_untrusted(file, lambda: 1, refusal=CalibrationError)
+
+
+def test_a_module_that_a_child_cannot_import_is_named(file, monkeypatch, tmp_path):
+    (tmp_path / "elsewhere.py").write_text("def read():\n    return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    read = importlib.import_module("elsewhere").read
+    assert read_untrusted(file, read, refusal=RecordingError) == 1
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(tmp_path)])
+    with pytest.raises(RuntimeError, match=r"reading some\.h5: ModuleNotFoundError: No module named 'elsewhere'"):
         read_untrusted(file, read, refusal=RecordingError)
 
 
