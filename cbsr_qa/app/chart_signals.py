@@ -36,7 +36,7 @@ def find_chart_signals(
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
         members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
-        table = store.fleet.read_table(_select_chart_runs(station, members, until))
+        table = store.fleet.load_table(_select_chart_runs(station, members, until))
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))

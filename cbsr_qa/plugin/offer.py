@@ -25,9 +25,7 @@ from cbsr_qa.domain.imaging import (
     ParameterAnswer as ParameterAnswer,
     ParameterChoice as ParameterChoice,
     ParameterCurve as ParameterCurve,
-    Region as Region,
 )
-from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings as AnalysisSettings
 from cbsr_qa.domain.plan.limits import (
     SEVERITY as SEVERITY,
     Bound as Bound,
@@ -61,7 +59,6 @@ from cbsr_qa.domain.plan.world import (
     SceneSetting as SceneSetting,
     SheetDesign as SheetDesign,
     SheetField as SheetField,
-    SimulatedPress as SimulatedPress,
     Transcript as Transcript,
 )
 from cbsr_qa.domain.readings.carry_over import correct_carry_over as correct_carry_over

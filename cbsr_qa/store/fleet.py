@@ -50,7 +50,7 @@ class Fleet:
         with reading(self._engine) as connection:
             return tuple(line for line, _ in _lines(connection, _select_runs(connection, selection)))
 
-    def read_table(self, selection: RunSelection = _EVERY) -> FleetTable:
+    def load_table(self, selection: RunSelection = _EVERY) -> FleetTable:
         """Return runs with the values of their latest analyses.
 
         Raises

@@ -48,7 +48,7 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
         station, now = store.runs.read_identity(runs[1]).station, datetime.now(UTC)
         about = (store.new_id(), station, "", now, "disc-100mm", "0" * 64, (), (), ())
         store.stations.save_check(StationCheck(*about, golden_run=runs[1]))
-        assert [run.of_check for run in store.fleet.read_table().runs] == [False, True, False, False]
+        assert [run.of_check for run in store.fleet.load_table().runs] == [False, True, False, False]
     run_guarded(["compare", "--by", "batch", "--database", url])
     assert "Left out: 1 run of golden sensors that checked a station" in capsys.readouterr().out
 
@@ -64,7 +64,7 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
     path, url, _ = copied
     changed(path, f"UPDATE {table} SET {column} = '{word}' WHERE rowid = (SELECT max(rowid) FROM {table})")
     with open_store(url) as store, pytest.raises(StoreError, match="the database is damaged: analysis ") as raised:
-        store.fleet.read_table()
+        store.fleet.load_table()
     assert said in raised.value.reason
     assert run_guarded(["compare", "--by", "batch", "--database", url]) == 2
 
@@ -117,7 +117,7 @@ def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_marked_or_refused
         assert list(marked) == [runs[2]]
         assert f"run {runs[2]}: runs was changed" in marked[runs[2]]
         with pytest.raises(StoreError, match=f"run {runs[2]}: runs was changed"):
-            store.fleet.read_table(selection)
+            store.fleet.load_table(selection)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_groups_and_amounts_are_read():
 def test_the_last_day_there_is_leaves_no_run_out(copied, capsys):
     with open_store(copied[1]) as store:
         assert (
-            len(store.fleet.read_table(RunSelection(until=date.max)).runs)
-            == len(store.fleet.read_table(RunSelection(until=date(2026, 11, 21))).runs)
+            len(store.fleet.load_table(RunSelection(until=date.max)).runs)
+            == len(store.fleet.load_table(RunSelection(until=date(2026, 11, 21))).runs)
             == 4
         )

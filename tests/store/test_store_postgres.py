@@ -85,7 +85,7 @@ def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repos
                 serials=("F-0", "F-1", "F-2"), recipe="short", since=date(2026, 11, 21), checks=False, latest=2
             )
             assert [line.run for line in store.fleet.read_lines(selection)] == runs[1:]
-            told.append(store.fleet.read_table(selection))
+            told.append(store.fleet.load_table(selection))
             of = {
                 "station": "bench",
                 "recipe": "short",

@@ -37,7 +37,7 @@ READERS = {
     "override": lambda store, run, cut: store.changes.override_verdict(
         run, Outcome.PASS, operator="Kim", why="clean"
     ),
-    "fleet": lambda store, run, cut: store.fleet.read_table(),
+    "fleet": lambda store, run, cut: store.fleet.load_table(),
     "state": lambda store, run, cut: store.runs.read_last_session(cut),
     "incomplete": lambda store, run, cut: store.unfinished.list_incomplete(),
 }

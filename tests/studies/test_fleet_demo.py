@@ -52,7 +52,7 @@ def test_progress_is_told_run_by_run(built):
 
 def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
     with open_store(f"sqlite:///{built[0]}", create=False) as store:
-        table = store.fleet.read_table(RunSelection(recipe=ONE_STATION))
+        table = store.fleet.load_table(RunSelection(recipe=ONE_STATION))
     errors = [i for i, kind in enumerate(table.kinds) if kind.key.name == "centre_of_mass_error"]
     taken = np.isin(table.kind, errors)
     means = {run: np.mean(table.value[taken & (table.run == i)]) for i, run in enumerate(table.runs)}

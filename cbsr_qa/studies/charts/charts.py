@@ -69,7 +69,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     check_request(request)
     period = request.period
     with open_store(database_url(database), create=False) as store:
-        table = store.fleet.read_table(_select_runs(store, request))
+        table = store.fleet.load_table(_select_runs(store, request))
         lines = tuple(run for run in table.runs if run.outcome is not None)
         recipe = lines[0].recipe
         notes = (*clock_notes(lines), *filter(None, [store.describe_clock_fault()]), *likeness_notes(store, lines))

@@ -148,7 +148,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
         If the database is missing or cannot be read.
     """
     with _pause_collector(), open_store(database_url(database), create=False) as store:
-        table = store.fleet.read_table(selection)
+        table = store.fleet.load_table(selection)
         if not table.runs:
             check_names(store, selection)
         return compare(table, terms, now)

@@ -38,7 +38,7 @@ def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
 
     RefusedError if no run fits, a name matches none (with the nearest one), or the runs have several recipes.
     """
-    table = store.fleet.read_table(request.runs)
+    table = store.fleet.load_table(request.runs)
     runs = tuple(run for run in table.runs if run.outcome is not None)
     _check_found(store, request, runs)
     recipes = {run.recipe for run in runs}

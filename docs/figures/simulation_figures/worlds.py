@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
 from cbsr_qa.domain.plan.plan import PluginChoice, Scene
-from cbsr_qa.domain.plan.world import StrainRamp
+from cbsr_qa.domain.plan.world import SimulatedPress, StrainRamp
 from cbsr_qa.domain.sensor.sensor_type import Material
 from cbsr_qa.plugin import (
     Indenter,
@@ -19,7 +19,6 @@ from cbsr_qa.plugin import (
     SceneSetting,
     SensorType,
     SheetDesign,
-    SimulatedPress,
     StationContext,
 )
 from cbsr_qa.plugin.discovery import Plugins, discover

@@ -69,7 +69,7 @@ def test_the_end_of_a_run_asks_what_indices_answer(database):
     with open_store(f"sqlite:///{database}") as store:
         sa.event.listen(sa.Engine, "before_cursor_execute", note := lambda *told: asked.append((told[2], told[3])))
         try:
-            assert len(store.fleet.read_table(selection).runs) == 20
+            assert len(store.fleet.load_table(selection).runs) == 20
         finally:
             sa.event.remove(sa.Engine, "before_cursor_execute", note)
     engine = sa.create_engine(f"sqlite:///{database}")

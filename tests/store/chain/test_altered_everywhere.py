@@ -48,7 +48,7 @@ READERS = {
     "lists": (JUDGED, lambda store, run: marked(store.lists.read_runs())),
     "run lines": (VERDICT, lambda store, run: marked(store.fleet.read_lines())),
     "runs of a sensor": (VERDICT, lambda store, run: marked(store.runs.find("S-1"))),
-    "comparison, charts, gauge": (JUDGED, refusing(lambda store, run: store.fleet.read_table())),
+    "comparison, charts, gauge": (JUDGED, refusing(lambda store, run: store.fleet.load_table())),
     "table of measurements": (JUDGED, measured),
     "judged measurements": (
         JUDGED,

@@ -89,7 +89,7 @@ def test_a_failed_run_that_was_moved_out_of_a_selection_is_listed_as_altered(
     assert not (tmp_path / "runs.xml").exists()
     assert names[1] in capsys.readouterr().err
     with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match=names[1]):
-        store.fleet.read_table(RunSelection(stations=("bench-α",), recipe="short", batch="golden", serials=("S-1",)))
+        store.fleet.load_table(RunSelection(stations=("bench-α",), recipe="short", batch="golden", serials=("S-1",)))
 
 
 def test_a_selection_of_the_latest_runs_looks_no_further_back_than_the_oldest_of_them(moved):

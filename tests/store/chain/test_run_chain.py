@@ -291,8 +291,8 @@ READERS = {
         VALUE,
         lambda store, run, _: store.changes.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
     ),
-    "fleet of a sensor": (VALUE, lambda store, *_: store.fleet.read_table(RunSelection(serials=("S-1",)))),
-    "fleet": (RUN, lambda store, *_: store.fleet.read_table()),
+    "fleet of a sensor": (VALUE, lambda store, *_: store.fleet.load_table(RunSelection(serials=("S-1",)))),
+    "fleet": (RUN, lambda store, *_: store.fleet.load_table()),
 }
 
 
@@ -366,7 +366,7 @@ def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
         here = store.runs.load(run).chain
     with open_store(postgres_database) as store:
         assert store.runs.load(run).chain == here
-        assert store.fleet.read_table().runs
+        assert store.fleet.load_table().runs
 
 
 # Keys
@@ -487,7 +487,7 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch)
     with open_store(url, durable=False) as store:
         for n in range(3):
             store_run(store, f"S-{n}", judged(measured(random, random.standard_normal(3))), batch="41")
-        before = store.fleet.read_table()
+        before = store.fleet.load_table()
     with sqlite3.connect(tmp_path / "runs.db") as database:
         rows = database.execute("select * from measurements order by number desc, analysis").fetchall()
         database.execute("delete from measurements")
@@ -495,7 +495,7 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch)
     by_itself = []
     monkeypatch.setattr(fleet, "check_run", lambda _, run: by_itself.append(run))
     with open_store(url) as store:
-        assert sorted(store.fleet.read_table().value) == sorted(before.value)
+        assert sorted(store.fleet.load_table().value) == sorted(before.value)
     assert by_itself == []
 
 

@@ -143,7 +143,7 @@ def _check(story, state, outcome, url, *, chained):
         (earlier,) = store.sensors.read_history(SensorIdentity("S-1", "B7", "disc-100mm"), "short").earlier
         shown = (listed, line, earlier, *store.runs.find(), store.live.find_run(run))
         assert [one.outcome for one in shown] == [outcome] * 5
-        assert [one.run for one in store.fleet.read_table(RunSelection()).runs] == [run]
+        assert [one.run for one in store.fleet.load_table(RunSelection()).runs] == [run]
         assert (run in store.lists.read_limited_measurements([run])) is (state is ResultState.STORED)
         assert store.live.find_run(run).result is state
         assert latest_result(url, run) == (state, outcome)
