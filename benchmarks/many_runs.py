@@ -85,7 +85,7 @@ class Line:
                 earlier.sensors.list_seeds(serial)
         with (
             open_store(self.url, durable=False) as store,
-            store.claims.claim_seed(serial, self._runs, "Ada"),
+            store.sensors.claim_seed(serial, self._runs, "Ada"),
             store.claims.claim_sensor(serial, "nine-locations", "Ada"),
         ):
             identity = self._identity(store.new_id(), serial)

@@ -108,11 +108,6 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> AbstractCo
     return _claim(engine, "seed", f"{serial}/{seed}", who)
 
 
-def sensor_claimed(engine: Engine, serial: str, recipe: str, who: str) -> AbstractContextManager[str]:
-    """Claim a sensor for a run of a recipe; see :func:`_claim`."""
-    return _claim(engine, "sensor", f"{serial}/{recipe}", who)
-
-
 @contextmanager
 def _claim(engine: Engine, kind: str, claim: str, who: str) -> Iterator[str]:
     """Claim something while entered; yields the other process that has it, empty without one."""
@@ -137,6 +132,25 @@ def writer_of(engine: Engine, run: str) -> str:
         return ""
     with translate_errors(engine.url), engine.connect() as connection:
         return _holder(connection, _number(run))
+
+
+class Claims:
+    """What processes that use one database have claimed; a claim ends with its process."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def hold_run(self, run: str, operator: str = "") -> AbstractContextManager[None]:
+        """Hold the right to write a run while entered; StoreError names another process that holds it."""
+        return writing_alone(self._engine, run, this_process(operator))
+
+    def claim_sensor(self, serial: str, recipe: str, operator: str = "") -> AbstractContextManager[str]:
+        """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""
+        return _claim(self._engine, "sensor", f"{serial}/{recipe}", this_process(operator))
+
+    def name_writer(self, run: str) -> str:
+        """Return who writes a run now; empty for nobody."""
+        return writer_of(self._engine, run)
 
 
 def _acquire(engine: Engine, name: str, who: str) -> Callable[[], None] | str:

@@ -13,11 +13,11 @@ from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.store.chain.links import KEY_OPTION
 from cbsr_qa.store.changes import Changes
 from cbsr_qa.store.chart_references import ChartReferences
-from cbsr_qa.store.claims import Claims
 from cbsr_qa.store.damage import address, name_database, translate_errors
 from cbsr_qa.store.engine import parse_url, reading, sqlite_file
 from cbsr_qa.store.fleet import Fleet
 from cbsr_qa.store.listed import RunLists
+from cbsr_qa.store.locks import Claims
 from cbsr_qa.store.releases import Releases
 from cbsr_qa.store.results.analyses import Analyses
 from cbsr_qa.store.results.calibrations import Calibrations

@@ -233,7 +233,7 @@ def test_a_plugin_that_lowers_the_limit_of_open_files_is_no_damaged_database(pla
 
 
 def test_a_run_killed_before_it_is_stored_is_started_again_not_continued(bench, tmp_path):
-    kill = "import: from cbsr_qa.store.claims import Claims; Claims.hold_run = lambda *_: os.kill(os.getpid(), 9)"
+    kill = "import: from cbsr_qa.store.locks import Claims; Claims.hold_run = lambda *_: os.kill(os.getpid(), 9)"
     done = run_hostile(bench, tmp_path, kill)
     assert done.returncode == 3
     assert "was killed by SIGKILL; nothing of the run was stored" in done.stderr

@@ -127,14 +127,14 @@ def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_ur
 def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
     with open_store(database_url) as store, ExitStack() as held:
         claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
-        claimed = [held.enter_context(store.claims.claim_seed(*claim)) for claim in claims]
+        claimed = [held.enter_context(store.sensors.claim_seed(*claim)) for claim in claims]
         assert claimed == [True, False, True, True]
 
 
 CLAIM = """
 import sys
 from cbsr_qa.store.opening import open_store
-with open_store(sys.argv[1]) as store, store.claims.claim_seed("S-1", 7) as claimed:
+with open_store(sys.argv[1]) as store, store.sensors.claim_seed("S-1", 7) as claimed:
     print(claimed, flush=True)
     sys.stdin.read()
 """
@@ -146,11 +146,11 @@ def test_the_lock_file_of_a_claim_that_was_killed_is_removed_by_the_next_run(tmp
         [sys.executable, "-c", CLAIM, url], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "True\n"
-        with open_store(url) as store, store.claims.claim_seed("S-1", 7) as claimed:
+        with open_store(url) as store, store.sensors.claim_seed("S-1", 7) as claimed:
             assert not claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
         process.kill()
-    with open_store(url) as store, store.claims.claim_seed("S-2", 8) as claimed:
+    with open_store(url) as store, store.sensors.claim_seed("S-2", 8) as claimed:
         assert claimed
         assert len(list(tmp_path.glob("*.lock"))) == 1
     assert not list(tmp_path.glob("*.lock"))

@@ -66,7 +66,7 @@ def test_the_table_and_row_are_named(stored, tmp_path, table, column, readers):
     copy = tmp_path / "copy.db"
     with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
         source.backup(target)
-        target.execute("DELETE FROM run_links")  # a run of before chains: a chained one is refused for the change
+        target.execute("DELETE FROM run_links")  # of a chained run, the change itself is refused
         target.execute("UPDATE runs SET chain = NULL")
         last = f"WHERE rowid IN (SELECT max(rowid) FROM {table} GROUP BY run)" if table == "run_states" else ""
         assert target.execute(f"UPDATE {table} SET {column} = 'odd' {last}").rowcount

@@ -236,7 +236,7 @@ def _run_and_store(
         run = store.new_id()
         identity = _identity(run, request, configuration, session.instruments(), plugins)
         if request.seed is None:
-            claim = store.claims.claim_seed(request.serial, configuration.seed, request.operator)
+            claim = store.sensors.claim_seed(request.serial, configuration.seed, request.operator)
             if not held.enter_context(claim):
                 return None
         tested_by = held.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))

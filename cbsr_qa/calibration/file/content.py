@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 from cbsr_qa.domain.kept import walk_fields
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import Calibration
@@ -185,6 +185,15 @@ def format_of(entries: Mapping[str, Entry]) -> str:
 def latest_version(format_: str) -> int:
     """Return the latest schema version of a format."""
     return max([FIRST_VERSION[format_], *(since for _, since in _list_added(format_))])
+
+
+def check_released(format_: str, version: int) -> None:
+    """Refuse a file from before version 0.1.0. CalibrationError names the commit that still reads it."""
+    if version < FIRST_VERSION[format_]:
+        raise CalibrationError(
+            f"written to schema version {version}, from before version 0.1.0, which this program does not read",
+            remedy=f"issue a new one; commit {LAST_UNRELEASED} of cbsr-qa still reads this one",
+        )
 
 
 def schema_version(entries: Mapping[str, Entry]) -> int:

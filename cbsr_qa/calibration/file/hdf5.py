@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
-    FIRST_VERSION,
     FORMAT,
     MOST_ENTRIES,
     PRESS_FORMAT,
     Entry,
+    check_released,
     content_digest,
     format_of,
     latest_version,
@@ -39,7 +39,7 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.calibration.file.keys import SigningKey
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature, with_signature
-from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError, RefusedError
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.domain.results.calibration import Calibration, VerifiedFile
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 from cbsr_qa.domain.results.signature import Signature
@@ -327,11 +327,7 @@ def _version(file: h5py.File) -> tuple[str, int]:
             f"written to schema version {version}; this program knows versions up to {latest_version(stated)}",
             remedy="update cbsr-qa",
         )
-    if version < FIRST_VERSION[stated]:
-        raise CalibrationError(
-            f"written to schema version {version}, from before version 0.1.0, which this program does not read",
-            remedy=f"issue a new one; commit {LAST_UNRELEASED} of cbsr-qa still reads this one",
-        )
+    check_released(stated, int(version))
     return stated, int(version)
 
 

@@ -26,6 +26,7 @@ from cbsr_qa.calibration.file.content import (
     TEXT,
     Entry,
     Value,
+    check_released,
     content_digest,
     format_of,
     latest_version,
@@ -36,7 +37,7 @@ from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.calibration.file.hdf5_content import DEEPEST
 from cbsr_qa.calibration.file.signing import SIGNATURE, read_signature
-from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.results.calibration import VerifiedFile
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.system.json_text import parse_json
@@ -123,12 +124,9 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
         raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
     first, latest = FIRST_VERSION[format_], latest_version(format_)
-    if type(version) is int and 1 <= version < first:
-        raise CalibrationError(
-            f"written to schema version {version}, from before version 0.1.0, which this program does not read",
-            remedy=f"issue a new one; commit {LAST_UNRELEASED} of cbsr-qa still reads this one",
-        )
-    if type(version) is not int or not first <= version <= latest:
+    if type(version) is int:
+        check_released(format_, version)
+    if type(version) is not int or version > latest:
         known = f"version {first}" if first == latest else f"versions {first} to {latest}"
         raise CalibrationError(
             f"schema_version is {_quote(version)}; this program knows {known}",

@@ -1,6 +1,8 @@
 """Outcomes of runs, without their frames: the latest of one run, the earlier runs of a sensor, their seeds."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Final
 
@@ -16,6 +18,7 @@ from cbsr_qa.store.damage import FOREIGN_CELL, name_database
 from cbsr_qa.store.engine import open_engine, parse_url, reading, sqlite_file
 from cbsr_qa.store.golden import find_golden_runs
 from cbsr_qa.store.left_out import find_altered_outside
+from cbsr_qa.store.locks import seed_claimed, this_process
 from cbsr_qa.store.runs.verdicts import verdict_of
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.types import time_of_id
@@ -48,6 +51,12 @@ class SensorRuns:
         query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
         with reading(self._engine) as connection:
             return tuple(map(_seed, connection.scalars(query)))
+
+    @contextmanager
+    def claim_seed(self, serial: str, seed: int, operator: str = "") -> Iterator[bool]:
+        """Claim a seed for a run of a sensor while entered; yields False if another of its runs has it."""
+        with seed_claimed(self._engine, serial, seed, this_process(operator)) as other:
+            yield not other and seed not in self.list_seeds(serial)
 
     def read_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of a recipe.

@@ -555,4 +555,4 @@ def test_a_run_without_a_chain_warns_of_it(tmp_path):
     with open_store(url) as store:
         assert store.runs.load(run).chain.warnings == ()
         stripped(tmp_path / "runs.db")
-        assert "or the chain was removed" in store.runs.load(run).chain.warnings[0]
+        assert "no chain: it was removed" in store.runs.load(run).chain.warnings[0]
