@@ -1,4 +1,4 @@
-"""Signals of a station's control charts with a stored reference: the latest runs only."""
+"""Signals of a station's control charts with a stored reference."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -31,12 +31,14 @@ def find_chart_signals(
     *,
     until: str,
 ) -> StationCharts:
-    """Return the state of the charts with these references; other parameters as for ``charts_after``."""
+    """Return the state of the charts with these references; see :func:`cbsr_qa.app.station_charts.charts_after`."""
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
         members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
-        table = store.fleet.load_table(_select_chart_runs(station, members, until))
+        selection = _select_chart_runs(station, members, until)
+        table = store.fleet.load_table(selection)
+        cut = selection.latest is not None and len(table.runs) >= selection.latest
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
@@ -49,7 +51,7 @@ def find_chart_signals(
             lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
         for reference in members:
             try:
-                signals += filter(None, [_signal(reference, lines, figures)])
+                signals += filter(None, [_signal(reference, lines, figures, cut=cut)])
             except NumericsError as error:
                 notes[f"{reference.label}: {error.reason}"] = None
     return StationCharts(station, len(references), tuple(signals), tuple(notes))
@@ -99,7 +101,11 @@ def _select_chart_runs(station: str, members: Sequence[ChartReference], until: s
 
 
 def _signal(
-    reference: ChartReference, lines: Sequence[RunLine], figures: dict[MetricKey, dict[str, RunFigure]]
+    reference: ChartReference,
+    lines: Sequence[RunLine],
+    figures: dict[MetricKey, dict[str, RunFigure]],
+    *,
+    cut: bool,
 ) -> StandingSignal | None:
     of = figures.get(reference.key, {})
     pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > reference.last_run]
@@ -107,4 +113,4 @@ def _signal(
     if len(kept) < reference.subgroup:
         return None
     charts = charts_of([value for _, value in kept], reference, Standard(reference.mean, reference.deviation))
-    return standing(charts, [line for line, _ in kept], reference, cut=len(lines) >= LOOK_BACK)
+    return standing(charts, [line for line, _ in kept], reference, cut=cut)

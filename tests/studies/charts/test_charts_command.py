@@ -1,6 +1,7 @@
 """``charts`` on stored runs, and what the report of a run says of its station's charts."""
 
 import json
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -165,6 +166,19 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
         assert "1: one point beyond 3σ" in blocks[1].text
         assert charts_after(store, STATION, here, judged(10.0)).signals == ()
         assert charts_after(store, "bench-b", here, judged(10.9)) is None
+
+
+@pytest.mark.parametrize(("kind", "runs", "at_least"), [("i-mr", 8, True), ("xbar-r", 6, False)])
+def test_a_signal_is_of_at_least_some_runs_only_where_earlier_ones_were_not_looked_at(
+    shifted, tmp_path, document, monkeypatch, kind, runs, at_least
+):
+    path, _ = shifted
+    shutil.copy(path, tmp_path / "runs.db")
+    document(tmp_path / "runs.db", *NEW, "--chart", kind)
+    monkeypatch.setattr("cbsr_qa.app.chart_signals.LOOK_BACK", 8)
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        (signal,) = charts_after(store, STATION).signals
+    assert (signal.runs, signal.at_least) == (runs, at_least)
 
 
 @pytest.mark.rest
