@@ -10,12 +10,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cbsr_qa.calibration.offer import *  # noqa: F403 - their lists are the only ones
+    from cbsr_qa.calibration.api import *  # noqa: F403 - their lists are the only ones
     from cbsr_qa.interface import *  # noqa: F403
 
 __version__ = "0.1.0"
 #: A robot has what the first needs; the second also needs the database, the report and the plugins.
-_DOORS = ("cbsr_qa.calibration.offer", "cbsr_qa.interface")
+_DOORS = ("cbsr_qa.calibration.api", "cbsr_qa.interface")
 
 
 def __getattr__(name: str) -> Any:

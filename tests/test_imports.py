@@ -82,7 +82,7 @@ def test_every_package_says_what_it_is_for():
 
 
 def test_the_door_of_plugins_offers_what_their_authors_use():
-    offered = {made.name: made.module for made in IMPORTS if made.importer == "cbsr_qa.plugin.offer"}
+    offered = {made.name: made.module for made in IMPORTS if made.importer == "cbsr_qa.plugin.api"}
     used = list(author_imports())
     past = {made for made in used if offered.get(made.name) == made.module}
     assert past == set(), "these stand in cbsr_qa.plugin"

@@ -35,7 +35,7 @@ def find_chart_signals(
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
-        members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
+        members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
         selection = _select_chart_runs(station, members, until)
         table = store.fleet.load_table(selection)
         cut = selection.latest is not None and len(table.runs) >= selection.latest
@@ -43,21 +43,24 @@ def find_chart_signals(
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
         if identity is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
-            own = _table_of(identity, measurements)
+            own = _build_table(identity, measurements)
             for key, of in reference_figures(own, members).items():
                 figures.setdefault(key, {}).update(of)
-            # A resumed run has an earlier identifier than some.
+            # A resumed run may sort before later ones.
             others = (run for run in lines if run.run != identity.run)
             lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
         for reference in members:
             try:
-                signals += filter(None, [_signal(reference, lines, figures, cut=cut)])
+                signal = _find_signal(reference, lines, figures, cut=cut)
             except NumericsError as error:
                 notes[f"{reference.label}: {error.reason}"] = None
+                continue
+            if signal is not None:
+                signals.append(signal)
     return StationCharts(station, len(references), tuple(signals), tuple(notes))
 
 
-def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
+def _build_table(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
     """Return measurements of a run in the form of the store, which does not hold them yet."""
     line = fill_from_object(
         RunLine,
@@ -94,23 +97,24 @@ def _select_chart_runs(station: str, members: Sequence[ChartReference], until: s
         stations=(station,),
         recipe=first.recipe,
         checks=bool(first.golden),
-        after=min(held.last_run for held in members),
+        after=min(reference.last_run for reference in members),
         up_to=until,
         latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
     )
 
 
-def _signal(
+def _find_signal(
     reference: ChartReference,
     lines: Sequence[RunLine],
     figures: dict[MetricKey, dict[str, RunFigure]],
     *,
     cut: bool,
 ) -> StandingSignal | None:
-    of = figures.get(reference.key, {})
-    pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > reference.last_run]
-    kept = [(line, value) for line, value in pairs if value is not None and of[line.run].unit == reference.unit]
-    if len(kept) < reference.subgroup:
+    figure_by_run = figures.get(reference.key, {})
+    later = [line for line in lines if line.run in figure_by_run and line.run > reference.last_run]
+    pairs = [(line, figure_by_run[line.run]) for line in later]
+    charted = [(line, one.value) for line, one in pairs if one.value is not None and one.unit == reference.unit]
+    if len(charted) < reference.subgroup:
         return None
-    charts = charts_of([value for _, value in kept], reference, Standard(reference.mean, reference.deviation))
-    return standing(charts, [line for line, _ in kept], reference, cut=cut)
+    charts = charts_of([value for _, value in charted], reference, Standard(reference.mean, reference.deviation))
+    return standing(charts, [line for line, _ in charted], reference, cut=cut)

@@ -105,7 +105,7 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
     for index, load, times in timed:
         if times.up_s > plan.duration_s + _ROUNDING_S:
             what = f"is {plainly(load.hold_s)}; after it the head is up at {times.up_s:.2f} s"
-            allowed = f"recording.duration_s is {plan.duration_s:g}, it must be at least {_up(times.up_s)}"
+            allowed = f"recording.duration_s is {plan.duration_s:g}; it must be at least {_up(times.up_s)}"
             yield Problem(("loads", index, "hold_s"), f"{what}, when the recording is over: {allowed}")
 
 

@@ -51,7 +51,7 @@ NUMERICS = {"numpy", "scipy", "pydantic", "sqlalchemy"}
     [
         (["--version"], DRAWING | NUMERICS),
         (["--help"], DRAWING | NUMERICS),
-        (["plugins", "list"], DRAWING | {"scipy", "sqlalchemy", "cbsr_qa.plugin.offer", "cbsr_qa.plugin.options"}),
+        (["plugins", "list"], DRAWING | {"scipy", "sqlalchemy", "cbsr_qa.plugin.api", "cbsr_qa.plugin.options"}),
         (["plugins", "show", "gauss-newton-noser"], DRAWING | {"sqlalchemy"}),
         (["db", "status"], DRAWING | {"scipy"}),
     ],

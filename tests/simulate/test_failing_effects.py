@@ -44,7 +44,7 @@ def test_a_factory_that_fails_is_named(error):
 @pytest.mark.parametrize(
     ("effect", "said"),
     [
-        (object(), "perturbs None"),
+        (object(), "perturbs is None"),
         (theirs(["force"], apply=breaks), r"perturbs \['force'\]"),
         (theirs("force", needs="piezoresistivity", apply=breaks), "needs = 'piezoresistivity'"),
         (theirs("force", needs=None, apply=breaks), "needs = None"),

@@ -287,5 +287,5 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
         raise BrokenRunError(
             run,
             ended.detail,
-            remedy=f"correct that; stored data are kept, and this continues the run: {resume_command(run, store)}",
+            remedy=f"correct that; stored data are kept. To continue the run: {resume_command(run, store)}",
         )

@@ -143,7 +143,7 @@ class EmulatedApplicator:
         self._last = 0
         self._absolute = True
         self._speed_mm_s = 25.0
-        self._offset: Position = self._head.target_mm  # it takes its place for the origin (G92)
+        self._offset: Position = self._head.target_mm  # the machine position that the firmware now calls 0
 
     def _obey(self, raw: bytes) -> str:
         number, command, wrong = read_line(raw, self._last)

@@ -72,7 +72,7 @@ def test_what_a_station_does_not_use_changes_no_configuration(tmp_path):
         ({"x_mm": 51.0}, "loads[2].x_mm", "is 51", "the sheet ends 50 mm from its centre"),
         ({"x_mm": "nan"}, "loads[2].x_mm", "", "not a finite number"),
         ({"start_s": -1.0}, "loads[2].start_s", "is -1", "from 0"),
-        ({"hold_s": 60.0}, "loads[2].hold_s", "up at 125.18 s", "duration_s is 100, it must be at least 125.18"),
+        ({"hold_s": 60.0}, "loads[2].hold_s", "up at 125.18 s", "duration_s is 100; it must be at least 125.18"),
     ],
 )
 def test_a_load_that_cannot_be_is_refused_by_its_key(tmp_path, table, key, found, allowed):

@@ -1,5 +1,5 @@
 """What a robot imports from :mod:`cbsr_qa.calibration`: a calibration, read and applied to frames."""
-# ruff: noqa: PLC0414 - the second name says that it is handed on
+# ruff: noqa: PLC0414 - "X as X" marks a re-export
 
 from cbsr_qa.calibration.force.inverse import Flag as Flag
 from cbsr_qa.calibration.loading import load_calibration as load_calibration

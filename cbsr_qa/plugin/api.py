@@ -1,5 +1,5 @@
 """What a plugin imports from :mod:`cbsr_qa.plugin`: hooks, Protocols, options, links, and words of the domain."""
-# ruff: noqa: PLC0414 - the second name says that it is handed on
+# ruff: noqa: PLC0414 - "X as X" marks a re-export
 
 from cbsr_qa.domain.errors import (
     CbsrError as CbsrError,
