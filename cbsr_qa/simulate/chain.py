@@ -205,7 +205,7 @@ def _check_names(name: str, effect: Any) -> None:
     perturbs = getattr(effect, "perturbs", None)
     if not isinstance(perturbs, str):
         raise ConfigError(
-            f"effect {name!r}: perturbs is {quote_value(perturbs)}, not the name of a stage",
+            f"effect {name!r} names no stage: perturbs = {quote_value(perturbs)}",
             remedy=f"allowed: {', '.join(STAGES)}",
         )
     for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):

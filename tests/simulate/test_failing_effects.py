@@ -44,8 +44,8 @@ def test_a_factory_that_fails_is_named(error):
 @pytest.mark.parametrize(
     ("effect", "said"),
     [
-        (object(), "perturbs is None"),
-        (theirs(["force"], apply=breaks), r"perturbs \['force'\]"),
+        (object(), "perturbs = None"),
+        (theirs(["force"], apply=breaks), r"perturbs = \['force'\]"),
         (theirs("force", needs="piezoresistivity", apply=breaks), "needs = 'piezoresistivity'"),
         (theirs("force", needs=None, apply=breaks), "needs = None"),
         (theirs("force", after=(3,), apply=breaks), r"after = \(3,\)"),
