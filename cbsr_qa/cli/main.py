@@ -46,7 +46,8 @@ def _supervise_command(command: Command) -> Callable[..., Any]:
         if _supervising and (code := supervise(judges=judging, live=command.live, reads=command.reads)) is not None:
             return code
         claim_stdout()
-        return command.run(*arguments, **options)
+        with Redelivery():  # of the process that carries out the command: the child
+            return command.run(*arguments, **options)
 
     return run_command
 
@@ -145,8 +146,7 @@ def _wants_json(arguments: list[str]) -> bool:
 def _run_typer(arguments: list[str]) -> int:
     _asked_for_json.clear()
     try:
-        with Redelivery():
-            result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
+        result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:
