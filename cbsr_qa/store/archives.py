@@ -45,8 +45,8 @@ def archive_root(engine: Engine) -> Path | None:
 
 
 def _environment_folder() -> Path | None:
-    named = os.environ.get(ROOT_VARIABLE)
-    return Path(named).resolve() if named else None
+    folder = os.environ.get(ROOT_VARIABLE)
+    return Path(folder).resolve() if folder else None
 
 
 def place_of(engine: Engine, file: Path) -> str:
@@ -68,9 +68,9 @@ def _check_inside(root: Path, file: Path) -> None:
     """Refuse a path, links followed, that leads out of the folders of archives: a database could name any file."""
     folders = [folder for folder in (root, _environment_folder()) if folder is not None]
     if not any(file.is_relative_to(folder) for folder in folders):
-        where = " or ".join(map(str, dict.fromkeys(folders)))
+        allowed = " or ".join(map(str, dict.fromkeys(folders)))
         raise StoreError(
-            f"{file} is not below {where}, the folder of archives: only files in it are read",
+            f"{file} is not below {allowed}, the folder of archives: only files in it are read",
             remedy=f"choose a folder below it, or name another one with {ROOT_VARIABLE}",
         )
 
@@ -204,8 +204,8 @@ def write_archive(file: Path, run: str, blocks: Iterable[tuple[int, int, Any]]) 
         groups.setdefault(name, []).append((number, block))
     with h5py.File("archive.h5", "w", driver="core", backing_store=False) as content:
         content.attrs.update({"format": _FORMAT, "run": run})
-        for name, some in groups.items():
-            _write_group(content.create_group(name), some)
+        for name, numbered_blocks in groups.items():
+            _write_group(content.create_group(name), numbered_blocks)
         content.flush()
         image = bytes(content.id.get_file_image())
     with writing(file, refusal=StoreError, remedy="choose another folder with --to, or free space"):
@@ -275,8 +275,8 @@ class Archive:
             for group in {group for group, _ in self._places.values()}:
                 for _, dataset in _own_members(group):
                     rows = (dataset.chunks or dataset.shape)[0]
-                    for first in range(0, len(dataset), max(rows, 1)):
-                        dataset[first : first + rows]
+                    for start in range(0, len(dataset), max(rows, 1)):
+                        dataset[start : start + rows]
 
     def _add(self, phase: int, group: h5py.Group) -> None:
         arrays = dict(_own_members(group))
@@ -284,7 +284,7 @@ class Archive:
         if not numbers.shape == counts.shape == (numbers.size,) or {numbers.dtype.kind, counts.dtype.kind} != {"i"}:
             raise ValueError(f"blocks of the shape {numbers.shape} with frames of the shape {counts.shape}")
         lengths = counts[()]
-        frames = {len(one) for one in arrays.values()}
+        frames = {len(array) for array in arrays.values()}
         if lengths.min(initial=1) < 1 or frames - {int(lengths.sum())}:
             raise ValueError(f"blocks of {lengths.sum()} frames in all, and arrays of {sorted(frames)}")
         start = 0
@@ -315,12 +315,12 @@ def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
     """Yield what a group holds itself: HDF5 would open other files for links, and load libraries for filters."""
     for name in group:
         item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-        own = item is not None
+        is_content = item is not None
         if isinstance(item, h5py.Dataset):
             packing = item.id.get_create_plist()
             filters = {packing.get_filter(k)[0] for k in range(packing.get_nfilters())}
-            own = not (item.external or item.is_virtual or filters - _FILTERS) and item.dtype.kind in "iuf"
-        if not own:
+            is_content = not (item.external or item.is_virtual or filters - _FILTERS) and item.dtype.kind in "iuf"
+        if not is_content:
             raise StoreError(f"the archive cannot be read: {name!r} is not content of an archive")
         yield name, item
 

@@ -51,7 +51,7 @@ class Changes:
         Runs that have only links of such records are looked at too: their rows may have been removed.
         """
         kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
-        names = [one.__tablename__ for one in kinds[:3]]
+        names = [kind.__tablename__ for kind in kinds[:3]]
         with reading(self._engine) as connection:
             linked = select(LinkRow.run).where(LinkRow.kind.in_(names), few_links()).distinct()
             runs = {*connection.scalars(linked), *connection.scalars(select(ConfigurationChangeRow.run))}
@@ -74,8 +74,8 @@ class Changes:
         Changes noted with other runs are left out, and named, where these were altered.
         """
         row, identity = ConfigurationChangeRow, record.identity
-        named = list_files(identity, record.material.name)
-        files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in named))
+        named_files = list_files(identity, record.material.name)
+        files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in named_files))
         with reading(self._engine) as connection:
             since = _last_accepted(connection, identity)
             changes = _changes(connection, files, row.run > since, row.run <= identity.run)
@@ -95,11 +95,11 @@ class Changes:
         override, noted_at = self._new_id(), self._wall()
         with writing(self._engine) as connection:
             analysis, verdict = _read_verdict(connection, run)
-            made = VerdictOverride(override, run, analysis, verdict, outcome, operator, noted_at, why)
+            decision = VerdictOverride(override, run, analysis, verdict, outcome, operator, noted_at, why)
             values = {"run": run, "analysis": analysis, "outcome": str(outcome), "operator": operator, "why": why}
             row = {"override_id": override, "noted_at": noted_at, **values}
             add_rows(connection, run, VerdictOverrideRow, [row])
-        return made
+        return decision
 
     def list_overrides(self, run: str | None = None, *, without: Collection[str] = ()) -> tuple[VerdictOverride, ...]:
         """Return the overrides of one run's verdicts, or of all but some, oldest first.
@@ -115,54 +115,54 @@ class Changes:
             altered = {} if run is None else _find_altered(connection, [run], [VerdictOverrideRow, AnalysisRow])
             for problem in altered.values():
                 raise StoreError(problem, remedy=RESTORE)
-            found = connection.execute(query.order_by(row.override_id)).all()
+            rows = connection.execute(query.order_by(row.override_id)).all()
         return tuple(
             VerdictOverride(
-                one.override_id,
-                one.run,
-                one.analysis,
-                read_word(Outcome, one.verdict, "analyses.outcome", f"analysis {one.analysis}"),
-                read_word(Outcome, one.outcome, "verdict_overrides.outcome", f"override {one.override_id}"),
-                one.operator,
-                one.noted_at,
-                one.why,
+                decision.override_id,
+                decision.run,
+                decision.analysis,
+                read_word(Outcome, decision.verdict, "analyses.outcome", f"analysis {decision.analysis}"),
+                read_word(Outcome, decision.outcome, "verdict_overrides.outcome", f"override {decision.override_id}"),
+                decision.operator,
+                decision.noted_at,
+                decision.why,
             )
-            for one in found
+            for decision in rows
         )
 
 
 def _find_altered(connection: Connection, runs: Sequence[str], kinds: Sequence[type[Base]]) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for first in range(0, len(runs), RUNS_AT_ONCE):
-        some = runs[first : first + RUNS_AT_ONCE]
-        read = partial(_find_altered_page, connection, kinds)
-        for altered in read_apart(connection, some, read, lambda run, problem: {run: problem}):
-            found |= altered
-    return found
+    problem_by_run: dict[str, str] = {}
+    for start in range(0, len(runs), RUNS_AT_ONCE):
+        batch = runs[start : start + RUNS_AT_ONCE]
+        read_page = partial(_find_altered_page, connection, kinds)
+        for altered in read_apart(connection, batch, read_page, lambda run, problem: {run: problem}):
+            problem_by_run |= altered
+    return problem_by_run
 
 
 def _find_altered_page(connection: Connection, kinds: Sequence[type[Base]], runs: Sequence[str]) -> dict[str, str]:
     rows = connection.execute(select(RunRow.run, RunRow.chain).where(RunRow.run.in_(runs)))
     chains = {row.run: row.chain for row in rows}
-    read = [read_rows(connection, kind, runs) for kind in kinds]
-    for one in read:
-        for word in one.columns.get("outcome", ()):
-            read_word(Outcome, word, f"{one.table.name}.outcome", f"run {runs[0]}")  # named once it is alone
-    return find_altered(connection, chains, read, ended=True)
+    records_of_kinds = [read_rows(connection, kind, runs) for kind in kinds]
+    for records in records_of_kinds:
+        for word in records.columns.get("outcome", ()):
+            read_word(Outcome, word, f"{records.table.name}.outcome", f"run {runs[0]}")  # named once it is alone
+    return find_altered(connection, chains, records_of_kinds, ended=True)
 
 
 def _last_accepted(connection: Connection, identity: RunIdentity) -> str:
     """Return the latest earlier run of the sensor type and recipe that passed and was not altered; may be empty."""
     # Overrides do not count: a run passed by hand shows that its recipe is not accepted yet.
-    passed = (
+    passed_query = (
         select(RunRow.run)
         .join(AnalysisRow, AnalysisRow.run == RunRow.run)
         .where(RunRow.sensor_type == identity.sensor.sensor_type, RunRow.recipe == identity.recipe)
         .where(RunRow.run < identity.run, AnalysisRow.outcome.in_(_ACCEPTED))
     )
-    for run in connection.scalars(passed.distinct().order_by(RunRow.run.desc())).all():
-        found = verdict_of(connection, run)
-        if found is not None and found.outcome in _ACCEPTED:
+    for run in connection.scalars(passed_query.distinct().order_by(RunRow.run.desc())).all():
+        verdict = verdict_of(connection, run)
+        if verdict is not None and verdict.outcome in _ACCEPTED:
             return run
     return ""
 
@@ -173,15 +173,15 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
     return tuple(
         convert_row(
             ConfigurationChange,
-            found,
-            kind=read_word(FileKind, found.kind, "configuration_changes.kind", f"run {found.run}"),
-            old_digest=found.old_sha256,
-            new_digest=found.new_sha256,
-            differences=tuple(Difference(*one) for one in found.differences),
-            by=found.operator,
-            at=found.noted_at,
+            note,
+            kind=read_word(FileKind, note.kind, "configuration_changes.kind", f"run {note.run}"),
+            old_digest=note.old_sha256,
+            new_digest=note.new_sha256,
+            differences=tuple(Difference(*cells) for cells in note.differences),
+            by=note.operator,
+            at=note.noted_at,
         )
-        for found in connection.execute(query)
+        for note in connection.execute(query)
     )
 
 
@@ -189,17 +189,17 @@ def _read_verdict(connection: Connection, run: str) -> tuple[str, Outcome]:
     if run_row(connection, run) is None:
         raise StoreError(f"there is no run {run}", remedy="cbsr-qa report SERIAL names the latest run of a sensor")
     check_run(connection, run)
-    now = standing_of(connection, run)
-    if now.end is not EndReason.FINISHED:
+    standing = standing_of(connection, run)
+    if standing.end is not EndReason.FINISHED:
         raise StoreError(
-            f"run {run} has not finished ({now.end}): there is no verdict to override",
+            f"run {run} has not finished ({standing.end}): there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} continues it",
         )
-    if now.analysis is None:
+    if standing.analysis is None:
         raise StoreError(
             f"run {run} has no result yet: there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} computes it",
         )
-    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == now.analysis)
-    found = connection.execute(query).one()
-    return found.analysis, analysis_outcome(found)
+    query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == standing.analysis)
+    analysis_row = connection.execute(query).one()
+    return analysis_row.analysis, analysis_outcome(analysis_row)

@@ -36,8 +36,8 @@ class ChartReferences:
         """
         if references:
             with writing(self._engine) as connection:
-                connection.execute(insert(ChartReferenceRow), [_values(one) for one in references])
-                announce(connection, Kind.CHART_REFERENCE, [one.reference for one in references])
+                connection.execute(insert(ChartReferenceRow), [_values(reference) for reference in references])
+                announce(connection, Kind.CHART_REFERENCE, [reference.reference for reference in references])
 
     def read_current(self, station: str, until: str = "") -> tuple[ChartReference, ...]:
         """Return the current references of a station's charts in the order stored; retired charts have none.
@@ -46,20 +46,20 @@ class ChartReferences:
         ----------
         until : ignore references that sort after this name.
         """
-        wanted = [ChartReferenceRow.station == station]
+        conditions = [ChartReferenceRow.station == station]
         if until:
-            wanted.append(ChartReferenceRow.reference <= until)
+            conditions.append(ChartReferenceRow.reference <= until)
         with reading(self._engine) as connection:
-            rows = read_rows_apart(connection, ChartReferenceRow, *wanted).rows
+            rows = read_rows_apart(connection, ChartReferenceRow, *conditions).rows
         latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
         holding = (one for one in latest.values() if not one.retired)
         return tuple(sorted(holding, key=lambda one: one.reference))
 
     def read_all(self, station: str = "") -> tuple[ChartReference, ...]:
         """Return all references of a station's charts (empty: of all stations), oldest first."""
-        wanted = [ChartReferenceRow.station == station] if station else []
+        conditions = [ChartReferenceRow.station == station] if station else []
         with reading(self._engine) as connection:
-            return tuple(map(_reference, read_rows_apart(connection, ChartReferenceRow, *wanted).rows))
+            return tuple(map(_reference, read_rows_apart(connection, ChartReferenceRow, *conditions).rows))
 
 
 def _values(one: ChartReference) -> dict[str, Any]:

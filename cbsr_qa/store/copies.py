@@ -52,14 +52,21 @@ def copy_database(engine: Engine, to: Path, count: Count = lambda what, done, of
     with _temporary(to) as partial:
         with (
             translate_errors(engine.url),
-            closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True)) as old,
+            closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True)) as source_connection,
         ):
-            old.execute("BEGIN")  # one state of the database: others write on, and do not begin the copy again
-            old.execute("SELECT count(*) FROM sqlite_master").fetchone()
-            with translate_errors(URL.create("sqlite", database=str(to))), closing(sqlite3.connect(partial)) as new:
-                old.backup(new, pages=_PAGES, progress=lambda _, left, of: count("copying", of - left, of))
-                new.execute("PRAGMA journal_mode = DELETE")  # one file, which can be moved
-            heads = _heads(old)
+            source_connection.execute(
+                "BEGIN"
+            )  # one state of the database: others write on, and do not begin the copy again
+            source_connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            with (
+                translate_errors(URL.create("sqlite", database=str(to))),
+                closing(sqlite3.connect(partial)) as copy_connection,
+            ):
+                source_connection.backup(
+                    copy_connection, pages=_PAGES, progress=lambda _, left, of: count("copying", of - left, of)
+                )
+                copy_connection.execute("PRAGMA journal_mode = DELETE")  # one file, which can be moved
+            heads = _heads(source_connection)
         count("verifying", 0, 1)
         _verify(partial, heads, to)
         count("verifying", 1, 1)
@@ -84,9 +91,9 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
     try:
         check_regular(backup)
     except OSError as error:
-        why = error.strerror or str(error)
+        reason = error.strerror or str(error)
         raise RefusedError(
-            f"{backup} cannot be restored: {why}; {_UNCHANGED}", remedy="name a backup that cbsr-qa db backup made"
+            f"{backup} cannot be restored: {reason}; {_UNCHANGED}", remedy="name a backup that cbsr-qa db backup made"
         ) from error
     if target.exists() and backup.samefile(target):
         raise RefusedError(f"{backup} is the database itself; {_UNCHANGED}", remedy="name a backup of it")
@@ -128,9 +135,9 @@ def _restorable(partial: Path, backup: Path) -> SchemaVersion:
         with closing(sqlite3.connect(partial)) as connection:
             connection.execute("PRAGMA journal_mode = WAL")  # as the database has it
     except StoreError as error:
-        why = error.reason.replace(f"database {partial}", "it")
+        reason = error.reason.replace(f"database {partial}", "it")
         raise StoreError(
-            f"{backup} cannot be restored: {why}; {_UNCHANGED}", remedy=error.remedy or "name another backup"
+            f"{backup} cannot be restored: {reason}; {_UNCHANGED}", remedy=error.remedy or "name another backup"
         ) from error
     finally:
         copy.dispose()
@@ -143,14 +150,14 @@ def _verify(partial: Path, heads: dict[str, str], to: Path) -> None:
         problem = file_problem(copy)
         if not problem:
             with closing(sqlite3.connect(partial)) as connection:
-                found = _heads(connection)
-            differing = [run for run in heads | found if heads.get(run) != found.get(run)]
+                copied_heads = _heads(connection)
+            differing = [run for run in heads | copied_heads if heads.get(run) != copied_heads.get(run)]
             problem = f"run {differing[0]} in it has another chain than the database" if differing else ""
     finally:
         copy.dispose()
     if problem:
-        why = problem.replace(f"database {partial}", "the copy")
-        raise StoreError(f"{to} was not made: {why}", remedy="check the disk it is on; the database is unchanged")
+        reason = problem.replace(f"database {partial}", "the copy")
+        raise StoreError(f"{to} was not made: {reason}", remedy="check the disk it is on; the database is unchanged")
 
 
 def _heads(connection: sqlite3.Connection) -> dict[str, str]:
@@ -158,8 +165,8 @@ def _heads(connection: sqlite3.Connection) -> dict[str, str]:
     if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (LinkRow.__tablename__,)).fetchone():
         return {}
     link, later = LinkRow, aliased(LinkRow)
-    last = ~select(later.run).where(later.run == link.run, later.number > link.number).exists()
-    query = str(select(link.run, link.sha256).where(last).compile(compile_kwargs={"literal_binds": True}))
+    is_last = ~select(later.run).where(later.run == link.run, later.number > link.number).exists()
+    query = str(select(link.run, link.sha256).where(is_last).compile(compile_kwargs={"literal_binds": True}))
     return dict(connection.execute(query))
 
 
@@ -232,18 +239,20 @@ def _hold_unused(database: Path) -> Iterator[None]:
         If another process uses it; the message names a run that is being written.
     """
     for lock in sorted(database.parent.glob(f"{glob.escape(database.name)}-*.lock")):
-        if (who := holder(lock)) is not None:
+        if (holder_bytes := holder(lock)) is not None:
             name = lock.name.removeprefix(f"{database.name}-").removesuffix(".lock")
-            raise _busy_error(database, f"{name} is held by {who.decode(errors='replace') or 'another process'}")
+            raise _busy_error(
+                database, f"{name} is held by {holder_bytes.decode(errors='replace') or 'another process'}"
+            )
     if not database.exists():
         yield
         return
     import fcntl
 
     with database.open("rb+") as file:
-        first, length = _LOCKED
+        first_byte, length = _LOCKED
         try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, length, first)
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, length, first_byte)
         except OSError as error:
             raise _busy_error(database, "a page, a run or another program has it open") from error
         yield
@@ -261,14 +270,14 @@ def _exchange(partial: Path, target: Path, aside: Path) -> None:
     moved: list[tuple[Path, Path]] = []
     try:
         for suffix in ("", *_MOVED):
-            old, kept = target.with_name(target.name + suffix), aside.with_name(aside.name + suffix)
-            if old.exists():
-                old.rename(kept)
-                moved.append((old, kept))
+            old_file, kept_file = target.with_name(target.name + suffix), aside.with_name(aside.name + suffix)
+            if old_file.exists():
+                old_file.rename(kept_file)
+                moved.append((old_file, kept_file))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.rename(target)
     except OSError:
-        for old, kept in reversed(moved):
-            kept.rename(old)
+        for old_file, kept_file in reversed(moved):
+            kept_file.rename(old_file)
         raise

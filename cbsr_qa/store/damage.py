@@ -169,20 +169,20 @@ def _file_limit() -> str:
 
 
 def _driver_error(url: URL, error: BaseException) -> StoreError:
-    said = _first_line(str(error))
-    if "unable to open database file" in said:
+    message = _first_line(str(error))
+    if "unable to open database file" in message:
         try:
             check_files(url)
         except StoreError as full:
             return full
-    if "could not decode to utf-8" in said.lower():
+    if "could not decode to utf-8" in message.lower():
         return OddCellError(
-            f"{name_database(url)} is damaged: {said}", remedy="cbsr-qa db check names rows that cannot be read"
+            f"{name_database(url)} is damaged: {message}", remedy="cbsr-qa db check names rows that cannot be read"
         )
     for part, meaning, remedy in _KNOWN:
-        if part in said.lower():
-            return StoreError(f"{name_database(url)} {meaning} ({said})", remedy=remedy)
-    return StoreError(f"{name_database(url)}: {said}")
+        if part in message.lower():
+            return StoreError(f"{name_database(url)} {meaning} ({message})", remedy=remedy)
+    return StoreError(f"{name_database(url)}: {message}")
 
 
 def _first_line(text: str) -> str:
@@ -201,15 +201,17 @@ def foreign_cell(
     rows : tables, and conditions that select their rows.
     what : start of the message.
     """
-    for table, wanted in rows:
-        converters = [(one, cell_reader(connection, one)) for one in table.columns]
-        raw = select(*(raw_cell(connection, one) for one in table.columns))
-        for row in connection.execute(raw.where(wanted)).mappings():
+    for table, condition in rows:
+        converters = [(table_column, cell_reader(connection, table_column)) for table_column in table.columns]
+        raw = select(*(raw_cell(connection, table_column) for table_column in table.columns))
+        for row in connection.execute(raw.where(condition)).mappings():
             for column, convert in converters:
                 try:
                     convert(row[column.name])
                 except FOREIGN_CELL:
-                    key = ", ".join(f"{one.name} {row[one.name]}" for one in table.primary_key)
+                    key = ", ".join(
+                        f"{table_column.name} {row[table_column.name]}" for table_column in table.primary_key
+                    )
                     return OddCellError(
                         f"{what}: {table.name}.{column.name} ({key}) holds {repr(row[column.name])[:60]},"
                         " which is not a value of that column",
@@ -252,6 +254,10 @@ def _json_value(name: str, convert: Callable[[Any], Any], cell: Any) -> Any:
     value = None if cell is None else convert(cell)
     if value is not None and not isinstance(value, dict if name in _OBJECTS else list):
         raise TypeError(f"it holds {type(value).__name__}")
-    if name == _VERSIONS and value is not None and not all(isinstance(one, list) and len(one) == 2 for one in value):
+    if (
+        name == _VERSIONS
+        and value is not None
+        and not all(isinstance(item, list) and len(item) == 2 for item in value)
+    ):
         raise TypeError("it holds other items than [package, version]")
     return value

@@ -94,9 +94,11 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     StoreError
         If the driver of this kind of database is not installed, or the file is a folder, pipe or device.
     """
-    given = {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
+    connect_arguments = (
+        {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
+    )
     try:
-        engine = create_engine(url, connect_args=given)
+        engine = create_engine(url, connect_args=connect_arguments)
     except ModuleNotFoundError as error:
         raise StoreError(
             f"{name_database(url)} needs {error.name}, which is not installed",
@@ -119,18 +121,18 @@ def _check_regular(file: Path, url: URL) -> None:
     """Refuse a folder, pipe or device as database, or as its log: SQLite would wait, or read for ever."""
     if file.is_dir():
         raise StoreError(f"{name_database(url)} is a folder, not a database", remedy="name a file in it")
-    there = next((above for above in file.absolute().parents if os.path.lexists(above)), None)
-    if there is not None and not there.is_dir():
+    nearest_parent = next((above for above in file.absolute().parents if os.path.lexists(above)), None)
+    if nearest_parent is not None and not nearest_parent.is_dir():
         raise StoreError(
-            f"{name_database(url)} cannot be opened: {there} is not a folder",
+            f"{name_database(url)} cannot be opened: {nearest_parent} is not a folder",
             remedy=f"name another file\n{AT_COMMAND_LINE}--database, CBSR_QA_DATABASE or CBSR_QA_VAR names it",
         )
-    for each in (file, *(file.with_name(file.name + suffix) for suffix in SIDES)):
+    for path in (file, *(file.with_name(file.name + suffix) for suffix in SIDES)):
         try:
-            check_regular(each)
+            check_regular(path)
         except UnfitFileError as error:
             raise StoreError(
-                f"{name_database(url)} cannot be opened: {each.name}: {error.strerror}",
+                f"{name_database(url)} cannot be opened: {path.name}: {error.strerror}",
                 remedy="name the file of a database",
             ) from error
         except OSError:
@@ -263,10 +265,10 @@ def _remember_file(path: Path, _: object, record: Any) -> None:
 
 def _which_file(path: Path) -> tuple[int, int] | None:
     try:
-        found = os.stat(path)  # noqa: PTH116 - of every transaction; Path.stat takes twice as long
+        status = os.stat(path)  # noqa: PTH116 - of every transaction; Path.stat takes twice as long
     except OSError:
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _refuse_copy(process: int, connection: Connection) -> None:
@@ -281,12 +283,12 @@ def _refuse_copy(process: int, connection: Connection) -> None:
 
 def _refuse_lost_file(path: Path, connection: Connection) -> None:
     """Refuse a deleted or replaced file: SQLite would continue to write into the old one."""
-    was, found = connection.info[_FILE], _which_file(path)
-    if was in (None, found):
+    was, current_file = connection.info[_FILE], _which_file(path)
+    if was in (None, current_file):
         return
-    what = "was deleted or moved away" if found is None else "was replaced by another file"
+    fate = "was deleted or moved away" if current_file is None else "was replaced by another file"
     raise StoreError(
-        f"{name_database(connection.engine.url)} {what} while it was in use",
+        f"{name_database(connection.engine.url)} {fate} while it was in use",
         remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; data stored"
         " in a deleted file is lost",
     )

@@ -63,14 +63,14 @@ class Fleet:
         def table(connection: Connection, chosen: Conditions) -> FleetTable:
             runs: list[RunLine] = []
             places: dict[str, int] = {}
-            known: list[Known | None] = []
-            for line, one in _lines(connection, _select_runs(connection, selection, chosen)):
-                one.validate()
-                if one.analysis:
-                    places[one.analysis] = len(runs)
-                known.append(_link_content(line, one))
+            link_contents: list[Known | None] = []
+            for line, verdict in _lines(connection, _select_runs(connection, selection, chosen)):
+                verdict.validate()
+                if verdict.analysis:
+                    places[verdict.analysis] = len(runs)
+                link_contents.append(_link_content(line, verdict))
                 runs.append(line)
-            kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
+            kinds, (run, kind, value, state) = _values(connection, chosen, places, link_contents)
             return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
         with reading(self._engine) as connection:
@@ -85,8 +85,8 @@ def _select_runs(connection: Connection, selection: RunSelection, chosen: Condit
 def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLine, StoredVerdict]]:
     of_checks = find_golden_runs(connection, set(connection.scalars(golden_runs())).intersection(names))
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
-    for one in read_verdicts(connection, names):
-        yield _line(one, shared, of_check=one.run in of_checks), one
+    for verdict in read_verdicts(connection, names):
+        yield _line(verdict, shared, of_check=verdict.run in of_checks), verdict
 
 
 def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
@@ -132,26 +132,26 @@ def _values(
         query = query.where(MeasurementRow.analysis.in_(analysed))
     figures = Figures(connection, query, places)
     kinds: dict[ValueKind, int] = {}
-    meant = [_meant(connection, saying, kinds) for saying in figures.sayings]
+    kinds_and_states = [_meant(connection, saying, kinds) for saying in figures.sayings]
     if any(known):
         check_figures(connection, chosen, known, figures)
-    kind, state = np.array(meant, dtype=np.int32).reshape(-1, 2)[figures.said].T
+    kind, state = np.array(kinds_and_states, dtype=np.int32).reshape(-1, 2)[figures.said].T
     return tuple(kinds), (figures.place, kind, figures.value, state.astype(np.uint8))
 
 
 def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKind, int]) -> tuple[int, int]:
     """Kind and state for joined words and limits; new kinds are added."""
-    said, lower, upper = saying
-    parts = said.split(BETWEEN)
+    joined, lower, upper = saying
+    parts = joined.split(BETWEEN)
     if len(parts) != len(JOINED):
         raise StoreError(
-            f"the database is damaged: {_first(connection, said)} has {said[:64]!r} with the control character"
+            f"the database is damaged: {_first(connection, joined)} has {joined[:64]!r} with the control character"
             " U+001F in it",
             remedy="restore the database from a copy; the row is left unchanged",
         )
     name, phase, qualifier, unit, location, outcome, bound = parts
     if (outcome, bound) not in _STATES:
-        row = _first(connection, said)
+        row = _first(connection, joined)
         read_word(Outcome, outcome, "measurements.outcome", row)
         read_word(Bound, bound, "measurements.bound", row)
     kind = ValueKind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
@@ -167,12 +167,12 @@ def _first(connection: Connection, said: str) -> str:
 
 def _places(connection: Connection, runs: Sequence[RunLine]) -> dict[str, tuple[float, float]]:
     """Return the place of each load label, from the first and the last run of each recipe."""
-    last = {run.recipe: run.run for run in runs if run.finished}
-    first = {run.recipe: run.run for run in reversed(runs) if run.finished}
-    ends = {*first.values(), *last.values()}
+    last_run_by_recipe = {run.recipe: run.run for run in runs if run.finished}
+    first_run_by_recipe = {run.recipe: run.run for run in reversed(runs) if run.finished}
+    ends = {*first_run_by_recipe.values(), *last_run_by_recipe.values()}
     query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(ends)).distinct()
-    found: dict[str, set[tuple[float, float]]] = {}
+    places_by_label: dict[str, set[tuple[float, float]]] = {}
     for label, x_mm, y_mm in connection.execute(query):
-        found.setdefault(label, set()).add((x_mm, y_mm))
+        places_by_label.setdefault(label, set()).add((x_mm, y_mm))
     # Random loads are elsewhere in every run: their labels are not places.
-    return {label: at.pop() for label, at in found.items() if len(at) == 1}
+    return {label: places.pop() for label, places in places_by_label.items() if len(places) == 1}

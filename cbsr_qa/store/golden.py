@@ -26,17 +26,17 @@ _LONGEST: Final = timedelta(days=1)
 
 def golden_runs() -> Select[Any]:
     """Query the runs that checks name as those of their golden sensors, believed or not."""
-    named = StationCheckRow.golden_run
-    return select(type_coerce(named, NullType())).where(named.is_not(None))
+    golden_run = StationCheckRow.golden_run
+    return select(type_coerce(golden_run, NullType())).where(golden_run.is_not(None))
 
 
 def find_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
     """Return the runs, of some, that a check to believe names as that of its golden sensor."""
     if not runs:
         return set()
-    named = _read_checks(connection, runs)
-    doubted = _problems(connection, named)
-    return {row.golden_run for row in named if row.check_id not in doubted}
+    checks = _read_checks(connection, runs)
+    doubted = _problems(connection, checks)
+    return {row.golden_run for row in checks if row.check_id not in doubted}
 
 
 def find_doubtful_checks(connection: Connection) -> dict[str, str]:
@@ -48,28 +48,30 @@ def _read_checks(connection: Connection, runs: Collection[str] | None = None) ->
     """Return the checks that name some runs (None: any run), each with what is compared of that run."""
     c, r = StationCheckRow, RunRow
     columns = c.check_id, c.golden_run, c.station, c.seal, r.station.label("tested_at"), r.recipe, r.chain
-    plain: list[Any] = [type_coerce(one, NullType()).label(one.key) for one in columns]
+    plain: list[Any] = [type_coerce(column, NullType()).label(column.key) for column in columns]
     query: Any = select(*plain)
     query = query.outerjoin(r, r.run == c.golden_run).where(c.golden_run.is_not(None)).order_by(c.check_id)
     return [row for row in connection.execute(query) if runs is None or row.golden_run in runs]
 
 
 def _problems(connection: Connection, named: Sequence[Row[Any]]) -> dict[str, str]:
-    found = {row.check_id: problem for row in named if (problem := _unlike_run(row))}
-    seals = {row.check_id: row.seal for row in named if row.check_id not in found}
-    return found | {check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem}
+    problem_by_check = {row.check_id: problem for row in named if (problem := _unlike_run(row))}
+    seals = {row.check_id: row.seal for row in named if row.check_id not in problem_by_check}
+    return problem_by_check | {
+        check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem
+    }
 
 
 def _unlike_run(row: Row[Any]) -> str:
     """Say what of a check does not fit the run that it names; empty where all does."""
-    made, begun = time_of_id(str(row.check_id)), time_of_id(str(row.golden_run))
-    what = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
+    made_at, begun_at = time_of_id(str(row.check_id)), time_of_id(str(row.golden_run))
+    beginning = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
     if row.station != row.tested_at:
-        return f"{what} it is of station {str(row.station)[:64]!r}, the run of {str(row.tested_at)[:64]!r}"
-    if made is not None and begun is not None and not begun <= made <= begun + _LONGEST:
-        return f"{what} was made at {made:%Y-%m-%d %H:%M} UTC, the run at {begun:%Y-%m-%d %H:%M}"
+        return f"{beginning} it is of station {str(row.station)[:64]!r}, the run of {str(row.tested_at)[:64]!r}"
+    if made_at is not None and begun_at is not None and not begun_at <= made_at <= begun_at + _LONGEST:
+        return f"{beginning} was made at {made_at:%Y-%m-%d %H:%M} UTC, the run at {begun_at:%Y-%m-%d %H:%M}"
     if row.seal is None and row.recipe != GOLDEN_RECIPE:
-        return f"{what} has no seal, and the run is not one of recipe {GOLDEN_RECIPE}"
+        return f"{beginning} has no seal, and the run is not one of recipe {GOLDEN_RECIPE}"
     if row.seal is not None and (key := key_id_of(str(row.chain or ""))) and key != key_of_seal(row.seal):
-        return f"{what} is not signed with the key of the run, {key}"
+        return f"{beginning} is not signed with the key of the run, {key}"
     return ""

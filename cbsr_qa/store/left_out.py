@@ -34,9 +34,9 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
     ----------
     selected : the runs that the columns select.
     """
-    within = _within(selection, selected)
-    hidden = _find_hidden(connection, selection, within)
-    altered = find_altered_outside(connection, within, {*selected, *hidden}) if _reads_columns(selection) else {}
+    bounds = _within(selection, selected)
+    hidden = _find_hidden(connection, selection, bounds)
+    altered = find_altered_outside(connection, bounds, {*selected, *hidden}) if _reads_columns(selection) else {}
     return sorted({*selected, *hidden, *altered})
 
 
@@ -54,12 +54,12 @@ def find_altered_outside(
     name: Any = type_coerce(RunRow.run, NullType())
     query = select(name).where(*within).order_by(RunRow.run.desc()).limit(latest)
     runs = sorted(set(connection.scalars(query)).difference(known))
-    found: dict[str, str] = {}
-    for first in range(0, len(runs), RUNS_AT_ONCE):
-        some = runs[first : first + RUNS_AT_ONCE]
-        for altered in read_apart(connection, some, partial(_find_altered, connection), lambda run, why: {run: why}):
-            found |= altered
-    return found
+    problem_by_run: dict[str, str] = {}
+    for start in range(0, len(runs), RUNS_AT_ONCE):
+        batch = runs[start : start + RUNS_AT_ONCE]
+        for altered in read_apart(connection, batch, partial(_find_altered, connection), lambda run, why: {run: why}):
+            problem_by_run |= altered
+    return problem_by_run
 
 
 def _find_altered(connection: Connection, runs: Collection[str]) -> dict[str, str]:
@@ -97,6 +97,8 @@ def _find_hidden(connection: Connection, selection: RunSelection, within: Condit
     """Return the runs that are left out as golden sensors', though no check that names them is to be believed."""
     if selection.checks:
         return set()
-    others = conditions(replace(selection, checks=True, latest=None))
-    named = set(connection.scalars(select(RunRow.run).where(*others, *within, RunRow.run.in_(golden_runs()))))
-    return named - find_golden_runs(connection, named)
+    conditions_with_checks = conditions(replace(selection, checks=True, latest=None))
+    named_runs = set(
+        connection.scalars(select(RunRow.run).where(*conditions_with_checks, *within, RunRow.run.in_(golden_runs())))
+    )
+    return named_runs - find_golden_runs(connection, named_runs)

@@ -118,14 +118,14 @@ class RunLists:
         measured = self.read_measurements(runs)
         for problem in measured.altered.values():
             raise StoreError(problem, remedy=RESTORE)
-        found: dict[str, list[Measurement]] = {}
+        measurements_by_run: dict[str, list[Measurement]] = {}
         names, limited = list(measured.columns), measured.columns["limited"]
-        for at, cells in enumerate(zip(*measured.columns.values(), strict=True)):
-            if limited[at]:
+        for index, cells in enumerate(zip(*measured.columns.values(), strict=True)):
+            if limited[index]:
                 values = dict(zip(names, cells, strict=True))
-                where = f"analysis {values['analysis']}, measurement {values['number']},"
-                found.setdefault(measured.runs[at], []).append(restore_measurement(values, where))
-        return found
+                place = f"analysis {values['analysis']}, measurement {values['number']},"
+                measurements_by_run.setdefault(measured.runs[index], []).append(restore_measurement(values, place))
+        return measurements_by_run
 
 
 def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:
@@ -133,38 +133,38 @@ def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:
 
 
 def _read_measurements(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
-    verdicts = {one.run: one for one in read_verdicts(connection, runs)}
-    sound = [run for run, one in verdicts.items() if not one.altered]
+    verdicts = {verdict.run: verdict for verdict in read_verdicts(connection, runs)}
+    sound = [run for run, verdict in verdicts.items() if not verdict.altered]
     rows = read_rows(connection, MeasurementRow, sound)
-    altered = {run: one.altered for run, one in verdicts.items() if one.altered}
+    altered = {run: verdict.altered for run, verdict in verdicts.items() if verdict.altered}
     altered |= find_altered(connection, {run: verdicts[run].values["chain"] for run in sound}, [rows])
     altered |= _unknown_words(rows, altered)
-    latest = {one.analysis for run, one in verdicts.items() if run not in altered}
-    shown = [at for at, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
-    columns = {name: [cells[at] for at in shown] for name, cells in rows.columns.items()}
-    return MeasuredRuns([rows.runs[at] for at in shown], columns, altered)
+    latest = {verdict.analysis for run, verdict in verdicts.items() if run not in altered}
+    shown_indexes = [index for index, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
+    columns = {name: [cells[index] for index in shown_indexes] for name, cells in rows.columns.items()}
+    return MeasuredRuns([rows.runs[index] for index in shown_indexes], columns, altered)
 
 
 def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
     """Return what is wrong with runs, not altered by their links, whose measurements hold unknown words."""
-    found: dict[str, str] = {}
-    for column, words in _WORDS.items():
-        if set(rows.columns[column]) <= words:
+    problem_by_run: dict[str, str] = {}
+    for column, allowed_words in _WORDS.items():
+        if set(rows.columns[column]) <= allowed_words:
             continue
         for run, analysis, number, word in zip(
             rows.runs, *(rows.columns[name] for name in ("analysis", "number", column)), strict=True
         ):
-            if word not in words and run not in altered:
+            if word not in allowed_words and run not in altered:
                 place = f"analysis {analysis}, measurement {number}, has measurements.{column} {word[:64]!r}"
-                found.setdefault(run, f"run {run}: {place}; allowed: {', '.join(sorted(words))}")
-    return found
+                problem_by_run.setdefault(run, f"run {run}: {place}; allowed: {', '.join(sorted(allowed_words))}")
+    return problem_by_run
 
 
 def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
     earlier, of_checks = _earlier(connection, names)
     runs: list[ListedRun] = []
     for page in verdict_pages(connection, names):  # not all at once: garbage is looked for among what is kept
-        verdicts = {one.run: one for one in page if one.outcome is Outcome.FAIL}
+        verdicts = {verdict.run: verdict for verdict in page if verdict.outcome is Outcome.FAIL}
         failed: dict[str, dict[MetricKey, None]] = {}
         altered: dict[str, str] = {}
         for metrics, problems in read_apart(
@@ -174,13 +174,13 @@ def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun,
             altered |= problems
         runs += (
             _run(
-                one,
-                altered.get(one.run, one.altered),
-                tuple(failed.get(one.analysis, ())),
-                earlier.get(one.run, 0),
-                of_check=one.run in of_checks,
+                verdict,
+                altered.get(verdict.run, verdict.altered),
+                tuple(failed.get(verdict.analysis, ())),
+                earlier.get(verdict.run, 0),
+                of_check=verdict.run in of_checks,
             )
-            for one in page
+            for verdict in page
         )
     return tuple(runs)
 
@@ -225,12 +225,12 @@ def _find_failures(
     latest = {verdicts[run].analysis for run in runs}
     rows = read_rows(connection, MeasurementRow, runs)
     altered = find_altered(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
-    found: dict[str, dict[MetricKey, None]] = {}
+    failed_by_analysis: dict[str, dict[MetricKey, None]] = {}
     cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
     for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
         if outcome == Outcome.FAIL and analysis in latest and run not in altered:
-            found.setdefault(analysis, {})[MetricKey(*key)] = None
-    return found, altered
+            failed_by_analysis.setdefault(analysis, {})[MetricKey(*key)] = None
+    return failed_by_analysis, altered
 
 
 def _mark_problem(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
@@ -247,12 +247,12 @@ def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, in
     if len(names) < _FEW:
         query = query.where(r.serial.in_(select(r.serial).where(r.run.in_(names))))
     rows = [tuple(row) for row in connection.execute(query)]
-    named = set(connection.scalars(golden_runs()))
-    of_checks = find_golden_runs(connection, named.intersection(row[0] for row in rows))
-    before: Counter[tuple[str, str]] = Counter()
-    found = {}
+    named_runs = set(connection.scalars(golden_runs()))
+    of_checks = find_golden_runs(connection, named_runs.intersection(row[0] for row in rows))
+    finished_before: Counter[tuple[str, str]] = Counter()
+    count_by_run = {}
     for run, serial, recipe, ended in rows:
         if run not in of_checks:
-            found[run] = before[serial, recipe]
-            before[serial, recipe] += ended
-    return found, of_checks
+            count_by_run[run] = finished_before[serial, recipe]
+            finished_before[serial, recipe] += ended
+    return count_by_run, of_checks

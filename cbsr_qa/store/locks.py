@@ -126,8 +126,8 @@ def writer_of(engine: Engine, run: str) -> str:
     """Return the writer of a run; empty without one."""
     file = sqlite_file(engine.url)
     if file is not None:
-        who = holder(_lock_file(file, run))
-        return "" if who is None else _name_process(who)
+        holder_bytes = holder(_lock_file(file, run))
+        return "" if holder_bytes is None else _name_process(holder_bytes)
     if engine.url.get_backend_name() != "postgresql":
         return ""
     with translate_errors(engine.url), engine.connect() as connection:
@@ -257,5 +257,5 @@ def _number(name: str) -> int:
 def _holder(connection: Connection, number: int) -> str:
     """Return who holds an advisory lock; empty for nobody."""
     unsigned = number % (1 << 64)
-    found = connection.execute(_HOLDER, {"high": unsigned >> 32, "low": unsigned & 0xFFFFFFFF}).first()
-    return "" if found is None else str(found[0] or "another process")
+    row = connection.execute(_HOLDER, {"high": unsigned >> 32, "low": unsigned & 0xFFFFFFFF}).first()
+    return "" if row is None else str(row[0] or "another process")

@@ -61,15 +61,15 @@ def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnEl
     for row in stored:
         values: dict[str, Any] = {}
         unread: list[str] = []
-        for name, read in readers.items():
+        for name, read_cell in readers.items():
             try:
-                values[name] = read(row[name])
+                values[name] = read_cell(row[name])
             except FOREIGN_CELL:
                 unread.append(name)
         if unread:
             key = ", ".join(f"{column.name} {_quote(row[column.name])}" for column in table.primary_key)
-            held = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread)
-            odd.append(OddRow(f"{table.name} ({key}): {held}, which is not a value of that column", values))
+            odd_cells = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread)
+            odd.append(OddRow(f"{table.name} ({key}): {odd_cells}, which is not a value of that column", values))
         else:
             rows.append(values)
     return RowsApart(tuple(rows), tuple(odd))
@@ -82,11 +82,11 @@ def keep_odd_text(connection: Connection) -> Iterator[None]:
         yield
         return
     driver: Any = connection.connection.dbapi_connection
-    before, driver.text_factory = driver.text_factory, _decode
+    earlier_factory, driver.text_factory = driver.text_factory, _decode
     try:
         yield
     finally:
-        driver.text_factory = before
+        driver.text_factory = earlier_factory
 
 
 def _decode(text: bytes) -> str | bytes:

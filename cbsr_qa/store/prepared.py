@@ -44,13 +44,16 @@ class Prepared:
         with self._cursor(connection) as cursor:
             cursor.execute(self._text, self._values(values))
             (row,), kinds = cursor.fetchall(), [column[1] for column in cursor.description]
-        converters = [one.result_processor(self._dialect, kind) for one, kind in zip(self._types, kinds, strict=True)]
+        converters = [
+            column_type.result_processor(self._dialect, kind)
+            for column_type, kind in zip(self._types, kinds, strict=True)
+        ]
         return tuple(map(_through, converters, row))
 
     def _values(self, row: Mapping[str, Any]) -> Any:
-        given = {**self._fixed, **row}
+        cells = {**self._fixed, **row}
         try:
-            values = {name: _through(convert, given[name]) for name, convert in self._given}
+            values = {name: _through(convert, cells[name]) for name, convert in self._given}
         except (TypeError, ValueError) as error:
             raise StatementError(str(error), self._text, None, error) from error
         return values if self._order is None else [values[name] for name in self._order]

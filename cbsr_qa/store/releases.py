@@ -47,8 +47,8 @@ class Releases:
         """
         row = ReleaseRow
         with reading(self._engine) as connection:
-            said = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
-        return max(said, key=lambda one: one.release, default=None)
+            releases = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
+        return max(releases, key=lambda one: one.release, default=None)
 
     def read_all(self) -> tuple[Release, ...]:
         """Return all releases and withdrawals in the order they were made in.
@@ -61,8 +61,8 @@ class Releases:
             If the database cannot be read.
         """
         with reading(self._engine) as connection:
-            said = _list_said(read_rows_apart(connection, ReleaseRow))
-        return tuple(sorted(said, key=lambda one: one.release))
+            releases = _list_said(read_rows_apart(connection, ReleaseRow))
+        return tuple(sorted(releases, key=lambda one: one.release))
 
     def name_unread(self, kind: str = "", sha256: str = "") -> tuple[str, ...]:
         """Return in words which rows of releases cannot be read: of a content, or all."""
@@ -89,6 +89,6 @@ def _release(cells: Mapping[str, Any]) -> Release:
 
 def _stand_in(row: OddRow) -> Release:
     """Return the withdrawal that stands for a row that cannot be read."""
-    made = time_of_id(row.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
+    made_at = time_of_id(row.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
     instead = {"release_id": _LATEST, "name": "", "operator": "a row that cannot be read", "why": row.words}
-    return _release({"noted_at": made, **instead, **row.cells, "outcome": "withdrawn"})
+    return _release({"noted_at": made_at, **instead, **row.cells, "outcome": "withdrawn"})

@@ -167,9 +167,11 @@ class Repository:
             ReleaseRow.release_id,
         )
         with reading(self._engine) as connection:
-            found = connection.execute(select(*(select(func.max(one)).scalar_subquery() for one in columns))).one()
+            highest_ids = connection.execute(
+                select(*(select(func.max(one)).scalar_subquery() for one in columns))
+            ).one()
         # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
-        return max((one for one in found if one is not None and time_of_id(one) is not None), default="")
+        return max((one for one in highest_ids if one is not None and time_of_id(one) is not None), default="")
 
     def count_rows(self) -> dict[str, int]:
         """Return how many sensors, runs, frames, samples and loads are stored."""

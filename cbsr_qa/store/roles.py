@@ -55,20 +55,20 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     """
     # All files of tables are registered.
     kinds = (AnalysisRow, ChartReferenceRow, OutboxRow, ReleaseRow)
-    assert {one.metadata for one in kinds} == {RunRow.metadata}
+    assert {kind.metadata for kind in kinds} == {RunRow.metadata}
     tables = sorted(RunRow.metadata.tables)
-    read = [*tables, VERSION_TABLE, *VIEWS]
+    readable = [*tables, VERSION_TABLE, *VIEWS]
     return "\n".join(
         (
             _HEAD.format(station=station, reader=reader),
             "-- Up to PostgreSQL 14, everyone may create functions that others' queries find.",
             "REVOKE CREATE ON SCHEMA public FROM PUBLIC;\n",
             _ROLE.format(role=station),
-            _grant("SELECT", read, station),
+            _grant("SELECT", readable, station),
             *_writing(tables, station),
             "",
             _ROLE.format(role=reader),
-            _grant("SELECT", read, reader),
+            _grant("SELECT", readable, reader),
             "-- An upgrade makes views, and may make tables: readers may read those too.",
             f"ALTER DEFAULT PRIVILEGES IN SCHEMA public GRANT SELECT ON TABLES TO {reader};",
             "",

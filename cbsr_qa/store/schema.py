@@ -85,9 +85,9 @@ def _refuse_dangling(engine: Engine, file: Path) -> None:
     """Refuse a link to nothing: SQLite would make a database where it leads, perhaps below a disk that is missing."""
     if file.is_symlink():
         target = os.path.realpath(file)
-        gone = "leads back to itself" if Path(target).is_symlink() else f"leads to {target}, which does not exist"
+        problem = "leads back to itself" if Path(target).is_symlink() else f"leads to {target}, which does not exist"
         raise StoreError(
-            f"{name_database(engine.url)} is a link that {gone}",
+            f"{name_database(engine.url)} is a link that {problem}",
             remedy="bring that file back, or name the file of the database itself, to have it made there",
         )
 
@@ -113,15 +113,17 @@ def upgrade(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Sch
     with changing_schema(engine, tell):
         use_write_ahead_log(engine)
         with writing(engine) as connection:
-            before = _upgradable(engine, _read_version(connection))  # again: another program may have been faster
-            if before.revision is None:
+            version_before = _upgradable(
+                engine, _read_version(connection)
+            )  # again: another program may have been faster
+            if version_before.revision is None:
                 _create(connection)
-            elif before.revision != HEAD:
+            elif version_before.revision != HEAD:
                 _migrate(connection)
             elif views_missing(connection):
                 drop_views(connection)
                 create_views(connection)
-    return before
+    return version_before
 
 
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
@@ -214,12 +216,12 @@ def _make_folder(engine: Engine) -> None:
 @contextmanager
 def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
     """Create the folder of a database while entered; StoreError if it cannot be created."""
-    made = [above for above in (folder, *folder.parents) if not above.exists()]
+    created_folders = [above for above in (folder, *folder.parents) if not above.exists()]
     try:
         _make_folder(engine)
         yield
     finally:
-        for above in made:
+        for above in created_folders:
             with suppress(OSError):  # it was not created, or holds files of others
                 above.rmdir()
 
@@ -236,7 +238,9 @@ def _create(connection: Connection) -> None:
     from cbsr_qa.store.tables.sync import SyncAcceptsRow
 
     # All files are registered.
-    assert {one.metadata for one in (AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow)} == {Base.metadata}
+    assert {row_class.metadata for row_class in (AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow)} == {
+        Base.metadata
+    }
     Base.metadata.create_all(connection)
     connection.execute(insert(SyncAcceptsRow), {"oldest_schema": OLDEST_SENDER})
     key = PrimaryKeyConstraint(name=f"{VERSION_TABLE}_pkc")

@@ -49,8 +49,8 @@ def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict
     sealed = [check for check, seal in seals.items() if seal is not None]
     digests = {
         check: digest
-        for first in range(0, len(sealed), _AT_ONCE)
-        for check, digest in _digest_checks(connection, sealed[first : first + _AT_ONCE]).items()
+        for start in range(0, len(sealed), _AT_ONCE)
+        for check, digest in _digest_checks(connection, sealed[start : start + _AT_ONCE]).items()
     }
     return {check: _state(connection, check, seal, digests.get(check, "")) for check, seal in seals.items()}
 
@@ -58,8 +58,8 @@ def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict
 def _state(connection: Connection, check: str, seal: str | None, stored: str) -> tuple[CheckSeal, str]:
     if seal is None:
         return CheckSeal.NONE, ""
-    kind, _, rest = str(seal).partition(":")
-    digest, _, mac = rest.partition(":")
+    kind, _, digest_and_mac = str(seal).partition(":")
+    digest, _, mac = digest_and_mac.partition(":")
     if not hmac.compare_digest(stored.encode(), digest.encode()):
         return CheckSeal.NONE, f"station check {check} was altered: it does not match its seal"
     if kind == _PLAIN:
@@ -85,7 +85,7 @@ def _digest_checks(connection: Connection, checks: Sequence[str]) -> dict[str, s
             query = select(*list_covered(table)).where(table.c.check_id.in_(checks))
             for row in connection.execute(query).mappings():
                 rows[row["check_id"]].append((kind, dict(row)))
-        return {check: _digest(own) for check, own in rows.items()}
+        return {check: _digest(check_rows) for check, check_rows in rows.items()}
     except FOREIGN_CELL:
         if len(checks) == 1:
             return {checks[0]: ""}

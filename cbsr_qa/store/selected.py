@@ -55,8 +55,8 @@ def _first_unreadable(
         return False
 
     while len(runs) > 1:
-        half = runs[: len(runs) // 2]
-        runs = half if fails(half) else runs[len(half) :]
+        first_half = runs[: len(runs) // 2]
+        runs = first_half if fails(first_half) else runs[len(first_half) :]
     return runs[0] if runs and fails(runs) else None
 
 

@@ -161,11 +161,11 @@ def _unlike_earlier(
     connection: Connection, before: ColumnElement[bool], after: ColumnElement[bool]
 ) -> Sequence[Row[str, str]]:
     """Return runs of one kind of chain that are younger than the first of their station's of another kind, and it."""
-    first = (
+    first_runs = (
         select(RunRow.station, func.min(RunRow.run).label("run")).where(before).group_by(RunRow.station).subquery()
     )
-    query = select(RunRow.run, first.c.run).join(first, first.c.station == RunRow.station)
-    return connection.execute(query.where(after, RunRow.run > first.c.run).order_by(RunRow.run)).all()
+    query = select(RunRow.run, first_runs.c.run).join(first_runs, first_runs.c.station == RunRow.station)
+    return connection.execute(query.where(after, RunRow.run > first_runs.c.run).order_by(RunRow.run)).all()
 
 
 def _row(connection: Connection, table: str, rowid: int | None) -> str:
@@ -173,5 +173,5 @@ def _row(connection: Connection, table: str, rowid: int | None) -> str:
     if rowid is None:
         return f"a row of {table}"
     key = [column.name for column in Base.metadata.tables[table].primary_key]
-    found = connection.execute(text(f"SELECT {', '.join(key)} FROM {table} WHERE rowid = :rowid"), {"rowid": rowid})
-    return f"{table} ({', '.join(f'{name} {value}' for name, value in zip(key, found.one(), strict=True))})"
+    result = connection.execute(text(f"SELECT {', '.join(key)} FROM {table} WHERE rowid = :rowid"), {"rowid": rowid})
+    return f"{table} ({', '.join(f'{name} {value}' for name, value in zip(key, result.one(), strict=True))})"

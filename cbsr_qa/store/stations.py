@@ -51,8 +51,8 @@ class StationChecks:
         ]
         rings = []
         if ring is not None:
-            own = {"check_id": check.check, "resistances_ohm": [float(one) for one in ring.resistances_ohm]}
-            rings = [own | frame_values(ring.frames)]
+            ring_cells = {"check_id": check.check, "resistances_ohm": [float(one) for one in ring.resistances_ohm]}
+            rings = [ring_cells | frame_values(ring.frames)]
         tables = (StationCheckRow, [values]), (StationCheckLineRow, lines), (StationCheckFramesRow, rings)
         with writing(self._engine) as connection:
             values["seal"] = new_seal(
@@ -70,12 +70,12 @@ class StationChecks:
         ----------
         before : ignore later checks.
         """
-        wanted = [StationCheckRow.station == station]
+        conditions = [StationCheckRow.station == station]
         if before is not None:
-            wanted.append(StationCheckRow.checked_at <= before)
+            conditions.append(StationCheckRow.checked_at <= before)
         order = StationCheckRow.checked_at.desc(), StationCheckRow.check_id.desc()
         with reading(self._engine) as connection:
-            return next(_read_checks(connection, wanted, order), None)
+            return next(_read_checks(connection, conditions, order), None)
 
     def read_latest_golden_check(self, station: str) -> StationCheck | None:
         """Return the latest check of a station that measured a golden sensor, or None."""
@@ -103,10 +103,10 @@ class StationChecks:
         """
         query = select(*StationCheckFramesRow.__table__.columns).where(StationCheckFramesRow.check_id == check)
         with reading(self._engine) as connection:
-            found = connection.execute(query).mappings().one_or_none()
-        if found is None:
+            row = connection.execute(query).mappings().one_or_none()
+        if row is None:
             return None
-        columns = {name: value for name, value in found.items() if name not in ("check_id", "resistances_ohm")}
+        columns = {name: value for name, value in row.items() if name not in ("check_id", "resistances_ohm")}
         try:
             frames = frame_block(FrameBlockRow(run="", phase=0, block=0, **columns))
         except StoreError as error:
@@ -114,7 +114,7 @@ class StationChecks:
                 f"the ring's frames of station check {check} are not what was measured: their digest does not match",
                 remedy="restore the database from a copy",
             ) from error
-        return RingReadings(frames, tuple(float(one) for one in found["resistances_ohm"]))
+        return RingReadings(frames, tuple(float(resistance_ohm) for resistance_ohm in row["resistances_ohm"]))
 
 
 def _read_checks(
@@ -146,7 +146,7 @@ def _check(connection: Connection, row: Mapping[str, Any]) -> StationCheck:
         check=row["check_id"],
         instruments=()
         if problem
-        else tuple(fill_from_mapping(InstrumentIdentity, one) for one in row["instruments"]),
+        else tuple(fill_from_mapping(InstrumentIdentity, identity) for identity in row["instruments"]),
         results=(_mark_altered(problem),) if problem else tuple(results),
         sealed=sealed,
         altered=problem,

@@ -58,10 +58,10 @@ class IdSource:
         ----------
         latest : an identifier; ignored if it is not of this kind.
         """
-        found = _parts(latest)
+        parts = _parts(latest)
         with self._lock:
-            if found is not None and found > (self._last_ms, self._counter):
-                self._last_ms, self._counter = found
+            if parts is not None and parts > (self._last_ms, self._counter):
+                self._last_ms, self._counter = parts
 
     def new(self) -> str:
         now_ms = int(self._wall().timestamp() * 1000)
@@ -84,10 +84,10 @@ def first_id(moment: datetime) -> str:
 
 def time_of_id(identifier: str) -> datetime | None:
     """Return the creation time in an identifier, by its maker's clock; None if it has none."""
-    found = _parts(identifier)
-    if found is None or found[0] >= _YEAR_10000_MS:
+    parts = _parts(identifier)
+    if parts is None or parts[0] >= _YEAR_10000_MS:
         return None
-    return datetime.fromtimestamp(found[0] / 1000, UTC)
+    return datetime.fromtimestamp(parts[0] / 1000, UTC)
 
 
 def _parts(identifier: str) -> tuple[int, int] | None:
@@ -141,8 +141,8 @@ def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
         return data
     numbers = np.frombuffer(data, dtype=f"<u{width}")
     if steps:
-        before, numbers = numbers, numbers.copy()
-        numbers[1:] -= before[:-1]
+        original, numbers = numbers, numbers.copy()
+        numbers[1:] -= original[:-1]
     columns = numbers.view(np.uint8).reshape(-1, width).T.tobytes() if width > 1 else data
     deflating = zlib.compressobj(1, wbits=-12, memLevel=6)
     deflated = deflating.compress(columns) + deflating.flush()
@@ -174,12 +174,12 @@ def restore_many(cells: Sequence[bytes], size: int, width: int, *, steps: bool =
         return [distinct[cell] for cell in cells]
     whole = list(cells)
     places = [place for place, cell in enumerate(cells) if len(cell) != size]
-    for first in range(0, len(places), _AT_ONCE):
-        some = places[first : first + _AT_ONCE]
-        numbers = _numbers([_inflate(cells[place], size) for place in some], width)
+    for start in range(0, len(places), _AT_ONCE):
+        batch_places = places[start : start + _AT_ONCE]
+        numbers = _numbers([_inflate(cells[place], size) for place in batch_places], width)
         data = (np.cumsum(numbers, axis=1, dtype=numbers.dtype) if steps else numbers).tobytes()
-        for at, place in enumerate(some):
-            whole[place] = data[at * size : (at + 1) * size]
+        for index, place in enumerate(batch_places):
+            whole[place] = data[index * size : (index + 1) * size]
     return whole
 
 

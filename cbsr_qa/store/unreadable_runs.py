@@ -39,22 +39,22 @@ def read_apart(
     if not runs:
         return
     try:
-        found = read(runs)
+        content = read(runs)
     except (*FOREIGN_CELL, StoreError) as error:
         if len(runs) == 1:
             yield instead(runs[0], problem_of(connection, runs[0], error))
             return
-        half = len(runs) // 2
-        for some in (runs[:half], runs[half:]):
-            yield from read_apart(connection, some, read, instead)
+        middle = len(runs) // 2
+        for half in (runs[:middle], runs[middle:]):
+            yield from read_apart(connection, half, read, instead)
     else:
-        yield found
+        yield content
 
 
 def problem_of(connection: Connection, run: str, error: Exception) -> str:
     """Return in words why a run cannot be read: the cell that its column cannot hold, or the error."""
-    found = error if isinstance(error, StoreError) else unreadable(connection, run, error)
-    return found.reason if run in found.reason else f"run {run}: {found.reason}"
+    store_error = error if isinstance(error, StoreError) else unreadable(connection, run, error)
+    return store_error.reason if run in store_error.reason else f"run {run}: {store_error.reason}"
 
 
 def readable_values(connection: Connection, run: str) -> dict[str, Any]:
