@@ -44,35 +44,35 @@ class Actions:
 
     def list_actions(self) -> dict[str, Action]:
         """Return the actions of a station by the last part of their address."""
-        asked = {do: self._make_request(do) for do in _DONE}
-        own = {"check": self.check, "start": self.start, "resume": self.resume, "answer": self.answer}
-        return {name: self._word_refusals(action) for name, action in (asked | own).items()}
+        channel_actions = {do: self._make_request(do) for do in _DONE}
+        form_actions = {"check": self.check, "start": self.start, "resume": self.resume, "answer": self.answer}
+        return {name: self._word_refusals(action) for name, action in (channel_actions | form_actions).items()}
 
     async def check(self, station: str, form: dict[str, str]) -> Response:
         """Say whether a sensor may be tested, and offer to start."""
         watch = self._line.stations[station]
         if not form.get("serial"):
             raise RefusedError(text("station.no_sensor_asked"))
-        wanted = StartForm.from_form(watch.served, form)
-        view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database)
-        gate = ["gate", self._pages.gate(station, wanted, view)]
+        start_form = StartForm.from_form(watch.served, form)
+        view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
+        gate = ["gate", self._pages.gate(station, start_form, view)]
         # What was interrupted stays on the page, with its warning, until it is resumed or another run begins.
-        stays = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
-        return _json_answer(parts=[gate] if stays else [gate, ["verdict", ""]])
+        is_interrupted = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
+        return _json_answer(parts=[gate] if is_interrupted else [gate, ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
-        wanted = StartForm.from_form(watch.served, form)
-        guesser = await self.count_pin(station, wanted.operator, wanted.pin)
-        view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database, with_pin=True)
+        start_form = StartForm.from_form(watch.served, form)
+        guesser = await self.count_pin(station, start_form.operator, start_form.pin)
+        view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database, with_pin=True)
         if view.pin_is_right:
             self._pins.accept(guesser)
         if not view.may:
-            return _json_answer(parts=[["gate", self._pages.gate(station, wanted, view)]])
-        arguments = wanted.arguments(watch.served, self._line.database)
-        await self._begin(station, arguments, wanted.serial, wanted.pin)
-        return _json_answer(words=text("station.started", serial=wanted.serial))
+            return _json_answer(parts=[["gate", self._pages.gate(station, start_form, view)]])
+        arguments = start_form.arguments(watch.served, self._line.database)
+        await self._begin(station, arguments, start_form.serial, start_form.pin)
+        return _json_answer(words=text("station.started", serial=start_form.serial))
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
@@ -96,8 +96,8 @@ class Actions:
         """
         guesser = (station, unicodedata.normalize("NFC", operator))
         if pin:
-            known = await run_in_threadpool(has_pin, self._line.stations[station].served, operator)
-            if known:
+            has_own_pin = await run_in_threadpool(has_pin, self._line.stations[station].served, operator)
+            if has_own_pin:
                 self._pins.admit(guesser, pin)
         return guesser
 
@@ -116,14 +116,14 @@ class Actions:
         if not (number.isascii() and number.isdigit() and len(number) < 10):
             raise RefusedError(text("prompt.other"))
         answer = validate_reason(form.get("text", ""))
-        why = await channel.ask("answer", by=text("control.at_the_page"), prompt=int(number), text=answer)
-        return _json_answer(words=why or text("control.answered"))
+        refusal = await channel.ask("answer", by=text("control.at_the_page"), prompt=int(number), text=answer)
+        return _json_answer(words=refusal or text("control.answered"))
 
     def _make_request(self, do: str) -> Action:
         async def tell(station: str, form: dict[str, str]) -> Response:
-            why = await self._line.stations[station].channel.ask(do, by=text("control.at_the_page"))
-            LOG.info("%s: %s asked for%s", station, do, f", refused: {why}" if why else "")
-            return _json_answer(words=why or text(_DONE[do]))
+            refusal = await self._line.stations[station].channel.ask(do, by=text("control.at_the_page"))
+            LOG.info("%s: %s asked for%s", station, do, f", refused: {refusal}" if refusal else "")
+            return _json_answer(words=refusal or text(_DONE[do]))
 
         return tell
 

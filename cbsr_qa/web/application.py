@@ -129,13 +129,13 @@ class Site:
         watch = self._line.stations[name]
 
         def picture() -> str:
-            shown = watch.snapshot
-            return "" if shown is None or not shown.mode.live else picture_address(shown)
+            snapshot = watch.snapshot
+            return "" if snapshot is None or not snapshot.mode.live else picture_address(snapshot)
 
         return self._events(Viewer(name, _controls(request)), lambda: self._pages.station_parts(name), picture)
 
     def _events(self, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> Response:
-        lookers = sum(not one.control for one in self._line.viewers)
+        lookers = sum(not open_viewer.control for open_viewer in self._line.viewers)
         if len(self._line.viewers) >= MOST_VIEWERS or (not viewer.control and lookers >= MOST_LOOKERS):
             LOG.warning("%s", text("refused.streams"))
             return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
@@ -159,13 +159,13 @@ class Site:
 
     async def shift(self, request: Request) -> Response:
         names = tuple(self._line.stations)
-        found = await self._run_in_thread(request, shift_page, self._line.database, names)
-        page = self._pages.page("shift", control=_controls(request), here="shift", **found)
+        view = await self._run_in_thread(request, shift_page, self._line.database, names)
+        page = self._pages.page("shift", control=_controls(request), here="shift", **view)
         return HTMLResponse(page, headers={"content-security-policy": DRAWINGS_POLICY})
 
     async def sensor(self, request: Request) -> Response:
-        found = await self._run_in_thread(request, sensor_page, self._line.database, request.path_params["serial"])
-        return HTMLResponse(self._pages.page("sensor", control=_controls(request), **found))
+        view = await self._run_in_thread(request, sensor_page, self._line.database, request.path_params["serial"])
+        return HTMLResponse(self._pages.page("sensor", control=_controls(request), **view))
 
     async def _run_in_thread(self, request: Request, make: Callable[..., T], *arguments: object) -> T:
         """Return what a function returns that would keep the others waiting.
@@ -210,8 +210,10 @@ class Site:
     def _check_station(self, request: Request) -> str:
         name = str(request.path_params["station"])
         if name not in self._line.stations:
-            known = ", ".join(self._line.stations)
-            raise HTTPException(HTTPStatus.NOT_FOUND, text("problem.no_station", name=repr(name[:64]), known=known))
+            station_names = ", ".join(self._line.stations)
+            raise HTTPException(
+                HTTPStatus.NOT_FOUND, text("problem.no_station", name=repr(name[:64]), known=station_names)
+            )
         return name
 
     async def problem(self, request: Request, error: Exception) -> Response:

@@ -122,7 +122,7 @@ class SheetDrawing:
         places = [(round(float(x), 2), round(-float(y), 2)) for x, y in sensor_type.electrodes.positions_mm()]
         box = (low_x - margin, -high_y - margin, width + 2 * margin, height + 2 * margin)
         return cls(
-            view_box=" ".join(f"{one:.2f}" for one in box),
+            view_box=" ".join(f"{value_mm:.2f}" for value_mm in box),
             outline=f"M{corners} Z",
             x=low_x,
             y=-high_y,

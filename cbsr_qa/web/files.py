@@ -23,10 +23,10 @@ _LARGEST: Final = 5_000_000
 
 
 def _look(store: Repository, run: str) -> RunLook:
-    found = store.live.find_run(run)
-    if found is None:
+    look = store.live.find_run(run)
+    if look is None:
         raise HTTPException(HTTPStatus.NOT_FOUND, text("problem.no_run"))
-    return found
+    return look
 
 
 def report_response(database: str | None, run: str) -> Response:
@@ -44,8 +44,12 @@ def calibration_response(database: str | None, run: str) -> Response:
     """Return the calibration file of a run, from the database."""
     with open_store(database_url(database)) as store:
         look = _look(store, run)
-        own = [one.calibration for one in store.calibrations.list_issued(look.serial) if one.run == run]
-        stored = store.calibrations.load_file(own[0]) if own else None
+        issued = [
+            calibration.calibration
+            for calibration in store.calibrations.list_issued(look.serial)
+            if calibration.run == run
+        ]
+        stored = store.calibrations.load_file(issued[0]) if issued else None
     if stored is None:
         raise HTTPException(HTTPStatus.NOT_FOUND, text("problem.no_calibration"))
     name = Path(report_name(look.serial, look.run)).with_suffix(".h5").name

@@ -27,13 +27,13 @@ class GateView:
     @property
     def pin_is_right(self) -> bool:
         """Whether the PIN that counted was right, or none was needed."""
-        return not self.asks_pin or all(one.check is not GateCheck.OPERATOR for one in self.answers)
+        return not self.asks_pin or all(answer.check is not GateCheck.OPERATOR for answer in self.answers)
 
     @property
     def only_pin_is_wrong(self) -> bool:
         """Whether the run could begin with another PIN."""
-        refused = [one.check for one in self.answers if one.outcome is GateOutcome.REFUSED]
-        return self.asks_pin and refused == [GateCheck.OPERATOR]
+        refused_checks = [answer.check for answer in self.answers if answer.outcome is GateOutcome.REFUSED]
+        return self.asks_pin and refused_checks == [GateCheck.OPERATOR]
 
 
 def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *, with_pin: bool = False) -> GateView:
@@ -57,10 +57,10 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
         database=database,
         override=wanted.override,
     )
-    shown = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
+    result = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
     quiet = (GateOutcome.PASSED, GateOutcome.OFF)
-    answers = tuple(one for one in shown.answers if one.outcome not in quiet)
-    return GateView(shown.refused is None, shown.asks_pin, answers)
+    answers = tuple(answer for answer in result.answers if answer.outcome not in quiet)
+    return GateView(result.refused is None, result.asks_pin, answers)
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:

@@ -125,7 +125,7 @@ class Access:
 
         It gives no right: :class:`Guard` says what the request may do.
         """
-        right = (self.token.encode(), self.cookie_value.encode())
+        right_values = (self.token.encode(), self.cookie_value.encode())
         lower = data.lower()
         for mark in (*_MARKS, f"{self.cookie}=".encode()):  # sooner than by one expression
             end = 0
@@ -134,8 +134,10 @@ class Access:
                 if begin < 0:
                     break
                 end = begin + len(mark)
-                found = _CREDENTIAL.match(data, end)
-                if found and any(hmac.compare_digest(found[1], each) for each in right):
+                credential = _CREDENTIAL.match(data, end)
+                if credential and any(
+                    hmac.compare_digest(credential[1], right_value) for right_value in right_values
+                ):
                     return True
         return False
 
@@ -194,8 +196,8 @@ class Guard:
             cookies = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1"))
         except CookieError:
             cookies = SimpleCookie()
-        given = cookies.get(self._access.cookie)
-        if given is not None and hmac.compare_digest(given.value.encode(), self._access.cookie_value.encode()):
+        cookie = cookies.get(self._access.cookie)
+        if cookie is not None and hmac.compare_digest(cookie.value.encode(), self._access.cookie_value.encode()):
             return Right.CONTROL, True
         return (Right.LOOK if self._access.anyone_may_look else Right.NONE), True
 
@@ -234,10 +236,12 @@ def client_of(scope: Scope) -> str:
 
 def _headers(scope: Scope) -> dict[bytes, bytes]:
     """Return the headers; of one that is repeated where it must not be, nothing."""
-    found: dict[bytes, bytes] = {}
+    value_by_name: dict[bytes, bytes] = {}
     for name, value in scope["headers"]:
-        found[name] = b"" if name in found and name in (b"host", b"origin", b"authorization") else value
-    return found
+        value_by_name[name] = (
+            b"" if name in value_by_name and name in (b"host", b"origin", b"authorization") else value
+        )
+    return value_by_name
 
 
 async def _body(receive: Receive) -> bytes:
@@ -269,8 +273,11 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 def _with_headers(send: Send) -> Send:
     async def send_with_headers(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            own = {name.lower() for name, _ in message["headers"]}
-            message["headers"] = [*message["headers"], *(one for one in _HEADERS.items() if one[0] not in own)]
+            own_names = {name.lower() for name, _ in message["headers"]}
+            message["headers"] = [
+                *message["headers"],
+                *(header for header in _HEADERS.items() if header[0] not in own_names),
+            ]
         await send(message)
 
     return send_with_headers

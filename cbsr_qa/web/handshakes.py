@@ -119,16 +119,16 @@ class Reception:
 
     def _look_at(self, connection: socket.socket, awaited: int) -> None:
         try:
-            said = connection.recv(awaited, socket.MSG_PEEK)
+            hello = connection.recv(awaited, socket.MSG_PEEK)
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
-            said = b""
-        whole = _HEADER + int.from_bytes(said[3:_HEADER], "big")
-        if len(said) < awaited or not said.startswith(_HANDSHAKE) or whole > _LONGEST_RECORD:
+            hello = b""
+        record_size = _HEADER + int.from_bytes(hello[3:_HEADER], "big")
+        if len(hello) < awaited or not hello.startswith(_HANDSHAKE) or record_size > _LONGEST_RECORD:
             self._leave(connection)
-        elif len(said) < whole:
-            self._wait_for(connection, whole)
+        elif len(hello) < record_size:
+            self._wait_for(connection, record_size)
         else:
             self._loop.remove_reader(connection)
             del self._waiting[connection]

@@ -43,7 +43,8 @@ class Line:
         self.database = database
         self.viewers: set[Viewer] = set()
         self.stations = {
-            one.name: StationWatch(one, ChannelClient(one.name, partial(self.wake, one.name))) for one in served
+            station.name: StationWatch(station, ChannelClient(station.name, partial(self.wake, station.name)))
+            for station in served
         }
         self._watcher = Watcher(tuple(self.stations.values()), database_url(database), self._publish)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -56,13 +57,15 @@ class Line:
 
     def runs_in_progress(self) -> frozenset[str]:
         """Return the runs in progress."""
-        shown = (one.snapshot for one in self.stations.values())
-        return frozenset(one.look.run for one in shown if one is not None and one.look is not None and one.mode.live)
+        snapshots = (one.snapshot for one in self.stations.values())
+        return frozenset(
+            one.look.run for one in snapshots if one is not None and one.look is not None and one.mode.live
+        )
 
     async def open(self) -> None:
         """Begin to watch."""
         self._loop = asyncio.get_running_loop()
-        self._tasks = [asyncio.create_task(one.channel.follow()) for one in self.stations.values()]
+        self._tasks = [asyncio.create_task(station.channel.follow()) for station in self.stations.values()]
         self._watcher.start()
 
     async def close(self) -> None:

@@ -110,9 +110,13 @@ class LiveRun:
 
     def update(self) -> None:
         """Read what is new, and image the latest frame. StoreError if the database cannot be read."""
-        last = self._tail
-        seen = {} if last is None else {"frames_after": last.frames_seen, "samples_after": last.samples_seen}
-        self._tail = tail = self._store.live.read_tail(self.run, **seen)
+        last_tail = self._tail
+        counts_seen = (
+            {}
+            if last_tail is None
+            else {"frames_after": last_tail.frames_seen, "samples_after": last_tail.samples_seen}
+        )
+        self._tail = tail = self._store.live.read_tail(self.run, **counts_seen)
         self._take_frames(tail)
         for _, block in tail.samples:
             if block.channel == "force":
@@ -241,9 +245,9 @@ def thin_trace(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[t
     points = list(trace)
     if len(points) <= most:
         return tuple(points)
-    kept: list[tuple[float, float]] = []
+    extremes: list[tuple[float, float]] = []
     edges = np.linspace(0, len(points), most // 2 + 1).astype(int)
     for start, end in pairwise(edges):
         stretch = points[start:end]
-        kept += sorted({min(stretch, key=lambda point: point[1]), max(stretch, key=lambda point: point[1])})
-    return tuple(kept)
+        extremes += sorted({min(stretch, key=lambda point: point[1]), max(stretch, key=lambda point: point[1])})
+    return tuple(extremes)

@@ -133,9 +133,9 @@ def step_words(snapshot: Snapshot) -> str:
     if control is None:
         return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
     press = "live.next_press" if control.next else "live.press"
-    which = text(press, number=control.number, of=control.of) if control.number else ""
+    press_text = text(press, number=control.number, of=control.of) if control.number else ""
     # A pause begins before a step, which is then not under way.
-    return " · ".join(filter(None, [which, "" if control.paused_by is not None else control.step]))
+    return " · ".join(filter(None, [press_text, "" if control.paused_by is not None else control.step]))
 
 
 def phase_words(snapshot: Snapshot) -> str:
@@ -143,8 +143,8 @@ def phase_words(snapshot: Snapshot) -> str:
     live = snapshot.live
     if live is None or not live.phases:
         return "" if snapshot.control is None else snapshot.control.phase
-    last = live.phases[-1]
-    return text("live.phase", phase=last.name, number=last.index + 1, of=live.planned_phases)
+    phase = live.phases[-1]
+    return text("live.phase", phase=phase.name, number=phase.index + 1, of=live.planned_phases)
 
 
 def band_kind(place: Place) -> str:
@@ -163,11 +163,11 @@ def band_words(place: Place) -> str:
 
 def place_numbers(place: Place) -> str:
     """Return overlap and error of a place."""
-    seen = place.seen
-    if seen is None or seen.overlap_percent is None or seen.error_mm is None:
+    preview = place.seen
+    if preview is None or preview.overlap_percent is None or preview.error_mm is None:
         return ""
-    overlap = text("live.overlap", percent=f"{seen.overlap_percent:.0f}")
-    return f"{overlap}, {text('live.error', error=f'{seen.error_mm:.1f}')}"
+    overlap = text("live.overlap", percent=f"{preview.overlap_percent:.0f}")
+    return f"{overlap}, {text('live.error', error=f'{preview.error_mm:.1f}')}"
 
 
 def force_trace(snapshot: Snapshot) -> Trace:
@@ -191,8 +191,8 @@ def picture_address(snapshot: Snapshot) -> str:
 
 def number(value: float, digits: int) -> str:
     """Format a value with a fixed number of digits, without a negative zero."""
-    shown = f"{value:.{digits}f}"
-    return shown.removeprefix("-") if not float(shown) else shown.replace("-", "−")
+    formatted = f"{value:.{digits}f}"
+    return formatted.removeprefix("-") if not float(formatted) else formatted.replace("-", "−")
 
 
 def _base(station: str) -> str:
@@ -253,16 +253,16 @@ class Pages:
         return self._environment.get_template(f"parts/{part}.html.j2").render(names)
 
     def overview(self, *, control: bool) -> str:
-        cards = [{"name": name, "snapshot": one.snapshot} for name, one in self._line.stations.items()]
+        cards = [{"name": name, "snapshot": watch.snapshot} for name, watch in self._line.stations.items()]
         return self.page("overview", control=control, here="overview", stream="/events", cards=cards)
 
     def station(self, name: str, *, control: bool) -> str:
-        own = self._names(name)
-        trouble = self._line.trouble or _trouble(own["s"])
+        names = self._names(name)
+        trouble = self._line.trouble or _trouble(names["s"])
         keys = json.dumps({part.place: part.key for part in self.station_parts(name)})
         stream = f"{_base(name)}/events"
         return self.page(
-            "station", control=control, here=name, stream=stream, keys=keys, **own | {"trouble": trouble}
+            "station", control=control, here=name, stream=stream, keys=keys, **names | {"trouble": trouble}
         )
 
     def gate(self, station: str, wanted: StartForm, view: GateView) -> str:
@@ -276,30 +276,30 @@ class Pages:
 
     def _card(self, place: str, name: str) -> Part:
         snapshot = self._line.stations[name].snapshot
-        kept = self._cards.get(name)
-        if kept is None or kept[0] is not snapshot:
-            kept = snapshot, Part.from_html(place, self.fragment("card", s=snapshot, name=name))
-            self._cards[name] = kept
-        return kept[1]
+        cached = self._cards.get(name)
+        if cached is None or cached[0] is not snapshot:
+            cached = snapshot, Part.from_html(place, self.fragment("card", s=snapshot, name=name))
+            self._cards[name] = cached
+        return cached[1]
 
     def station_parts(self, name: str) -> list[Part]:
         """Return the parts of a station's page, the one that holds others first."""
         snapshot, trouble = self._line.stations[name].snapshot, self._line.trouble
-        kept = self._rendered.get(name)
-        if kept is None or kept[0] is not snapshot or kept[1] != trouble:
-            kept = snapshot, trouble, self._station_parts(name, snapshot, trouble)
-            self._rendered[name] = kept
-        return kept[2]
+        cached = self._rendered.get(name)
+        if cached is None or cached[0] is not snapshot or cached[1] != trouble:
+            cached = snapshot, trouble, self._station_parts(name, snapshot, trouble)
+            self._rendered[name] = cached
+        return cached[2]
 
     def _station_parts(self, name: str, snapshot: Snapshot | None, trouble: str) -> list[Part]:
-        own = self._names(name)
-        parts = [Part.from_html("body", self.fragment("body", **own), _layout(snapshot))]
-        parts += [self._part("state", **own), self._part("trouble", trouble=trouble or _trouble(snapshot))]
+        names = self._names(name)
+        parts = [Part.from_html("body", self.fragment("body", **names), _layout(snapshot))]
+        parts += [self._part("state", **names), self._part("trouble", trouble=trouble or _trouble(snapshot))]
         if snapshot is None:
             return parts
         if snapshot.mode.live:
-            return [*parts, *(self._part(part, **own) for part in _LIVE_PARTS)]
-        return parts if snapshot.mode.runs else [*parts, self._part("refused", **own)]
+            return [*parts, *(self._part(part, **names) for part in _LIVE_PARTS)]
+        return parts if snapshot.mode.runs else [*parts, self._part("refused", **names)]
 
     def _part(self, place: str, **names: Any) -> Part:
         html = self.fragment(place, **names)
@@ -336,5 +336,5 @@ def _trouble(snapshot: Snapshot | None) -> str:
 
 def _choose_recipe(recipes: Sequence[OfferedRecipe], snapshot: Snapshot | None) -> str:
     names = [recipe.name for recipe in recipes]
-    last = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
-    return last if last in names else names[0]
+    last_recipe = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
+    return last_recipe if last_recipe in names else names[0]

@@ -55,9 +55,9 @@ class Started:
         start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), None)
         if start is None and self.process is None:  # it was not refused, or has not been yet
             return ""
-        chosen = off_command_line("\n".join(lines[start:])).splitlines()
-        shown = chosen[-_SHOWN_LINES:] if start is None else chosen[:_SHOWN_LINES]
-        return "\n".join(line.removeprefix("cbsr-qa: ") for line in shown)
+        log_lines = off_command_line("\n".join(lines[start:])).splitlines()
+        shown_lines = log_lines[-_SHOWN_LINES:] if start is None else log_lines[:_SHOWN_LINES]
+        return "\n".join(line.removeprefix("cbsr-qa: ") for line in shown_lines)
 
 
 def last_start(station: str) -> Started | None:
@@ -66,10 +66,10 @@ def last_start(station: str) -> Started | None:
     if not logs:
         return None
     try:
-        at = datetime.strptime(logs[-1].stem, _LOG_NAME).replace(tzinfo=UTC)
+        started_at = datetime.strptime(logs[-1].stem, _LOG_NAME).replace(tzinfo=UTC)
     except ValueError:
         return None
-    return Started(None, "", logs[-1], at)
+    return Started(None, "", logs[-1], started_at)
 
 
 def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") -> Started:
@@ -86,8 +86,8 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
         If the log cannot be written, or the process cannot be started.
     """
     folder = writable_folder(var_folder() / "control" / "logs" / station)
-    now = datetime.now(UTC)
-    log = folder / f"{now:{_LOG_NAME}}.log"
+    started_at = datetime.now(UTC)
+    log = folder / f"{started_at:{_LOG_NAME}}.log"
     program = own_command("run", *arguments)
     unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
     try:
@@ -106,7 +106,7 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ConfigError(f"the run of {what} cannot be started: {error}", remedy=f"see also {folder}") from error
     LOG.info("%s: started the run of %s as process %d; log: %s", station, what, process.pid, log)
-    return Started(process, what, log, now)
+    return Started(process, what, log, started_at)
 
 
 def _own_unit(unit: str) -> list[str]:
@@ -122,9 +122,9 @@ def _scope() -> tuple[str, ...]:
         return ()
     manager = () if os.geteuid() == 0 else ("--user",)
     scope = (program, *manager, "--scope", "--quiet", "--collect")
-    tried = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)
-    if tried.returncode:
-        LOG.warning("systemd-run makes no units for runs (%s); KillMode=process keeps runs alive", tried.stderr)
+    trial = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)
+    if trial.returncode:
+        LOG.warning("systemd-run makes no units for runs (%s); KillMode=process keeps runs alive", trial.stderr)
         return ()
     return scope
 

@@ -89,9 +89,9 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
         ssl_keyfile=None if tls is None else tls[1],
         **connection_settings(access.is_shown_in),
     )
-    shown = request.names[0] if request.names else "127.0.0.1" if loopback else request.host
-    shown = f"[{shown}]" if ":" in shown else shown
-    tell(f"{scheme}://{shown}:{port}/?token={token}")
+    shown_host = request.names[0] if request.names else "127.0.0.1" if loopback else request.host
+    shown_host = f"[{shown_host}]" if ":" in shown_host else shown_host
+    tell(f"{scheme}://{shown_host}:{port}/?token={token}")
     with asyncio.Runner(loop_factory=ServerLoop) as runner:
         runner.run(_Server(config).serve(sockets=[listening]))
 
@@ -101,21 +101,21 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        asked = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        before = {number: signal.signal(number, self.handle_exit) for number in asked}
+        ending_signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        previous_handlers = {number: signal.signal(number, self.handle_exit) for number in ending_signals}
         try:
             yield
         finally:
-            for number, handler in before.items():
+            for number, handler in previous_handlers.items():
                 signal.signal(number, handler)
 
 
 def _raise_file_limit() -> None:
     """Let all connections be open at once beside the files of the program, as far as the system allows."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _MOST_FILES if hard == resource.RLIM_INFINITY else min(_MOST_FILES, hard)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    limit = _MOST_FILES if hard == resource.RLIM_INFINITY else min(_MOST_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < limit:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
 
 
 def _log_to_stderr() -> None:
@@ -135,9 +135,9 @@ def _is_loopback(host: str) -> bool:
 
 def _hosts(request: ServeRequest, port: int) -> frozenset[str]:
     """Return the allowed values of ``Host``."""
-    own = ("127.0.0.1", "localhost", "[::1]") if _is_loopback(request.host) else ()
+    loopback_names = ("127.0.0.1", "localhost", "[::1]") if _is_loopback(request.host) else ()
     host = f"[{request.host}]" if ":" in request.host else request.host
-    names = {*own, host, *request.names}
+    names = {*loopback_names, host, *request.names}
     with_port = {f"{name.lower()}:{port}" for name in names}
     return frozenset(with_port | ({name.lower() for name in names} if port in (80, 443) else set()))
 
@@ -153,11 +153,11 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
         )
     if request.certificate is None or request.key is None:
         raise ConfigError("--certificate and --key belong together", remedy="give both")
-    for file, what in ((request.certificate, "certificate"), (request.key, "key")):
+    for file, kind in ((request.certificate, "certificate"), (request.key, "key")):
         try:
             read_foreign(file, _LARGEST_PEM)
         except OSError as error:
-            raise ConfigError(f"{what} {file} cannot be read: {_why(error)}", remedy=_PEM) from error
+            raise ConfigError(f"{kind} {file} cannot be read: {_why(error)}", remedy=_PEM) from error
     try:
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         context.load_cert_chain(request.certificate, request.key, password=lambda: "")  # OpenSSL would ask for it
@@ -184,7 +184,7 @@ def _token(request: ServeRequest) -> str:
     """Return the token: of the given file, or one that is made once and kept."""
     file = request.token_file or _make_secret("serve.token")
     token = _read_secret(file, "the token")
-    if len(token) < _SHORTEST or not all(one.isalnum() or one in "-_" for one in token):
+    if len(token) < _SHORTEST or not all(character.isalnum() or character in "-_" for character in token):
         raise ConfigError(f"the token in {file} cannot be used", remedy=_ALLOWED)
     return token
 
@@ -224,9 +224,9 @@ def _listening(host: str, port: int) -> socket.socket:
         listening.listen()  # whoever opens the address as soon as it is told waits for the server
     except (OSError, OverflowError) as error:
         listening.close()
-        why = getattr(error, "strerror", None) or str(error)
+        reason = getattr(error, "strerror", None) or str(error)
         raise RefusedError(
-            f"{host}, port {port}: {why}",
+            f"{host}, port {port}: {reason}",
             remedy="is the page served already? Open it, end the other program, or choose another --port",
         ) from error
     return listening

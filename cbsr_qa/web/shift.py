@@ -63,7 +63,11 @@ def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any
         summary = shift_summary(store, selection)
         runs = store.lists.read_runs(selection)
         references = {name: store.charts.read_current(name) for name in stations}
-    groups = dict.fromkeys((name, one.recipe, one.golden or "") for name, held in references.items() for one in held)
+    groups = dict.fromkeys(
+        (name, reference.recipe, reference.golden or "")
+        for name, station_references in references.items()
+        for reference in station_references
+    )
     charts = tuple(_charts(database, *group) for group in groups)
     return {"day": since, "summary": summary, "runs": tuple(reversed(runs)), "charts": charts}
 
@@ -79,10 +83,10 @@ def _charts(database: str | None, station: str, recipe: str, golden: str) -> Sta
         return StationChartsView(station, recipe, golden, None, error.reason, (), 0)
     outcome = charts_outcome(charts)
     sections = outcome.sections[-len(charts.charts) :]  # one of each chart, after those of all
-    shown = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MOST_DRAWN]
-    pictures = tuple(picture for chart, section in shown for picture in _pictures(chart, section))
-    left = len(charts.charts) - len(shown)
-    return StationChartsView(station, recipe, golden, outcome.page.banner, "", pictures, left)
+    drawn = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MOST_DRAWN]
+    pictures = tuple(picture for chart, section in drawn for picture in _pictures(chart, section))
+    undrawn = len(charts.charts) - len(drawn)
+    return StationChartsView(station, recipe, golden, outcome.page.banner, "", pictures, undrawn)
 
 
 _kept: dict[tuple[object, ...], str] = {}

@@ -159,7 +159,7 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
     KeyError, TypeError, ValueError
         If they are malformed.
     """
-    load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
+    load, prompt, paused, pause_wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
     press = state.get("next") if load is None else load
     return Control(
         run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
@@ -175,7 +175,7 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         next=load is None,
         ends_at=_ends_at(state),
         paused_by=None if paused is None else str(paused.get("by") or ""),
-        pause_wanted_by=str(wanted) if wanted else None,
+        pause_wanted_by=str(pause_wanted) if pause_wanted else None,
         prompt=None
         if prompt is None
         else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),

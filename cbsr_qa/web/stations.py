@@ -68,7 +68,7 @@ def load_stations(stations: Sequence[str], recipes: Sequence[str]) -> tuple[Serv
     plugins = discover()
     offered = _load_recipes(recipes, plugins)
     served = tuple(_load_station(source, offered, plugins) for source in stations)
-    _check_unique("station", [(one.name, one.source) for one in served])
+    _check_unique("station", [(station.name, station.source) for station in served])
     return served
 
 
@@ -85,7 +85,7 @@ def _load_station(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plug
 def _load_recipes(recipes: Sequence[str], plugins: Plugins) -> tuple[OfferedRecipe, ...]:
     sources = tuple(recipes) or _list_shipped_recipes()
     offered = tuple(OfferedRecipe(load_recipe(source, plugins).value.name, source) for source in sources)
-    _check_unique("recipe", [(one.name, one.source) for one in offered])
+    _check_unique("recipe", [(recipe.name, recipe.source) for recipe in offered])
     return offered
 
 
@@ -96,10 +96,11 @@ def _list_shipped_recipes() -> tuple[str, ...]:
 
 
 def _check_unique(noun: str, named: Sequence[tuple[str, str]]) -> None:
-    seen: dict[str, str] = {}
+    source_by_name: dict[str, str] = {}
     for name, source in named:
-        if name in seen:
+        if name in source_by_name:
             raise ConfigError(
-                f"{seen[name]} and {source} are both {noun} {name!r}", remedy=f"give each {noun} its own name"
+                f"{source_by_name[name]} and {source} are both {noun} {name!r}",
+                remedy=f"give each {noun} its own name",
             )
-        seen[name] = source
+        source_by_name[name] = source

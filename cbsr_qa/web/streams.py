@@ -24,16 +24,16 @@ async def events(viewer: Viewer, parts: Callable[[], list[Part]], picture: Calla
     picture : returns the address of the live image; empty without one.
     """
     sent: dict[str, str] = {}
-    shown = ""
+    shown_address = ""
     yield b"retry: 500\n\n"
     while True:
         viewer.news.clear()
         fresh = _fresh(parts(), sent)
         address = picture()
-        if fresh or address != shown:
+        if fresh or address != shown_address:
             document: dict[str, Any] = {"parts": [[part.place, part.html, part.key] for part in fresh]}
-            if address != shown:
-                document["picture"] = shown = address
+            if address != shown_address:
+                document["picture"] = shown_address = address
             yield f"data: {json.dumps(document)}\n\n".encode()
         try:
             async with asyncio.timeout(_HERE_S):

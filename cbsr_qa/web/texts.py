@@ -13,11 +13,11 @@ _FILE: Final = "texts.toml"
 
 @cache
 def _catalogue() -> Mapping[str, str]:
-    flat: dict[str, str] = {}
+    text_by_key: dict[str, str] = {}
     source = files(__package__).joinpath(_FILE).read_text(encoding="utf-8")
     for group, texts in tomllib.loads(source).items():
-        flat |= {f"{group}.{key}": value for key, value in texts.items()}
-    return flat
+        text_by_key |= {f"{group}.{key}": value for key, value in texts.items()}
+    return text_by_key
 
 
 def text(key: str, **names: Any) -> str:

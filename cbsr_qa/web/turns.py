@@ -81,19 +81,21 @@ class Turns:
     def look_after(self, connections: Iterable[WaitingConnection]) -> None:
         """See to it that there is a look at places soon, after a connection was opened."""
         loop = asyncio.get_running_loop()
-        held = list(connections)
+        open_connections = list(connections)
         if self._look is None:
             self._look = loop.call_later(LOOK_S, self._look_at, connections)
-        if len(held) > _CROWD and not self._soon:
+        if len(open_connections) > _CROWD and not self._soon:
             self._soon = True
-            loop.call_soon(self._make_room, held)
+            loop.call_soon(self._make_room, open_connections)
 
     def _look_at(self, connections: Iterable[WaitingConnection]) -> None:
-        held = list(connections)
-        for one in held:
-            one.looks += 1
-        self._make_room(held)
-        self._look = asyncio.get_running_loop().call_later(LOOK_S, self._look_at, connections) if held else None
+        open_connections = list(connections)
+        for connection in open_connections:
+            connection.looks += 1
+        self._make_room(open_connections)
+        self._look = (
+            asyncio.get_running_loop().call_later(LOOK_S, self._look_at, connections) if open_connections else None
+        )
 
     def _make_room(self, held: Iterable[WaitingConnection]) -> None:
         """Close the oldest connections of the client that has most, until those that may not control have room."""
@@ -104,7 +106,7 @@ class Turns:
                 continue
             by_client = Counter(one.client_name for one in peers)
             peers.sort(key=lambda one: (one.is_answering, -by_client[one.client_name], one.opened_s))
-            old = [one for one in peers if one.looks >= _NEW_LOOKS]
-            new = [one for one in peers if one.looks < _NEW_LOOKS]
-            for one in [*old[: len(peers) - places], *new[: max(len(new) - MOST_NEW, 0)]]:
+            old_peers = [one for one in peers if one.looks >= _NEW_LOOKS]
+            new_peers = [one for one in peers if one.looks < _NEW_LOOKS]
+            for one in [*old_peers[: len(peers) - places], *new_peers[: max(len(new_peers) - MOST_NEW, 0)]]:
                 one.leave()

@@ -155,10 +155,10 @@ class StationWatch:
 
     def _words(self, error: Exception) -> str:
         """Return a failure in words; one that is new is logged."""
-        known = isinstance(error, CbsrError)
+        is_own_error = isinstance(error, CbsrError)
         words = error.reason if isinstance(error, CbsrError) else text("trouble.unforeseen", error=repr(error)[:200])
         if words != self._said:
-            LOG.warning("%s: %s", self.served.name, words, exc_info=None if known else error)
+            LOG.warning("%s: %s", self.served.name, words, exc_info=None if is_own_error else error)
         self._said = words
         return words
 
@@ -239,10 +239,10 @@ class Watcher(threading.Thread):
                 if notice.has_changed():
                     for station in self._stations:
                         station.look_soon(store)
-                fresh = [one.served.name for one in self._stations if one.refresh(store, plugins)]
+                fresh = [watch.served.name for watch in self._stations if watch.refresh(store, plugins)]
                 if fresh:
                     self._publish(fresh)
-                failures = [one.failure for one in self._stations if one.failure is not None]
+                failures = [watch.failure for watch in self._stations if watch.failure is not None]
                 if len(failures) < len(self._stations):
                     self._say("")
                 elif fresh:  # not one run, but the store
@@ -254,4 +254,4 @@ class Watcher(threading.Thread):
         self.trouble = trouble
         if trouble:
             LOG.error("%s", trouble, exc_info=error)
-        self._publish([one.served.name for one in self._stations])
+        self._publish([station.served.name for station in self._stations])
