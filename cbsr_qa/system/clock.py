@@ -76,8 +76,8 @@ class WallWatch:
 
         A computer that slept looks as if its clock had been set forward.
         """
-        passed = timedelta(seconds=time.monotonic() - self._since_s)
-        return datetime.now(UTC) - self._wall - passed
+        elapsed = timedelta(seconds=time.monotonic() - self._since_s)
+        return datetime.now(UTC) - self._wall - elapsed
 
 
 class VirtualClock:
@@ -153,11 +153,11 @@ class Stages:
     def stage(self, name: str) -> Iterator[None]:
         """Add the time of the body to a stage."""
         self.announce(name)
-        before = time.perf_counter()
+        start_s = time.perf_counter()
         try:
             yield
         finally:
-            self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - before
+            self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - start_s
 
     def table(self) -> tuple[tuple[str, float], ...]:
         """Seconds by stage, in the order they first began."""

@@ -164,9 +164,9 @@ def _open_locked(path: Path, *, shared: bool) -> int | None:
     try:
         _lock(file)
     except OSError as error:
-        who = _read_holder(file)
+        holder_text = _read_holder(file)
         os.close(file)
-        raise HeldError(who) from error
+        raise HeldError(holder_text) from error
     if _is(file, path):
         return file
     os.close(file)
@@ -206,12 +206,12 @@ def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: s
     try:
         yield
     except OSError as error:
-        why = error.strerror or str(error)
+        reason = error.strerror or str(error)
         if isinstance(error, FileExistsError):  # a folder was to be made there
-            why = f"{error.filename} is a file, not a folder"
+            reason = f"{error.filename} is a file, not a folder"
         if isinstance(error, PermissionError):
             remedy = remedy or "allow writing there, or name another file"
-        raise refusal(f"{path} cannot be written: {why}", remedy=remedy) from error
+        raise refusal(f"{path} cannot be written: {reason}", remedy=remedy) from error
 
 
 @contextmanager
@@ -251,5 +251,5 @@ def csv_text(rows: Iterable[Iterable[str | float | None]], *, line_end: str = "\
 def _cell(value: str | float | None) -> str | float | None:
     if not isinstance(value, str):
         return value
-    shown = value.encode("utf-8", "backslashreplace").decode()
-    return f"'{shown}" if shown.startswith(_FORMULA) else shown
+    escaped = value.encode("utf-8", "backslashreplace").decode()
+    return f"'{escaped}" if escaped.startswith(_FORMULA) else escaped

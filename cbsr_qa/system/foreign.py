@@ -78,8 +78,8 @@ def check_status(path: Path, status: os.stat_result) -> None:
     """Check the status of an open file. UnfitFileError if it is a pipe, device, socket, folder or the kernel's."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
-        what = _KINDS.get(kind, "something else")
-        raise UnfitFileError(errno.EINVAL, f"it is {what}, not a file", str(path))
+        kind_name = _KINDS.get(kind, "something else")
+        raise UnfitFileError(errno.EINVAL, f"it is {kind_name}, not a file", str(path))
     if getattr(status, "st_blocks", 1) == 0 and _is_of_kernel(status.st_dev):
         raise UnfitFileError(errno.EINVAL, "the kernel makes it up, it is not a file on a disk", str(path))
 
@@ -93,8 +93,8 @@ def _is_of_kernel(device: int) -> bool:
     except OSError:  # another system
         return False
     for mount in mounts.splitlines():  # "36 35 0:5 / /proc rw - proc proc rw", see proc_pid_mountinfo(5)
-        where, _, what = mount.partition(" - ")
-        if where.split()[2:3] == [number] and what.split()[:1] and what.split()[0] in _KERNEL:
+        mount_fields, _, file_system = mount.partition(" - ")
+        if mount_fields.split()[2:3] == [number] and file_system.split()[:1] and file_system.split()[0] in _KERNEL:
             return True
     return False
 

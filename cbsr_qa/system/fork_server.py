@@ -112,9 +112,9 @@ def obtain_fork_server() -> ForkServer:
 
 
 def _spawn_server() -> ForkServer:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with theirs:
-        end = theirs.fileno()
+    own_end, server_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with server_end:
+        end = server_end.fileno()
         start = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve_forks; serve_forks({end})"
         process = subprocess.Popen(
             [sys.executable, "-c", start],
@@ -125,21 +125,21 @@ def _spawn_server() -> ForkServer:
             env=os.environ | dict.fromkeys(_THREADS, "1"),
         )
     process.returncode = 0  # ForkServer waits for it
-    return ForkServer(ours, process.pid)
+    return ForkServer(own_end, process.pid)
 
 
 def begin_fork_server() -> None:
     """Begin the server by a fork. This process must have nothing open, and one thread."""
     if sys.platform != "linux":
         return
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    own_end, server_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     process = os.fork()
     if process:
-        theirs.close()
-        _servers[os.getpid()] = ForkServer(ours, process)
+        server_end.close()
+        _servers[os.getpid()] = ForkServer(own_end, process)
         return
     try:
-        end = os.dup2(theirs.fileno(), 3)
+        end = os.dup2(server_end.fileno(), 3)
         nothing = os.open(os.devnull, os.O_RDWR)
         for standard in range(3):
             os.dup2(nothing, standard)
@@ -177,8 +177,8 @@ def serve_forks(descriptor: int) -> None:
             child = _fork_child(*files)
             if child > 0:
                 children.add(child)
-            for each in files:
-                os.close(each)
+            for file in files:
+                os.close(file)
             requests.send(_NUMBER.pack(child))
     for child in children:
         _end_child(child)

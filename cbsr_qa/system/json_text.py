@@ -21,11 +21,11 @@ def parse_json(text: str | bytes) -> Any:
     ValueError, in words for its reader, if it is not JSON, an object has a key twice, a number is NaN, infinite or
     too large, or lists and objects are nested more than 64 deep.
     """
-    read = text if isinstance(text, str) else text.decode("utf-8-sig")
-    if _depth(read) > _DEEPEST:
+    decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
+    if _depth(decoded) > _DEEPEST:
         raise ValueError(f"lists and objects are nested more than {_DEEPEST} deep")
     return json.loads(
-        read, object_pairs_hook=_object, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole
+        decoded, object_pairs_hook=_object, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole
     )
 
 
@@ -39,9 +39,9 @@ def _depth(text: str) -> int:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) != len(pairs):
-        seen: set[str] = set()
-        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {twice[:_LONGEST_QUOTE]!r} appears twice in one object")
+        seen_keys: set[str] = set()
+        repeated_key = next(key for key, _ in pairs if key in seen_keys or seen_keys.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {repeated_key[:_LONGEST_QUOTE]!r} appears twice in one object")
     return content
 
 

@@ -31,20 +31,20 @@ def hash_pin(pin: str) -> str:
 
 def pin_hash_readable(text: object) -> bool:
     """Whether a value is a hash of :func:`hash_pin`, of a cost that this station can pay."""
-    found = _FORM.fullmatch(text) if isinstance(text, str) else None
-    if found is None:
+    fields = _FORM.fullmatch(text) if isinstance(text, str) else None
+    if fields is None:
         return False
-    return all(1 <= int(cost) <= most for cost, most in zip(found.groups()[:3], _HIGHEST, strict=True))
+    return all(1 <= int(cost) <= highest for cost, highest in zip(fields.groups()[:3], _HIGHEST, strict=True))
 
 
 def pin_matches(pin: str, hashed: str) -> bool:
     """Whether a hash is of this PIN; compared in constant time."""
-    found = _FORM.fullmatch(hashed)
-    if found is None or not pin_hash_readable(hashed) or len(pin) > LONGEST_PIN:
+    fields = _FORM.fullmatch(hashed)
+    if fields is None or not pin_hash_readable(hashed) or len(pin) > LONGEST_PIN:
         return False
-    cost, r, p = (int(number) for number in found.groups()[:3])
-    key = _key(pin, bytes.fromhex(found[4]), cost, r, p)
-    return hmac.compare_digest(key, bytes.fromhex(found[5]))
+    cost, r, p = (int(number) for number in fields.groups()[:3])
+    key = _key(pin, bytes.fromhex(fields[4]), cost, r, p)
+    return hmac.compare_digest(key, bytes.fromhex(fields[5]))
 
 
 def _key(pin: str, salt: bytes, cost: int, r: int, p: int) -> bytes:

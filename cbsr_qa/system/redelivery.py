@@ -45,9 +45,9 @@ class Redelivery:
         """Raise pending signals, unless another error propagates."""
         if self._before is not None:
             sys.unraisablehook, self._before = self._before, None
-        due, self._due = self._due, None
-        if due is not None:
-            due.cancel()
+        timer, self._due = self._due, None
+        if timer is not None:
+            timer.cancel()
             if error is None:
                 raise KeyboardInterrupt
 
@@ -64,9 +64,9 @@ class Redelivery:
         self._due.start()
 
     def _again(self) -> None:
-        due, self._due = self._due, None
+        timer, self._due = self._due, None
         main = threading.main_thread().ident
-        if due is None or main is None:
+        if timer is None or main is None:
             return
         if hasattr(signal, "pthread_kill"):
             signal.pthread_kill(main, self.number)  # also wakes what waits in C

@@ -16,11 +16,11 @@ def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os
 
     ConfigError if the file cannot be read. The message does not quote the variable.
     """
-    said = environment.get(variable)
-    if said is not None and said.startswith("@"):
+    value = environment.get(variable)
+    if value is not None and value.startswith("@"):
         try:
-            said = read_foreign(Path(said[1:]), _LARGEST_BYTES).decode()
+            value = read_foreign(Path(value[1:]), _LARGEST_BYTES).decode()
         except (OSError, ValueError) as error:
-            why = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
-            raise ConfigError(f"the file that {variable} names cannot be read: {why}", remedy=remedy) from None
-    return None if said is None else said.strip()
+            reason = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
+            raise ConfigError(f"the file that {variable} names cannot be read: {reason}", remedy=remedy) from None
+    return None if value is None else value.strip()

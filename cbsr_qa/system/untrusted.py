@@ -110,8 +110,8 @@ class Limits:
         cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES
     ) -> "Limits":
         """Limits for a file size; larger files may take more of both."""
-        half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
-        memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
+        half_of_memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+        memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half_of_memory)
         return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes, open_files)
 
 
@@ -154,7 +154,7 @@ def read_untrusted(
             raise _restore_error(type(error).__name__, error.reason, error.remedy, problems) from error
     limits = Limits.from_size(size_bytes, seconds_per_mb, open_files)
     try:
-        pickled, ours = _pickle_reader(read)
+        pickled, own_modules = _pickle_reader(read)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise refusal(f"{path.name}: what reads it cannot be sent to a child: {error}", remedy=_PICKLED) from error
     task = pickle.dumps(partial(_send_result, pickled=pickled, limits=limits))
@@ -162,7 +162,7 @@ def read_untrusted(
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
         try:
-            child = server.fork(task, outgoing, (__name__, *ours, *modules))
+            child = server.fork(task, outgoing, (__name__, *own_modules, *modules))
         finally:
             os.close(outgoing)
         deadline = time.monotonic() + limits.clock_s
@@ -220,12 +220,12 @@ def _send_result(outgoing: int, *, pickled: bytes, limits: Limits) -> None:
     for codec in _CODECS:
         codecs.lookup(codec)
     try:
-        read: Callable[[], Any] = pickle.loads(pickled)  # imports what has to be imported
+        reader: Callable[[], Any] = pickle.loads(pickled)  # imports what has to be imported
     except Exception as error:  # noqa: BLE001 - the parent says it
-        read = partial(_raise, error)
+        reader = partial(_raise, error)
     outgoing = _confine(outgoing, limits)
     with os.fdopen(outgoing, "wb", closefd=False) as pipe:
-        for part in _message(read, limits):
+        for part in _message(reader, limits):
             pipe.write(_LENGTH.pack(memoryview(part).nbytes))
             pipe.write(part)
 
@@ -235,8 +235,8 @@ def _confine(outgoing: int, limits: Limits) -> int:
     import resource
 
     faulthandler.disable()
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(each, signal.SIG_DFL)
+    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(signal_number, signal.SIG_DFL)
     nothing = os.open(os.devnull, os.O_RDWR)
     for standard in range(3):
         os.dup2(nothing, standard)
@@ -251,11 +251,13 @@ def _confine(outgoing: int, limits: Limits) -> int:
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NPROC: 0,
     }
-    for what, most in lowered.items():
-        allowed = resource.getrlimit(what)[1]
-        least = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
+    for resource_kind, limit in lowered.items():
+        hard_limit = resource.getrlimit(resource_kind)[1]
+        new_limit = limit if hard_limit == resource.RLIM_INFINITY else min(limit, hard_limit)
         # A second later the kernel kills without saying why.
-        resource.setrlimit(what, (least, allowed if what == resource.RLIMIT_CPU else least))
+        resource.setrlimit(
+            resource_kind, (new_limit, hard_limit if resource_kind == resource.RLIMIT_CPU else new_limit)
+        )
     return 3
 
 
@@ -297,12 +299,12 @@ def _encode_failure(error: Exception) -> tuple[Any, ...]:
 def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
     """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
-    left = limits.memory_bytes
+    left_bytes = limits.memory_bytes
     while length := _receive(pipe, _LENGTH.size, deadline):
         (count,) = _LENGTH.unpack(length)
-        if count > left:
+        if count > left_bytes:
             return None
-        left -= count
+        left_bytes -= count
         part = _receive(pipe, count, deadline)
         if part is None:
             return None
@@ -313,13 +315,13 @@ def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearra
 def _receive(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
     """Read so many bytes; empty at the end of the stream, None on timeout or if it ends within them."""
     data = bytearray(count)
-    view, got = memoryview(data), 0
-    while got < count:
+    view, received = memoryview(data), 0
+    while received < count:
         ready, _, _ = select.select([pipe], [], [], max(deadline - time.monotonic(), 0))
-        more = pipe.readinto(view[got:]) if ready else None
-        if not more:
-            return bytearray() if more == 0 and got == 0 and count == _LENGTH.size else None
-        got += more
+        read_count = pipe.readinto(view[received:]) if ready else None
+        if not read_count:
+            return bytearray() if read_count == 0 and received == 0 and count == _LENGTH.size else None
+        received += read_count
     return data
 
 
@@ -357,9 +359,9 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
             remedy=_TOO_MUCH,
         )
     if kind == "second":
-        other = "another file" if content[0] is None else f"the file {shorten(content[0])}"
+        other_file = "another file" if content[0] is None else f"the file {shorten(content[0])}"
         raise refusal(
-            f"reading {path.name} opens {other} beside it, which no recording or calibration needs",
+            f"reading {path.name} opens {other_file} beside it, which no recording or calibration needs",
             remedy="the file is damaged or links to other files; a plugin must import its modules beforehand",
         )
     if kind == "strange":
@@ -372,10 +374,10 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
 
 def _restore_error(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
     """The error a child raised; a plugin's own type becomes its base in this package."""
-    named, reason = getattr(errors, kind, RefusedError), shorten(reason)
-    if named is errors.RecordingError:
+    error_type, reason = getattr(errors, kind, RefusedError), shorten(reason)
+    if error_type is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
-    return cast(RefusedError, named(reason, remedy=remedy))
+    return cast(RefusedError, error_type(reason, remedy=remedy))
 
 
 class _Plain(pickle.Unpickler):
@@ -387,7 +389,7 @@ class _Plain(pickle.Unpickler):
         if (module, name) in (("pathlib", "PosixPath"), ("pathlib._local", "PosixPath")):
             return Path
         if module.startswith("cbsr_qa.domain.") and "." not in name:
-            named = super().find_class(module, name)
-            if isinstance(named, type) and (is_dataclass(named) or issubclass(named, Enum)):
-                return named
+            member = super().find_class(module, name)
+            if isinstance(member, type) and (is_dataclass(member) or issubclass(member, Enum)):
+                return member
         raise pickle.UnpicklingError(f"a {module}.{name}")

@@ -19,12 +19,12 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     """Begin worker processes; an error in the block, as by Ctrl-C, stops them in the middle of a piece of work."""
     # Spawned: threads of numerical libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    others = multiprocessing.active_children()
+    earlier_children = multiprocessing.active_children()
     with _one_thread_each(), ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker) as pool:
         try:
             yield pool
         except BaseException:
-            _stop(set(multiprocessing.active_children()) - set(others))
+            _stop(set(multiprocessing.active_children()) - set(earlier_children))
             raise
 
 
@@ -43,12 +43,12 @@ def delay_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _THREADS}
+    earlier_values = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
+        for name, value in earlier_values.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
