@@ -135,16 +135,16 @@ class Bench:
         self._stop_within_s = stop_within_s
         self._after = tuple(after)
         self.mounted = tuple(mounted)
-        filled: dict[str, Mounted] = {}
-        for one in self.mounted:
-            for role in one.spec.provides:
-                if role in filled:
-                    raise ConfigError(f"both {filled[role].name} and {one.name} provide role {role!r}")
-                filled[role] = _check_role(one, role)
-        self.frame_source: FrameSource = _find_role(filled, FRAME_SOURCE)
-        self.force_applicator: ForceApplicator = _find_role(filled, FORCE_APPLICATOR)
-        self.samplers = _samplers([one for role, one in filled.items() if role not in _PROTOCOLS])
-        _link(self.mounted, filled)
+        mounting_by_role: dict[str, Mounted] = {}
+        for mounting in self.mounted:
+            for role in mounting.spec.provides:
+                if role in mounting_by_role:
+                    raise ConfigError(f"both {mounting_by_role[role].name} and {mounting.name} provide role {role!r}")
+                mounting_by_role[role] = _check_role(mounting, role)
+        self.frame_source: FrameSource = _find_role(mounting_by_role, FRAME_SOURCE)
+        self.force_applicator: ForceApplicator = _find_role(mounting_by_role, FORCE_APPLICATOR)
+        self.samplers = _samplers([mounting for role, mounting in mounting_by_role.items() if role not in _PROTOCOLS])
+        _link(self.mounted, mounting_by_role)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
         """Identify every instrument; an emulated one counts as simulated, whatever it reports.
@@ -205,8 +205,8 @@ def open_bench(
     except BaseException:
         # The first failure is raised; a second one while closing would hide it.
         with suppress(Exception):
-            stop_all([(one.name, one.instrument.safe_state) for one in opened])
-            stop_all([*((one.name, one.instrument.close) for one in opened), *after])
+            stop_all([(mounting.name, mounting.instrument.safe_state) for mounting in opened])
+            stop_all([*((mounting.name, mounting.instrument.close) for mounting in opened), *after])
         raise
 
 
@@ -241,20 +241,25 @@ def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdenti
 
 def _recognise(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
     """Refuse an instrument other than the expected one: limits and calibration dates would not apply."""
-    for what, expected, found in (("model", spec.model, identity.model), ("serial", spec.serial, identity.serial)):
-        if expected and not _names(expected, found):
+    for label, expected, reported in (
+        ("model", spec.model, identity.model),
+        ("serial", spec.serial, identity.serial),
+    ):
+        if expected and not _names(expected, reported):
             raise InstrumentError(
                 spec.role,
                 spec.address,
-                f"its {what} is {found!r}; the station file expects {expected!r}",
-                remedy=f"connect the expected instrument, or correct address or {what} in the station file",
+                f"its {label} is {reported!r}; the station file expects {expected!r}",
+                remedy=f"connect the expected instrument, or correct address or {label} in the station file",
             )
 
 
 def _names(expected: str, found: str) -> bool:
     """Whether all words of one follow each other in the other: "2634B" names a "Model 2634B"."""
-    wanted, there = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
-    return bool(wanted) and any(there[first : first + len(wanted)] == wanted for first in range(len(there)))
+    expected_words, found_words = (re.findall(r"[^\s,;]+", text.casefold()) for text in (expected, found))
+    return bool(expected_words) and any(
+        found_words[start : start + len(expected_words)] == expected_words for start in range(len(found_words))
+    )
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
@@ -264,14 +269,14 @@ def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
 
 
 def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
-    peers = {role: one.instrument for role, one in filled.items()}
-    for one in mounted:
-        if isinstance(one.instrument, Linked):
+    peers = {role: mounting.instrument for role, mounting in filled.items()}
+    for mounting in mounted:
+        if isinstance(mounting.instrument, Linked):
             try:
-                with blame_plugin(f"instrument {one.spec.role!r} ({one.spec.driver})"):
-                    one.instrument.link(peers)
+                with blame_plugin(f"instrument {mounting.spec.role!r} ({mounting.spec.driver})"):
+                    mounting.instrument.link(peers)
             except ConfigError as error:
-                raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
+                raise ConfigError(f"instrument {mounting.name}: {error.reason}", remedy=error.remedy) from error
 
 
 def _check_role(mounted: Mounted, role: str) -> Mounted:
@@ -309,7 +314,7 @@ def _find_role(filled: dict[str, Mounted], role: str) -> Any:
 
 
 def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
-    samplers = tuple(each.instrument for each in mounted if isinstance(each.instrument, Sampler))
+    samplers = tuple(mounting.instrument for mounting in mounted if isinstance(mounting.instrument, Sampler))
     if all(sampler.channel != FORCE_CHANNEL for sampler in samplers):
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",

@@ -155,11 +155,11 @@ class _DryWalk:
 
     def violations(self) -> tuple[str, ...]:
         """Return every broken limit once, with the first step that breaks it and how many later ones do."""
-        return tuple(where + what + _also(later) for what, (where, later) in self.broken.items())
+        return tuple(place + violation + _also(later) for violation, (place, later) in self.broken.items())
 
     def _note(self, what: str, where: str = "") -> None:
-        first, later = self.broken.get(what, (where, -1))
-        self.broken[what] = first, later + 1
+        first_place, later = self.broken.get(what, (where, -1))
+        self.broken[what] = first_place, later + 1
 
     def _step(self, scheduled: ScheduledStep) -> Iterator[Violation]:
         step = scheduled.step

@@ -128,8 +128,8 @@ class Delivery:
         """Return how many events were not delivered, and why; empty if all were."""
         with self._changed:
             lost = self._dropped + len(self._sending) + len(self._waiting)
-            why = self._why or "the sink did not take them in time"
-            return f"{self._name}: {lost} of {self._total} events were not delivered: {why}" if lost else ""
+            reason = self._why or "the sink did not take them in time"
+            return f"{self._name}: {lost} of {self._total} events were not delivered: {reason}" if lost else ""
 
     def _work(self) -> None:
         pause_s = _FIRST_PAUSE_S
@@ -155,19 +155,19 @@ class Delivery:
 
     def _deliver(self, batch: list[Message]) -> bool:
         """Deliver, and keep why it failed; False if the batch is to be sent again."""
-        why, dropped = "", 0
+        reason, dropped = "", 0
         try:
             with come_back_once():
                 self._sink.deliver(batch)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
-            why = describe_error(error)
+            reason = describe_error(error)
             if not (isinstance(error, DeliveryError) and error.final):
                 with self._changed:
-                    self._why = why
+                    self._why = reason
                 return False
             dropped = len(batch)
         with self._changed:
-            self._why = why or self._why
+            self._why = reason or self._why
             if not self._given_up:  # otherwise it is counted as lost already
                 self._sending = []
                 self._dropped += dropped

@@ -46,16 +46,16 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         reason, detail = before
         return reason, f"{detail}; {_during_retreat(error, at_once)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        by = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
+        stopper = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
         if at_once:
-            by = at_once if by in at_once else f"{by} and at once by {at_once}"
-        return EndReason.ABORTED, f"by {by}, {where}"
+            stopper = at_once if stopper in at_once else f"{stopper} and at once by {at_once}"
+        return EndReason.ABORTED, f"by {stopper}, {where}"
     return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     """Report instruments that did not reach their safe state; the run is then broken in any case."""
-    warnings = [f"NOT SAFE: {who}; check the bench before touching it" for who in silent]
+    warnings = [f"NOT SAFE: {instrument}; check the bench before touching it" for instrument in silent]
     return EndReason.BROKEN, "; ".join([*filter(None, [_describe_ending(end)]), *warnings])
 
 
@@ -271,19 +271,19 @@ class _Execution:
         """Wait before a step; then take the frames before it again, so that a press has recent ones for reference."""
         if not self._performer.pause(phase.scheduled.steps[place], self._desk):
             return
-        again = list(_frames_before(phase, place))
-        self._left_s += sum(planned_s for _, planned_s in again)
-        for step, planned_s in again:
+        repeated_steps = list(_frames_before(phase, place))
+        self._left_s += sum(planned_s for _, planned_s in repeated_steps)
+        for step, planned_s in repeated_steps:
             self._perform(phase, step, planned_s)
 
 
 def _frames_before(phase: DryPhase, place: int) -> list[tuple[ScheduledStep, float]]:
     """Return the steps with the head up right before one, and their durations, without mere rests: it has rested."""
-    found = []
+    steps = []
     for number in reversed(range(place)):
         step = phase.scheduled.steps[number]
         if not isinstance(step.step, Hold | AcquireFrames | MarkUnloaded):
             break
         if not isinstance(step.step, Hold) or step.step.acquire:
-            found.append((step, phase.durations_s[number]))
-    return found[::-1]
+            steps.append((step, phase.durations_s[number]))
+    return steps[::-1]

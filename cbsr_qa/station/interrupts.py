@@ -173,14 +173,14 @@ class Interrupts:
     def _hear_asked(self) -> None:
         while not (self._masked or self.urgent_by):
             try:
-                by, at_once = self._asked.popleft()
+                asker, at_once = self._asked.popleft()
             except IndexError:  # also if a signal's handler took the last one just now
                 return
             if at_once:
-                self._first = by if self._first is None else self._first
-                self._stop_at_once(_INSISTED.format(by), f"an emergency stop by {by}")
+                self._first = asker if self._first is None else self._first
+                self._stop_at_once(_INSISTED.format(asker), f"an emergency stop by {asker}")
             elif self._first is None:
-                self._stop_in_order(by, _ASKED.format(by))
+                self._stop_in_order(asker, _ASKED.format(asker))
 
     def _stop_in_order(self, first: signal.Signals | str, name: str) -> None:
         self._first = first
@@ -209,8 +209,8 @@ class Interrupts:
         if isinstance(self._first, str):
             self._redelivery.number = signal.SIGALRM
             raise Stopped(self._first)
-        before = self._before[self._first]
+        earlier_handler = self._before[self._first]
         self._redelivery.number = self._first
-        if callable(before):
-            before(self._first, None)
+        if callable(earlier_handler):
+            earlier_handler(self._first, None)
         raise Stopped(f"signal {self._first.name}")

@@ -58,9 +58,9 @@ def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
     head_mm = plan.indenter.reach_mm
     room_mm = float(plan.sensor_type.outline.clearance_mm(np.array([[x_mm, y_mm]]))[0])
     if not room_mm >= head_mm and not _stands_on(x_mm, y_mm, plan):
-        where = f"{room_mm:.4g} mm from the sheet's edge" if room_mm >= 0 else f"{-room_mm:.4g} mm outside the sheet"
+        place = f"{room_mm:.4g} mm from the sheet's edge" if room_mm >= 0 else f"{-room_mm:.4g} mm outside the sheet"
         yield Violation(
-            "travel", f"the head of {2 * head_mm:g} mm would stand {where}; it needs {head_mm:g} mm inside it"
+            "travel", f"the head of {2 * head_mm:g} mm would stand {place}; it needs {head_mm:g} mm inside it"
         )
 
 
@@ -167,14 +167,14 @@ class Limits:
     def check_frame(self, block: FrameBlock, who: str) -> None:
         """Refuse frames with limited current or voltages: with an open lead they are not measurements."""
         limited = (block.flags & _LIMITED) != 0
-        counted = limited[:, self._counted]
-        share = counted.mean(axis=1)
+        counted_limited = limited[:, self._counted]
+        share = counted_limited.mean(axis=1)
         worst = int(share.argmax())
         if share[worst] >= self._plan.safety.compliance:
             drives = self._name_limited_drives(limited[worst])
             raise SafetyError(
                 "compliance",
-                f"{int(counted[worst].sum())} of {counted.shape[1]} readings of a frame of {who}"
+                f"{int(counted_limited[worst].sum())} of {counted_limited.shape[1]} readings of a frame of {who}"
                 f" ({100 * share[worst]:.3g} %) were at the source's compliance or the end of the meter's range"
                 f"{drives}; the station stops at {100 * self._plan.safety.compliance:g} %",
                 remedy="check leads and contacts of these electrodes, and the drive current",
@@ -219,23 +219,27 @@ class Limits:
         if allowed_C is None:
             return
         lowest_C, highest_C = allowed_C
-        outside = block.values[~((block.values >= lowest_C) & (block.values <= highest_C))]
-        if len(outside):
+        out_of_range_C = block.values[~((block.values >= lowest_C) & (block.values <= highest_C))]
+        if len(out_of_range_C):
             raise SafetyError(
                 "temperature",
-                f"{outside[0]:.4g} °C measured by {who}; the station allows {lowest_C:g} to {highest_C:g} °C",
+                f"{out_of_range_C[0]:.4g} °C measured by {who}; the station allows {lowest_C:g} to {highest_C:g} °C",
             )
 
     def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
         """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
         pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
-        whole = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
-        if not whole:
+        limited_pairs = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
+        if not limited_pairs:
             return ""
-        named = ", ".join(f"{source}–{sink}" for source, sink in whole[:6]) + (" …" if len(whole) > 6 else "")
-        shared = set.intersection(*(set(pair) for pair in whole)) if len(whole) > 1 else set()
-        suspect = f": electrode {shared.pop()} may be open" if len(shared) == 1 else ""
-        return f", all of those driven through electrodes {named}{suspect}"
+        drive_names = ", ".join(f"{source}–{sink}" for source, sink in limited_pairs[:6]) + (
+            " …" if len(limited_pairs) > 6 else ""
+        )
+        shared_electrodes = (
+            set.intersection(*(set(pair) for pair in limited_pairs)) if len(limited_pairs) > 1 else set()
+        )
+        suspect = f": electrode {shared_electrodes.pop()} may be open" if len(shared_electrodes) == 1 else ""
+        return f", all of those driven through electrodes {drive_names}{suspect}"
 
     @staticmethod
     def _check_age(rule: str, what: str, age_s: float, allowed_s: float) -> None:

@@ -44,11 +44,11 @@ class NoiseSoFar:
         """Median over readings of the standard deviation of a frame, in per cent of the reading; None if unknown."""
         if self._freedom < _LEAST or self._squares is None or self._mean is None or self._unusable is None:
             return None
-        used = ~self._unusable & (self._mean != 0)
-        if not used.any():
+        is_used = ~self._unusable & (self._mean != 0)
+        if not is_used.any():
             return None
-        deviation = np.sqrt(self._squares[used] / self._freedom)
-        return float(100 * np.median(deviation / np.abs(self._mean[used])))
+        deviation = np.sqrt(self._squares[is_used] / self._freedom)
+        return float(100 * np.median(deviation / np.abs(self._mean[is_used])))
 
     def _add(self, frames: FrameBlock) -> None:
         for voltages, flags in zip(frames.voltages, frames.flags & UNUSABLE, strict=True):

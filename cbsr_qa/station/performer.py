@@ -168,12 +168,12 @@ class Performer:
         """
         self.finish_load()
         start_s = self._clock.now()
-        by = desk.pause_wanted()
-        if by is None:
+        asker = desk.pause_wanted()
+        if asker is None:
             return False
         self._at = before
-        self._documents.emit(RunPaused(before.phase, start_s, by))
-        desk.begin_pause(by, start_s)
+        self._documents.emit(RunPaused(before.phase, start_s, asker))
+        desk.begin_pause(asker, start_s)
         with self.spent.on(Activity.PAUSE, self._clock):
             while (continued := desk.who_continued()) is None:
                 station_s = self._watch.wait_s()
@@ -263,8 +263,8 @@ class Performer:
         self._limits.check_place(x_mm, y_mm)
         across_mm = 2 * self._plan.safety.travel_radius_mm
         with self.spent.on(Activity.TRAVEL, self._clock):
-            there = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
-            self._move(there, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
+            move = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
+            self._move(move, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
         self._interrupts.poll()  # what comes next goes down
 
     def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
@@ -306,11 +306,11 @@ class Performer:
 
     def _take_frame(self) -> None:
         source, before_s = self._bench.frame_source, self._clock.now()
-        who = self._bench.name_of(source)
-        block = self._attempt(partial(source.acquire, 1), f"{who}: a frame", source.frame_period_s)
+        source_name = self._bench.name_of(source)
+        block = self._attempt(partial(source.acquire, 1), f"{source_name}: a frame", source.frame_period_s)
         self._check_frame(block, self._clock.now() - before_s)
         self._documents.emit(FramesTaken(self._at.phase, block))
-        self._limits.check_frame(block, who)  # after the journal has it: it is the evidence
+        self._limits.check_frame(block, source_name)  # after the journal has it: it is the evidence
         self._look()
 
     def _check_frame(self, block: FrameBlock, took_s: float) -> None:

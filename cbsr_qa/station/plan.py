@@ -90,27 +90,27 @@ class Spent:
 
 def describe(step: Step) -> str:
     """Describe a step; an unknown type is named by its class."""
-    said = f"an unknown step ({type(step).__name__})"
+    description = f"an unknown step ({type(step).__name__})"
     match step:
         case Home():
-            said = "homing"
+            description = "homing"
         case FindSurface(x_mm=x_mm, y_mm=y_mm):
-            said = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
+            description = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
         case Press(load=load):
-            said = f"pressing {describe_load(load)}"
+            description = f"pressing {describe_load(load)}"
         case StrainStep(strain=strain):
-            said = f"going to {100 * strain:g} %"
+            description = f"going to {100 * strain:g} %"
         case Hold(hold_s=hold_s, acquire=acquire):
-            said = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
+            description = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
         case Release():
-            said = "releasing"
+            description = "releasing"
         case AcquireFrames(count=count):
-            said = f"taking {count} frames"
+            description = f"taking {count} frames"
         case MarkUnloaded():
-            said = "marking the sheet as rested"
+            description = "marking the sheet as rested"
         case Prompt(text=text):
-            said = f"asking: {text}"
-    return said
+            description = f"asking: {text}"
+    return description
 
 
 def describe_load(load: Load) -> str:
@@ -243,12 +243,12 @@ def _schedule_phase(
     loads = sum(isinstance(step, Press) for step in steps)
     first_open = next((load for load in range(loads) if (index, load) not in done), loads)
     if ended:
-        left = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
+        remaining = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
     elif first_open:
-        left = tuple(_skip_finished(numbered, first_open, loads))
+        remaining = tuple(_skip_finished(numbered, first_open, loads))
     else:
-        left = numbered
-    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, ended)
+        remaining = numbered
+    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), remaining, loads, ended)
 
 
 def _role(phase: PlannedPhase) -> Role:
@@ -256,7 +256,7 @@ def _role(phase: PlannedPhase) -> Role:
     if not isinstance(role, Role):
         raise PluginError(
             f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is not a Role",
-            remedy=f"allowed roles: {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
+            remedy=f"allowed roles: {', '.join(f'Role.{member.name}' for member in Role)} (cbsr_qa.domain.plan)",
         )
     return role
 

@@ -59,10 +59,10 @@ class OperatorPrompt(Generic[A]):
         self._tell(lambda phase, now_s: PromptShown(phase, question.prompt, text, Path(picture).name, now_s))
         self._waiting = True
         try:
-            answer, by = self._await_answer(question)
+            answer, answerer = self._await_answer(question)
         finally:
             self._waiting = False
-        self._tell(lambda phase, now_s: PromptAnswered(phase, question.prompt, str(answer), by, now_s))
+        self._tell(lambda phase, now_s: PromptAnswered(phase, question.prompt, str(answer), answerer, now_s))
         return answer
 
     def _await_answer(self, question: Question) -> tuple[A, str]:

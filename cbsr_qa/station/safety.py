@@ -197,12 +197,14 @@ class Watch:
         return self._clock.now() - self._asked_s
 
     def _drain(self, phase: int, number: int, sampler: Sampler) -> None:
-        who = self._bench.name_of(sampler)
-        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: reading its samples")
+        sampler_name = self._bench.name_of(sampler)
+        block = self._attempt(
+            partial(sampler.samples_since, self._drained_s[number]), f"{sampler_name}: reading its samples"
+        )
         if len(block):
             self._drained_s[number] = float(block.time_s[-1])
             self._documents.emit(SamplesTaken(phase, block))
-            self._limits.check_samples(block, who)  # after the journal has it: it is the evidence
+            self._limits.check_samples(block, sampler_name)  # after the journal has it: it is the evidence
 
     def _ask_all(self) -> None:
         for instrument in self._alive:

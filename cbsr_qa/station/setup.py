@@ -45,12 +45,16 @@ def configure(
     sensor_type, material : instead of the station's own, which are looked for next to its file first.
     plugins : to check plugin options in the same pass.
     """
-    at = load_station(station, plugins)
+    loaded_station = load_station(station, plugins)
     return merge(
-        at,
+        loaded_station,
         load_recipe(recipe, plugins),
-        load_sensor_type(sensor_type) if sensor_type else load_sensor_type(at.value.sensor_type, near=at.folder),
-        load_material(material) if material else load_material(at.value.material, near=at.folder),
+        load_sensor_type(sensor_type)
+        if sensor_type
+        else load_sensor_type(loaded_station.value.sensor_type, near=loaded_station.folder),
+        load_material(material)
+        if material
+        else load_material(loaded_station.value.material, near=loaded_station.folder),
         seed=seed,
         plugins=plugins,
     )
@@ -110,8 +114,10 @@ def open_station(
     resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.instruments.StationContext`.
     emulated : called with the emulation, if any: to arm faults, or to inspect its world.
     """
-    opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
-    bench = open_bench(configuration.station.instruments, opened, after=after)
+    open_one, closing_actions = opener(
+        configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated
+    )
+    bench = open_bench(configuration.station.instruments, open_one, after=closing_actions)
     try:
         check_clock(configuration, bench.identities())
     except BaseException as error:
@@ -221,7 +227,7 @@ def open_instrument(driver: str, plugins: Plugins, context: StationContext) -> I
     """
     options: dict[str, Any] = dict(context.options)
     scene: Mapping[str, Any] | None = options.pop("scene", None)
-    whole = replace(
+    full_context = replace(
         context,
         options=options,
         scene=None if scene is None else load_scene(scene).value,
@@ -231,11 +237,15 @@ def open_instrument(driver: str, plugins: Plugins, context: StationContext) -> I
     factory = plugins.factory(Kind.INSTRUMENT, driver)
     try:
         with blame_plugin(f"instrument {context.role!r}"):
-            instrument: Instrument = factory(whole)
+            instrument: Instrument = factory(full_context)
     except (PluginError, ConfigError) as error:
-        who = f"instrument {context.role!r}"
-        named, reason = f"{who} ({driver})", error.reason
-        if not reason.startswith(named):
-            reason = f"{named}{reason.removeprefix(who)}" if reason.startswith(who) else f"{named}: {reason}"
+        subject = f"instrument {context.role!r}"
+        full_subject, reason = f"{subject} ({driver})", error.reason
+        if not reason.startswith(full_subject):
+            reason = (
+                f"{full_subject}{reason.removeprefix(subject)}"
+                if reason.startswith(subject)
+                else f"{full_subject}: {reason}"
+            )
         raise ConfigError(reason, remedy=error.remedy) from error
     return instrument
