@@ -36,8 +36,8 @@ class Choice:
 
 def tables(data: Any, key: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
     """Yield the tables of an array of tables, whatever else is in it."""
-    found = data.get(key) if isinstance(data, Mapping) else None
-    for index, table in enumerate(found if isinstance(found, list) else ()):
+    content = data.get(key) if isinstance(data, Mapping) else None
+    for index, table in enumerate(content if isinstance(content, list) else ()):
         if isinstance(table, Mapping):
             yield index, table
 
@@ -63,8 +63,8 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
         path = choice.named or choice.path
         name = "" if choice.name == path[-1] else f"{quote_value(choice.name)}, "
         unknown = choice.name not in plugins.names(choice.kind)
-        why = f"is {name}no installed {choice.kind} plugin" if unknown else f"cannot be used: {error.reason}"
-        return None, [Problem(path, why, error.remedy)]
+        reason = f"is {name}no installed {choice.kind} plugin" if unknown else f"cannot be used: {error.reason}"
+        return None, [Problem(path, reason, error.remedy)]
     if choice.kind is Kind.INSTRUMENT and not hasattr(factory, "Options"):
         return factory, []  # it looks at its table itself
     _, problems = check(options_of(factory, handed=int(choice.kind is Kind.EFFECT)), choice.options)
@@ -94,8 +94,8 @@ def check_measured(
         if name not in measured and all_known:
             near = get_close_matches(name, measured, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            what = f"is {quote_value(name)}, which no metric of this recipe measures"
-            yield Problem(("limits", index, "measurement"), what, f"{hint}measured: {', '.join(sorted(measured))}")
+            finding = f"is {quote_value(name)}, which no metric of this recipe measures"
+            yield Problem(("limits", index, "measurement"), finding, f"{hint}measured: {', '.join(sorted(measured))}")
         elif name in measured and unit != measured[name]:
             rule = f"it must be {measured[name]!r}, the unit that {name} is measured in"
             yield Problem(("limits", index, "unit"), f"is {quote_value(unit)}", rule)

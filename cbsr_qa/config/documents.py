@@ -127,8 +127,8 @@ def _path_of(name_or_path: str | Path, near: Path | None) -> Path | None:
     """Return the path if one is meant, even if it does not exist."""
     if isinstance(name_or_path, Path):
         return name_or_path
-    if found := reference_path(name_or_path, near):
-        return found
+    if path := reference_path(name_or_path, near):
+        return path
     if name_or_path.endswith(".toml") or "/" in name_or_path or "\\" in name_or_path:
         return (near or Path()) / name_or_path
     return None
@@ -149,14 +149,18 @@ def _exists(path: Path) -> bool:
 
 
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
-    known = list_shipped(kind)
-    near = get_close_matches(name, known, n=1)
+    shipped = list_shipped(kind)
+    near = get_close_matches(name, shipped, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     remedy = []
     if name and _is_file(Path(f"{name}.toml")):
         remedy.append(f"for the file in this folder give {name}.toml")
-    remedy += [f"{echo(name)} is a shipped {other.noun}" for other in DocumentKind if name in list_shipped(other)]
-    remedy.append(f"shipped: {', '.join(known) or 'none'}; or give the path of a .toml file")
+    remedy += [
+        f"{echo(name)} is a shipped {other_kind.noun}"
+        for other_kind in DocumentKind
+        if name in list_shipped(other_kind)
+    ]
+    remedy.append(f"shipped: {', '.join(shipped) or 'none'}; or give the path of a .toml file")
     return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy=hint + "; ".join(remedy))
 
 
@@ -192,16 +196,16 @@ def _parse(kind: DocumentKind, label: str, path: Path | None, text: str) -> Docu
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # no TOML, or a whole number of thousands of digits
-        said = str(error).partition("; use sys.")[0]
+        reason = str(error).partition("; use sys.")[0]
         remedy = "see https://toml.io for the syntax"
         if comma := _DECIMAL_COMMA.search(text):
             remedy = f"write {comma[1]}.{comma[2]} with a decimal point in {comma[0]!r}"
-        raise ConfigError(f"{label} is not valid TOML: {said}", remedy=remedy) from error
-    found = next((other for other in DocumentKind if other.table in data), kind)
+        raise ConfigError(f"{label} is not valid TOML: {reason}", remedy=remedy) from error
+    actual_kind = next((other_kind for other_kind in DocumentKind if other_kind.table in data), kind)
     within_others = kind in (DocumentKind.LIMITS, DocumentKind.REFERENCES)
-    if found is not kind and (kind.table not in data or within_others):
+    if actual_kind is not kind and (kind.table not in data or within_others):
         raise ConfigError(
-            f"{label} is a {found.noun} file, not a {kind.noun} file", remedy=f"give a {kind.noun} file here"
+            f"{label} is a {actual_kind.noun} file, not a {kind.noun} file", remedy=f"give a {kind.noun} file here"
         )
     return Document(kind, label, path, text, data)
 

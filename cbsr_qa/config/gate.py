@@ -26,13 +26,13 @@ class OperatorTable(Table):
     pin: Any = None  # checked below: no message may repeat it
 
     def problems(self, number: int) -> Iterator[Problem]:
-        at = ("gate", OPERATORS, number)
+        path = ("gate", OPERATORS, number)
         try:
             validate_operator(self.name)
         except ConfigError as error:
-            yield Problem((*at, "name"), f"cannot be used: {error.reason}", error.remedy)
+            yield Problem((*path, "name"), f"cannot be used: {error.reason}", error.remedy)
         if self.pin is not None and not pin_hash_readable(self.pin):
-            yield Problem((*at, "pin"), "is no hash of a PIN", "copy the line that cbsr-qa station pin prints")
+            yield Problem((*path, "pin"), "is no hash of a PIN", "copy the line that cbsr-qa station pin prints")
 
 
 class GateTable(Table):
@@ -61,21 +61,23 @@ class GateTable(Table):
             yield Problem(("gate", "golden"), "needs golden_hours or golden_runs, or both")
         if self.operator not in (None, "off") and OPERATORS not in self.model_fields_set:
             yield Problem(("gate", "operator"), "needs a list: one [[gate.operators]] table with a name for each")
-        names = [one.name for one in self.operators]
-        for number, one in enumerate(self.operators):
-            yield from one.problems(number)
-            if one.name in names[:number]:
-                yield Problem(("gate", OPERATORS, number, "name"), f"{one.name!r} is listed before")
+        names = [operator_table.name for operator_table in self.operators]
+        for number, operator_table in enumerate(self.operators):
+            yield from operator_table.problems(number)
+            if operator_table.name in names[:number]:
+                yield Problem(("gate", OPERATORS, number, "name"), f"{operator_table.name!r} is listed before")
 
     def to_domain(self, overdue: str | None) -> GateSettings:
         """Return the settings; ``overdue`` is the earlier spelling of ``calibration_due``."""
-        given = {check: getattr(self, check) for check in GateCheck}
-        given[GateCheck.CALIBRATION_DUE] = self.calibration_due or overdue
+        policy_by_check = {check: getattr(self, check) for check in GateCheck}
+        policy_by_check[GateCheck.CALIBRATION_DUE] = self.calibration_due or overdue
         return as_domain(
             GateSettings,
             self,
-            policies={check: GatePolicy(policy) for check, policy in given.items() if policy is not None},
-            operators=tuple(Operator(one.name, one.pin or "") for one in self.operators),
+            policies={check: GatePolicy(policy) for check, policy in policy_by_check.items() if policy is not None},
+            operators=tuple(
+                Operator(operator_table.name, operator_table.pin or "") for operator_table in self.operators
+            ),
         )
 
 

@@ -44,13 +44,13 @@ class LimitTable(Table):
 
     def problems(self, index: int, phases: Sequence[str] | None) -> Iterator[Problem]:
         """Yield what does not fit together within the table; the phases of a recipe are None where none is known."""
-        where = ("limits", index)
+        path = ("limits", index)
         if self.lower is None and self.upper is None:
-            yield Problem(where, f"({self.measurement}) has neither lower nor upper; give one of them")
+            yield Problem(path, f"({self.measurement}) has neither lower nor upper; give one of them")
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
-            yield Problem((*where, "lower"), f"is {self.lower:g}, above upper = {self.upper:g}")
+            yield Problem((*path, "lower"), f"is {self.lower:g}, above upper = {self.upper:g}")
         if self.phase and phases is not None and self.phase not in phases:
-            yield Problem((*where, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
+            yield Problem((*path, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
 
     def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
         """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges.
@@ -71,15 +71,17 @@ def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Seque
     ----------
     phases : those in which single presses are held; the loads of loops have no overlap.
     """
-    valid = {}
+    limit_by_index = {}
     for index, table in limits:
         with suppress(ValidationError):  # reported by the check of the whole file
-            valid[index] = LimitTable.model_validate(table)
-    for index, limit in valid.items():
+            limit_by_index[index] = LimitTable.model_validate(table)
+    for index, limit in limit_by_index.items():
         if limit.measurement != "area_overlap":
             continue
         for phase in phases:
-            if limit.phase not in ("", phase) or any(other.bounds_size_of(limit, phase) for other in valid.values()):
+            if limit.phase not in ("", phase) or any(
+                other_limit.bounds_size_of(limit, phase) for other_limit in limit_by_index.values()
+            ):
                 continue
             yield Problem(
                 ("limits", index),
@@ -129,8 +131,8 @@ def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTa
     """Yield inconsistencies between limits and their stated version."""
     for index, limit in enumerate(limits):
         if limit.version is not None and (header is None or limit.version != header.version):
-            found = f"limits_version.version is {header.version!r}" if header else "there is no [limits_version]"
-            yield Problem(("limits", index, "version"), f"is {limit.version!r}, but {found}")
+            stated = f"limits_version.version is {header.version!r}" if header else "there is no [limits_version]"
+            yield Problem(("limits", index, "version"), f"is {limit.version!r}, but {stated}")
     if header is None or not header.limits_sha256:
         return
     members = [limit for limit in limits if limit.version == header.version]
@@ -168,35 +170,37 @@ def with_limits(document: Document) -> Document:
         return document
     assert isinstance(recipe, Mapping)
     try:
-        taken = open_document(DocumentKind.LIMITS, name, near=document.folder)
-        validate(LimitsFile, taken)
+        included = open_document(DocumentKind.LIMITS, name, near=document.folder)
+        validate(LimitsFile, included)
     except ConfigError as error:
         line = line_of(document.text, ("recipe", "limits_from"))
-        where = f"line {line}: " if line else ""
+        place = f"line {line}: " if line else ""
         raise ConfigError(
-            f"{document.label}: {where}recipe.limits_from: {error.reason}", remedy=error.remedy
+            f"{document.label}: {place}recipe.limits_from: {error.reason}", remedy=error.remedy
         ) from error
-    own = document.data.get("limits", [])
-    problems = list(_problems(document, taken, own)) if isinstance(own, list) else []
+    own_limits = document.data.get("limits", [])
+    problems = list(_problems(document, included, own_limits)) if isinstance(own_limits, list) else []
     if problems:
         raise refusal(document, problems)
-    limits = [*own, *taken.data["limits"]] if isinstance(own, list) else own
-    rest = {key: value for key, value in recipe.items() if key != "limits_from"}
-    version = taken.data["limits_version"]
-    return replace(document, data={**document.data, "recipe": rest, "limits_version": version, "limits": limits})
+    limits = [*own_limits, *included.data["limits"]] if isinstance(own_limits, list) else own_limits
+    recipe_table = {key: value for key, value in recipe.items() if key != "limits_from"}
+    version = included.data["limits_version"]
+    return replace(
+        document, data={**document.data, "recipe": recipe_table, "limits_version": version, "limits": limits}
+    )
 
 
 def _problems(document: Document, taken: Document, own: list[object]) -> list[Problem]:
     """List what both files state."""
-    found = []
+    problems = []
     if "limits_version" in document.data:
-        found.append(Problem(("limits_version",), f"is stated here and in {taken.label}; remove this one"))
-    theirs = {_judges(limit) for limit in taken.data["limits"]}
+        problems.append(Problem(("limits_version",), f"is stated here and in {taken.label}; remove this one"))
+    included_judges = {_judges(limit) for limit in taken.data["limits"]}
     for index, limit in enumerate(own):
-        if isinstance(limit, Mapping) and _judges(limit) in theirs:
-            what = f"({limit.get('measurement')}) is limited in {taken.label} too; remove one of them"
-            found.append(Problem(("limits", index), what))
-    return found
+        if isinstance(limit, Mapping) and _judges(limit) in included_judges:
+            finding = f"({limit.get('measurement')}) is limited in {taken.label} too; remove one of them"
+            problems.append(Problem(("limits", index), finding))
+    return problems
 
 
 def _judges(limit: Mapping[str, object]) -> tuple[object, object, object]:

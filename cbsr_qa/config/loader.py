@@ -46,8 +46,8 @@ def with_mesh(document: Document) -> Document:
     except (NumericsError, ValueError) as error:  # a name with a NUL in it
         reason, remedy = (error.reason, error.remedy) if isinstance(error, NumericsError) else (str(error), "")
         line = line_of(document.text, ("sensor_type", "mesh"))
-        where = f"line {line}: " if line else ""
-        raise ConfigError(f"{document.label}: {where}sensor_type.mesh: {reason}", remedy=remedy) from error
+        place = f"line {line}: " if line else ""
+        raise ConfigError(f"{document.label}: {place}sensor_type.mesh: {reason}", remedy=remedy) from error
     arrays = {key: array.tolist() for key, array in mesh_arrays(mesh).items()}
     assert isinstance(sheet, Mapping)
     return replace(document, data={**document.data, "sensor_type": {**sheet, "mesh": arrays}})
@@ -143,9 +143,9 @@ def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
     count = electrodes.get("count")
     width_mm = UNIT_MM * min(0.03, 1 / count) if isinstance(count, int) and count > 0 else 0.03 * UNIT_MM
     arc = electrodes.get("kind") == "arc"
-    kept = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
+    kept_keys = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
     ring_mm = UNIT_MM if arc else widest_ring_mm(width_mm, UNIT_MM)
-    return {**kept, "ring_radius_mm": ring_mm, "length_mm" if arc else "diameter_mm": width_mm}
+    return {**kept_keys, "ring_radius_mm": ring_mm, "length_mm" if arc else "diameter_mm": width_mm}
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:
@@ -159,8 +159,8 @@ def load_scene(source: Source, plugins: Plugins | None = None, *, near: Path | N
     The document is reduced in the same way: the rest is not part of a run's configuration.
     """
     plan = load_scene_plan(source, plugins, near=near)
-    used = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}
-    return Loaded(plan.value.scene, replace(plan.document, data=used))
+    station_tables = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}
+    return Loaded(plan.value.scene, replace(plan.document, data=station_tables))
 
 
 def load_scene_plan(source: Source, plugins: Plugins | None = None, *, near: Path | None = None) -> Loaded[ScenePlan]:

@@ -39,23 +39,23 @@ class MeasuredKernelTable(Table):
     def problems(self, where: KeyPath) -> Iterator[Problem]:
         count = len(self.weights)
         if len(self.time_constants_s) != count:
-            what = f"has {len(self.time_constants_s)} numbers, weights {count}; one for each"
-            yield Problem((*where, "time_constants_s"), what)
+            finding = f"has {len(self.time_constants_s)} numbers, weights {count}; one for each"
+            yield Problem((*where, "time_constants_s"), finding)
         elif any(len(row) != 2 * count for row in self.covariance) or len(self.covariance) != 2 * count:
-            what = f"must have {2 * count} rows of {2 * count} numbers: of weights, then of log time constants"
-            yield Problem((*where, "covariance"), what)
+            finding = f"must have {2 * count} rows of {2 * count} numbers: of weights, then of log time constants"
+            yield Problem((*where, "covariance"), finding)
         else:
             yield from self._covariance_problems(where)
         if self.start_s >= self.window_s:
-            what = f"is {self.start_s:g} s; must be below window_s, {self.window_s:g} s"
-            yield Problem((*where, "start_s"), what)
+            finding = f"is {self.start_s:g} s; must be below window_s, {self.window_s:g} s"
+            yield Problem((*where, "start_s"), finding)
 
     def _covariance_problems(self, where: KeyPath) -> Iterator[Problem]:
         """Yield why these numbers are not a covariance: some combination would have a negative variance."""
-        given = np.array(self.covariance)
-        diagonal = np.diag(given)
+        covariance = np.array(self.covariance)
+        diagonal = np.diag(covariance)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        correlation = given / scale / scale[:, None]
+        correlation = covariance / scale / scale[:, None]
         if not np.allclose(correlation, correlation.T, atol=_ROUNDING):
             yield Problem((*where, "covariance"), "must be symmetric")
         elif diagonal.min() < 0 or np.linalg.eigvalsh(correlation).min() < -_ROUNDING:
@@ -74,8 +74,8 @@ class StripRelaxationTable(Table):
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
         if self.least_strain > self.largest_strain:
-            what = f"is {self.least_strain:g}, above largest_strain, {self.largest_strain:g}"
-            yield Problem((*where, "least_strain"), what)
+            finding = f"is {self.least_strain:g}, above largest_strain, {self.largest_strain:g}"
+            yield Problem((*where, "least_strain"), finding)
         for name, kernel in (("loading", self.loading), ("unloading", self.unloading)):
             if kernel is not None:
                 yield from kernel.problems((*where, name))
@@ -140,10 +140,10 @@ class RelaxationTable(Table):
     source: Source
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        first, second = self.time_constants_s
-        if first >= second:
-            what = f"is [{first:g}, {second:g}]; the first must be below the second"
-            yield Problem((*where, "time_constants_s"), what)
+        first_s, second_s = self.time_constants_s
+        if first_s >= second_s:
+            finding = f"is [{first_s:g}, {second_s:g}]; the first must be below the second"
+            yield Problem((*where, "time_constants_s"), finding)
 
 
 class MaterialTable(Table):

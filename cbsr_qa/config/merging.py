@@ -151,10 +151,10 @@ def content_digest(data: Mapping[str, Any]) -> str:
 def list_files(configuration: Configuration) -> tuple[FileContent, ...]:
     """Return the files that a run is configured by: station, recipe, sensor type, material, and scenes once each."""
     content = json.loads(configuration.canonical)
-    named = {kind: content[kind.table] for kind in _OF_A_RUN}
+    data_by_kind = {kind: content[kind.table] for kind in _OF_A_RUN}
     scenes = [*content["scenes"].values(), *([content["emulated_scene"]] if "emulated_scene" in content else [])]
-    found = [FileContent.from_table(kind, data) for kind, data in named.items()]
-    return tuple(dict.fromkeys([*found, *(FileContent.from_table(DocumentKind.SCENE, data) for data in scenes)]))
+    contents = [FileContent.from_table(kind, data) for kind, data in data_by_kind.items()]
+    return tuple(dict.fromkeys([*contents, *(FileContent.from_table(DocumentKind.SCENE, data) for data in scenes)]))
 
 
 def canonical_json(content: Any) -> str:

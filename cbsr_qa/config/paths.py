@@ -53,10 +53,10 @@ def check_folder(folder: Path) -> None:
     ConfigError
         Naming it and the obstacle.
     """
-    there = next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), folder)
-    if not there.is_dir():
-        raise _unwritable(folder, os.strerror(errno.ENOTDIR if there.exists() else errno.ENOENT))
-    if not os.access(there, os.W_OK | os.X_OK):
+    nearest_existing = next((path for path in (folder, *folder.absolute().parents) if os.path.lexists(path)), folder)
+    if not nearest_existing.is_dir():
+        raise _unwritable(folder, os.strerror(errno.ENOTDIR if nearest_existing.exists() else errno.ENOENT))
+    if not os.access(nearest_existing, os.W_OK | os.X_OK):
         raise _unwritable(folder, os.strerror(errno.EACCES))
 
 

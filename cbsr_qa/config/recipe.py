@@ -171,8 +171,8 @@ def _label_problems(
     """Yield a label that stands for another place in an earlier phase; add the others to ``labelled``."""
     for label, place_mm in places_mm.items():
         if labelled.setdefault(label, place_mm) != place_mm:
-            what = f"makes {label} the place {place_mm} mm, and an earlier phase {labelled[label]} mm"
-            yield Problem((*choice.path, "label"), what, "give another prefix")
+            finding = f"makes {label} the place {place_mm} mm, and an earlier phase {labelled[label]} mm"
+            yield Problem((*choice.path, "label"), finding, "give another prefix")
             return
 
 
@@ -236,8 +236,8 @@ class RecipeFile(FileModel[Recipe]):
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:
-                    what, rule = "does not say what it measures", "its `measures` must map names to units"
-                    yield Problem(choice.path, what, rule)
+                    finding, rule = "does not say what it measures", "its `measures` must map names to units"
+                    yield Problem(choice.path, finding, rule)
                 all_known &= measures is not None
                 measured |= measures or {}
         yield from check_measured(tables(data, "limits"), measured, all_known=all_known)
@@ -247,15 +247,15 @@ class RecipeFile(FileModel[Recipe]):
     def problems(self) -> Iterator[Problem]:
         """Referenced names must exist, and be unique."""
         names = [phase.name for phase in self.phases]
-        seen: Counter[str] = Counter()
+        count_by_name: Counter[str] = Counter()
         for index, name in enumerate(names):
-            seen[name] += 1
-            if seen[name] == 2:
+            count_by_name[name] += 1
+            if count_by_name[name] == 2:
                 yield Problem(("phases", index, "name"), f"is {name!r}, which another phase already has")
         for name in self.recipe.calibrate_phases:
             if name not in names:
-                what = f"names {name!r}; allowed: {', '.join(names)}"
-                yield Problem(("recipe", "calibrate_phases"), what)
+                finding = f"names {name!r}; allowed: {', '.join(names)}"
+                yield Problem(("recipe", "calibrate_phases"), finding)
         if self.analysis.learn_place and not self.recipe.calibrate_phases:
             yield Problem(("analysis", "learn_place"), "is true, but calibrate_phases names no phase to learn from")
         yield from self._way_problems()
@@ -268,15 +268,15 @@ class RecipeFile(FileModel[Recipe]):
         """A recipe images sensors, or characterises a material on a strip."""
         if self.characterisation is None:
             if self.reconstruction is None:
-                what = "is missing; only a recipe with [characterisation] images nothing"
-                yield Problem(("reconstruction",), what)
+                finding = "is missing; only a recipe with [characterisation] images nothing"
+                yield Problem(("reconstruction",), finding)
             return
         for name in ("reconstruction", "analysis", "metrics"):
             if name in self.model_fields_set:
                 yield Problem((name,), "does not apply where [characterisation] is given: nothing is imaged")
         if self.recipe.calibrate_phases:
-            what = "does not apply where [characterisation] is given: a strip gets no calibration; give []"
-            yield Problem(("recipe", "calibrate_phases"), what)
+            finding = "does not apply where [characterisation] is given: a strip gets no calibration; give []"
+            yield Problem(("recipe", "calibrate_phases"), finding)
 
     def to_domain(self) -> Recipe:
         table = self.reconstruction

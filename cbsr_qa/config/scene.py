@@ -122,11 +122,11 @@ class SceneFile(FileModel[ScenePlan]):
 
     def problems(self) -> Iterator[Problem]:
         """An effect is on at most once; a recording has frames, and not too many."""
-        seen: set[str] = set()
+        seen_names: set[str] = set()
         for index, effect in enumerate(self.effects):
-            if effect.name in seen:
+            if effect.name in seen_names:
                 yield Problem(("effects", index, "name"), f"is {effect.name!r}, which is already on")
-            seen.add(effect.name)
+            seen_names.add(effect.name)
         yield from self.head.problems("head")
         yield from self._length_problems()
 
@@ -134,13 +134,13 @@ class SceneFile(FileModel[ScenePlan]):
         if self.recording is None:
             return
         period_s, duration_s = self.scene.frame_period_s, self.recording.duration_s
-        said = plainly(duration_s)
+        duration_text = plainly(duration_s)
         if duration_s < period_s * (1 - 1e-9):
-            yield Problem(("recording", "duration_s"), f"is {said}; one frame takes {plainly(period_s)} s")
+            yield Problem(("recording", "duration_s"), f"is {duration_text}; one frame takes {plainly(period_s)} s")
         if duration_s / period_s > MOST_FRAMES * (1 + 1e-9):
-            what = f"is {said}, {duration_s / period_s:.10g} frames of {plainly(period_s)} s"
+            finding = f"is {duration_text}, {duration_s / period_s:.10g} frames of {plainly(period_s)} s"
             longest = f"at most {MOST_FRAMES} frames are recorded, {MOST_FRAMES * period_s:g} s"
-            yield Problem(("recording", "duration_s"), f"{what}; {longest}")
+            yield Problem(("recording", "duration_s"), f"{finding}; {longest}")
 
     def to_domain(self) -> ScenePlan:
         return ScenePlan(

@@ -34,8 +34,8 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
     plan = loaded.value
     finest_mm = finest_mesh_mm(sensor_type)
     if plan.scene.sheet_mesh_size_mm < finest_mm:
-        what = f"is {plainly(plan.scene.sheet_mesh_size_mm)}; on this sheet it must be at least {finest_mm:g}"
-        raise refusal(loaded.document, [Problem(("scene", "sheet_mesh_size_mm"), what)])
+        finding = f"is {plainly(plan.scene.sheet_mesh_size_mm)}; on this sheet it must be at least {finest_mm:g}"
+        raise refusal(loaded.document, [Problem(("scene", "sheet_mesh_size_mm"), finding)])
     timed = [
         (index, load, press_times(load, load.strain * sensor_type.thickness_mm, plan.motion))
         for index, load in enumerate(plan.loads)
@@ -72,23 +72,23 @@ def _clearance_mm(sensor_type: SensorType, load: SceneLoad) -> float:
 def _off_the_sheet(plan: ScenePlan, sensor_type: SensorType) -> Iterator[Problem]:
     for index, load in enumerate(plan.loads):
         if _clearance_mm(sensor_type, load) < 0:
-            what = f"is {plainly(load.x_mm)} with y_mm = {plainly(load.y_mm)}, off the sheet"
-            yield Problem(("loads", index, "x_mm"), f"{what}; the sheet {sensor_type.outline.words()}")
+            finding = f"is {plainly(load.x_mm)} with y_mm = {plainly(load.y_mm)}, off the sheet"
+            yield Problem(("loads", index, "x_mm"), f"{finding}; the sheet {sensor_type.outline.words()}")
 
 
 def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
     """Loads that begin before their head can be there; every head waits over the centre at first."""
-    busy: dict[int, _Timed] = {}
-    for one in sorted(timed, key=lambda each: each[1].start_s):
-        index, load, times = one
-        before = busy.get(load.head)
-        place, free_s = ((0.0, 0.0), 0.0) if before is None else (before[1].place_mm, before[2].up_s)
+    latest_by_head: dict[int, _Timed] = {}
+    for press in sorted(timed, key=lambda each: each[1].start_s):
+        index, load, times = press
+        earlier = latest_by_head.get(load.head)
+        place, free_s = ((0.0, 0.0), 0.0) if earlier is None else (earlier[1].place_mm, earlier[2].up_s)
         way_s = travel_s(plan.motion, distance_mm(place, load.place_mm)) + approach_s(plan.motion)
         if load.start_s < free_s + way_s - _ROUNDING_S:
-            why = _why_too_soon(load, before, free_s, way_s)
-            yield Problem(("loads", index, "start_s"), f"is {plainly(load.start_s)}; {why}")
-        if before is None or times.up_s > before[2].up_s:
-            busy[load.head] = one
+            reason = _why_too_soon(load, earlier, free_s, way_s)
+            yield Problem(("loads", index, "start_s"), f"is {plainly(load.start_s)}; {reason}")
+        if earlier is None or times.up_s > earlier[2].up_s:
+            latest_by_head[load.head] = press
 
 
 def _why_too_soon(load: SceneLoad, before: _Timed | None, free_s: float, way_s: float) -> str:
@@ -104,29 +104,31 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
         return
     for index, load, times in timed:
         if times.up_s > plan.duration_s + _ROUNDING_S:
-            what = f"is {plainly(load.hold_s)}; after it the head is up at {times.up_s:.2f} s"
+            finding = f"is {plainly(load.hold_s)}; after it the head is up at {times.up_s:.2f} s"
             allowed = f"recording.duration_s is {plan.duration_s:g}; it must be at least {_up(times.up_s)}"
-            yield Problem(("loads", index, "hold_s"), f"{what}, when the recording is over: {allowed}")
+            yield Problem(("loads", index, "hold_s"), f"{finding}, when the recording is over: {allowed}")
 
 
 def _meeting_heads(head: Indenter, timed: list[_Timed]) -> Iterator[Problem]:
     """Presses of two heads that are below the hover height at the same time and would collide."""
     down: list[_Timed] = []
-    for one in sorted(timed, key=lambda each: each[2].leaves_s):
-        index, load, times = one
-        down = [other for other in down if other[2].up_s > times.leaves_s + _ROUNDING_S]
-        for other in down:
-            if other[1].head != load.head and _overlap(head, load, other[1]):
-                yield Problem(("loads", index), _why_meeting(head, one, other))
-        down.append(one)
+    for press in sorted(timed, key=lambda each: each[2].leaves_s):
+        index, load, times = press
+        down = [earlier for earlier in down if earlier[2].up_s > times.leaves_s + _ROUNDING_S]
+        for earlier in down:
+            if earlier[1].head != load.head and _overlap(head, load, earlier[1]):
+                yield Problem(("loads", index), _why_meeting(head, press, earlier))
+        down.append(press)
 
 
 def _why_meeting(head: Indenter, one: _Timed, other: _Timed) -> str:
-    (_, load, times), (number, standing, others) = one, other
-    apart = f"{distance_mm(load.place_mm, standing.place_mm):.3g} mm from loads[{number + 1}]"
-    where = f"puts head {load.head} {apart}, where head {standing.head} is down until {others.up_s:.2f} s"
-    moved = f"move one of them, or start this one at {_up(others.up_s + times.touches_s - times.leaves_s)}"
-    return f"{where}: two heads ({head.words()}) would overlap; {moved}"
+    (_, load, times), (number, standing, standing_times) = one, other
+    distance = f"{distance_mm(load.place_mm, standing.place_mm):.3g} mm from loads[{number + 1}]"
+    collision = (
+        f"puts head {load.head} {distance}, where head {standing.head} is down until {standing_times.up_s:.2f} s"
+    )
+    remedy = f"move one of them, or start this one at {_up(standing_times.up_s + times.touches_s - times.leaves_s)}"
+    return f"{collision}: two heads ({head.words()}) would overlap; {remedy}"
 
 
 def _overlap(head: Indenter, load: SceneLoad, other: SceneLoad) -> bool:

@@ -113,10 +113,10 @@ class PatternTable(Table):
 
     def pairs(self, kind: str, electrode_count: int) -> Pairs:
         """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
-        given: str | list[list[int]] = getattr(self, kind)
-        if isinstance(given, str):
-            return list_pairs(given, electrode_count)
-        return tuple((first, second) for first, second in given)
+        stated: str | list[list[int]] = getattr(self, kind)
+        if isinstance(stated, str):
+            return list_pairs(stated, electrode_count)
+        return tuple((first, second) for first, second in stated)
 
 
 _OUTLINE = ("sensor_type", "outline_mm")
@@ -168,16 +168,16 @@ class SensorTypeFile(FileModel[SensorType]):
             return
         if sheet.radius_mm is not None:
             yield Problem(("sensor_type", "radius_mm"), "does not apply where outline_mm is given")
-        wrong = list(polygon_problems(sheet.outline_mm))
-        for corner, what in wrong:
-            yield Problem(_OUTLINE if corner is None else (*_OUTLINE, corner), what)
-        for what in () if wrong else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
-            yield Problem(("sensor_type", "corner_radius_mm"), what)
+        corner_problems = list(polygon_problems(sheet.outline_mm))
+        for corner, finding in corner_problems:
+            yield Problem(_OUTLINE if corner is None else (*_OUTLINE, corner), finding)
+        for finding in () if corner_problems else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
+            yield Problem(("sensor_type", "corner_radius_mm"), finding)
         if self._outline is not None and self._outline.radius_mm < SMALLEST_MM:
-            what = (
+            finding = (
                 f"has the area of a disc of {self._outline.radius_mm:g} mm; a sheet has at least {SMALLEST_MM:g} mm"
             )
-            yield Problem(_OUTLINE, what)
+            yield Problem(_OUTLINE, finding)
 
     def _key_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         if electrodes.positions_mm is not None:
@@ -191,9 +191,9 @@ class SensorTypeFile(FileModel[SensorType]):
 
     def _width_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         key = electrodes.width_key
-        other = "length_mm" if key == "diameter_mm" else "diameter_mm"
-        if getattr(electrodes, other) is not None:
-            yield Problem(("electrodes", other), f"does not apply where kind is {electrodes.kind!r}; use {key}")
+        other_key = "length_mm" if key == "diameter_mm" else "diameter_mm"
+        if getattr(electrodes, other_key) is not None:
+            yield Problem(("electrodes", other_key), f"does not apply where kind is {electrodes.kind!r}; use {key}")
         if electrodes.width_mm is None:
             yield Problem(("electrodes", key), f"is missing; it is needed where kind is {electrodes.kind!r}")
             return
@@ -201,8 +201,8 @@ class SensorTypeFile(FileModel[SensorType]):
             return
         spacing_mm = 2 * math.pi * electrodes.ring_radius_mm / electrodes.count
         if electrodes.width_mm >= spacing_mm:
-            what = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
-            yield Problem(("electrodes", key), what)
+            finding = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
+            yield Problem(("electrodes", key), finding)
 
     def _ring_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         """Rings on discs: inside the sheet (pins) or on its edge (arcs)."""
@@ -210,56 +210,58 @@ class SensorTypeFile(FileModel[SensorType]):
         if ring_mm is None or radius_mm is None:
             return
         width_mm = electrodes.width_mm or 0.0
-        highest = widest_ring_mm(width_mm, radius_mm)
-        if electrodes.kind == "pin" and ring_mm > highest:
-            what = (
+        highest_mm = widest_ring_mm(width_mm, radius_mm)
+        if electrodes.kind == "pin" and ring_mm > highest_mm:
+            finding = (
                 f"is {ring_mm:g}; pins must lie inside the sheet, {LEAST_ROOM:.0%} of their diameter from its edge:"
-                f" at most {highest:g} mm here"
+                f" at most {highest_mm:g} mm here"
             )
-            yield Problem(("electrodes", "ring_radius_mm"), what)
+            yield Problem(("electrodes", "ring_radius_mm"), finding)
         if electrodes.kind == "arc" and not math.isclose(ring_mm, radius_mm, rel_tol=1e-9):
-            what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
-            yield Problem(("electrodes", "ring_radius_mm"), what)
+            finding = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
+            yield Problem(("electrodes", "ring_radius_mm"), finding)
 
     def _placement_problems(self) -> Iterator[Problem]:
         outline, layout = self._outline, self._layout
         if outline is None or layout is None:
             return  # what is wrong with them has been said
         assert self.electrodes is not None
-        narrow = width_problem(layout, outline.radius_mm)
-        if narrow is not None:
-            yield Problem(("electrodes", self.electrodes.width_key), narrow)
+        width_finding = width_problem(layout, outline.radius_mm)
+        if width_finding is not None:
+            yield Problem(("electrodes", self.electrodes.width_key), width_finding)
             return
-        placed = isinstance(layout, PlacedElectrodes)
-        for number, what in placement_problems(layout, outline):
-            if placed:
-                yield Problem(_POSITIONS if number is None else (*_POSITIONS, number), f"(electrode {number}) {what}")
+        is_placed = isinstance(layout, PlacedElectrodes)
+        for number, finding in placement_problems(layout, outline):
+            if is_placed:
+                yield Problem(
+                    _POSITIONS if number is None else (*_POSITIONS, number), f"(electrode {number}) {finding}"
+                )
             else:
-                which = "" if number is None else f"does not fit: electrode {number} "
-                yield Problem(("electrodes", "ring_radius_mm"), f"{which}{what}")
+                electrode_text = "" if number is None else f"does not fit: electrode {number} "
+                yield Problem(("electrodes", "ring_radius_mm"), f"{electrode_text}{finding}")
 
     def _pattern_problems(self) -> Iterator[Problem]:
         count = self._count
         if count is None:
             return
-        found = [Problem(path, what) for path, what in self._pair_problems(count)]
-        yield from found
-        if not found and count > 2:  # two pins make a strip, which is not imaged
+        problems = [Problem(path, finding) for path, finding in self._pair_problems(count)]
+        yield from problems
+        if not problems and count > 2:  # two pins make a strip, which is not imaged
             pattern = DrivePattern(count, self.pattern.pairs("drive", count), self.pattern.pairs("measure", count))
-            for what in imaging_problems(pattern):
-                yield Problem(("pattern",), what)
+            for finding in imaging_problems(pattern):
+                yield Problem(("pattern",), finding)
 
     def _pair_problems(self, count: int) -> Iterator[tuple[tuple[str | int, ...], str]]:
         for kind in ("drive", "measure"):
-            given: str | list[list[int]] = getattr(self.pattern, kind)
-            if isinstance(given, str):
+            stated: str | list[list[int]] = getattr(self.pattern, kind)
+            if isinstance(stated, str):
                 try:
-                    list_pairs(given, count)
+                    list_pairs(stated, count)
                 except RefusedError as error:
-                    yield ("pattern", kind), f"is {given!r}; {error.reason}: {error.remedy}"
+                    yield ("pattern", kind), f"is {stated!r}; {error.reason}: {error.remedy}"
                 continue
-            for index, what in pair_problems(given, count):
-                yield ("pattern", kind) if index is None else ("pattern", kind, index), what
+            for index, finding in pair_problems(stated, count):
+                yield ("pattern", kind) if index is None else ("pattern", kind, index), finding
 
     @cached_property
     def _outline(self) -> SheetOutline | None:

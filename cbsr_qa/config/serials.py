@@ -66,12 +66,12 @@ def validate_reason(text: str) -> str:
     hidden = next(
         (character for character in text if unicodedata.category(character)[0] in "CZ" and character != " "), ""
     )
-    wrong = f"{hidden!r} is not allowed" if hidden else ""
+    finding = f"{hidden!r} is not allowed" if hidden else ""
     if len(text) > LONGEST_REASON:
-        wrong = f"it is longer than {LONGEST_REASON} characters"
-    if wrong:
+        finding = f"it is longer than {LONGEST_REASON} characters"
+    if finding:
         raise ConfigError(
-            f"reason {echo(text, 24)} cannot be used: {wrong}",
+            f"reason {echo(text, 24)} cannot be used: {finding}",
             remedy=f"allowed: one line of up to {LONGEST_REASON} characters",
         )
     return text.strip()
@@ -100,8 +100,8 @@ def _compile_pattern(pattern: str) -> Any:
     try:
         return re2.compile(pattern, options)
     except re2.error as error:
-        why = error.args[0].decode("utf-8", "replace") if isinstance(error.args[0], bytes) else str(error)
-        raise ValueError(f"it must be a regular expression of RE2: {why}") from None
+        reason = error.args[0].decode("utf-8", "replace") if isinstance(error.args[0], bytes) else str(error)
+        raise ValueError(f"it must be a regular expression of RE2: {reason}") from None
 
 
 def _identifier(noun: str, text: str) -> str:
@@ -110,9 +110,9 @@ def _identifier(noun: str, text: str) -> str:
     if len(text) > LONGEST:
         raise _identifier_error(noun, text, f"it is longer than {LONGEST} characters")
     if not _IDENTIFIER.fullmatch(text):
-        wrong = next((c for c in text if not re.fullmatch(r"[A-Za-z0-9._-]", c)), text[0])
-        where = "allowed at the start" if wrong in "._-" else "allowed"
-        raise _identifier_error(noun, text, f"{wrong!r} is not {where}")
+        character = next((c for c in text if not re.fullmatch(r"[A-Za-z0-9._-]", c)), text[0])
+        allowed = "allowed at the start" if character in "._-" else "allowed"
+        raise _identifier_error(noun, text, f"{character!r} is not {allowed}")
     return text
 
 

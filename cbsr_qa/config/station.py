@@ -141,15 +141,15 @@ class ReferenceRingTable(Table):
     def problems(self) -> Iterator[Problem]:
         """One resistance for all, or one each."""
         if (self.resistance_ohm is None) == (self.resistances_ohm is None):
-            what = "needs either resistance_ohm, alike for all resistors, or resistances_ohm, one for each"
-            yield Problem(("reference_ring",), what)
+            finding = "needs either resistance_ohm, alike for all resistors, or resistances_ohm, one for each"
+            yield Problem(("reference_ring",), finding)
 
     def to_domain(self) -> ReferenceRing:
-        one = () if self.resistance_ohm is None else (self.resistance_ohm,)
+        common_ohm = () if self.resistance_ohm is None else (self.resistance_ohm,)
         return as_domain(
             ReferenceRing,
             self,
-            resistance_ohm=tuple(self.resistances_ohm or one),
+            resistance_ohm=tuple(self.resistances_ohm or common_ohm),
             noise=self.noise_ppm / 1e6,
             offset_V=self.offset_mV / 1000,
         )
@@ -176,8 +176,8 @@ class InstrumentTable(OpenTable):
     calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
 
     def to_domain(self, role: str) -> InstrumentSpec:
-        who = {"model": self.model or "", "serial": self.serial or ""}
-        return as_domain(InstrumentSpec, self, role=role, options=self.options, **who)
+        identity = {"model": self.model or "", "serial": self.serial or ""}
+        return as_domain(InstrumentSpec, self, role=role, options=self.options, **identity)
 
 
 class EventsTable(OpenTable):
@@ -196,11 +196,11 @@ class SyncTable(Table):
     backlog_hours: Annotated[float, Field(gt=0, le=87600)] | None = None
 
     def problems(self) -> Iterator[Problem]:
-        at = ("sync", "centre")
+        path = ("sync", "centre")
         if self.centre and "://" not in self.centre:
-            yield Problem(at, f"{self.centre!r} is no URL", "e.g. postgresql://station@10.0.0.5/quality")
+            yield Problem(path, f"{self.centre!r} is no URL", "e.g. postgresql://station@10.0.0.5/quality")
         if "password=" in self.centre or ":" in self.centre.partition("://")[2].rpartition("@")[0]:
-            yield Problem(at, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
+            yield Problem(path, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
 
 
 class StationFile(FileModel[Station]):
@@ -244,25 +244,25 @@ class StationFile(FileModel[Station]):
         if self.gate.backlog not in (None, "off") and self.sync.backlog_hours is None:
             yield Problem(("gate", "backlog"), "needs backlog_hours in [sync]")
         if self.station.overdue is not None and self.gate.calibration_due is not None:
-            what = "is given beside station.overdue, its earlier spelling; give one of them"
-            yield Problem(("gate", "calibration_due"), what)
-        filled: dict[str, str] = {}
+            finding = "is given beside station.overdue, its earlier spelling; give one of them"
+            yield Problem(("gate", "calibration_due"), finding)
+        instrument_by_role: dict[str, str] = {}
         for name, table in self.instruments.items():
             for role in table.provides:
-                if role in filled:
-                    what = f"names {role!r}, which instruments.{filled[role]} already provides"
-                    yield Problem(("instruments", name, "provides"), what)
-                filled.setdefault(role, name)
+                if role in instrument_by_role:
+                    finding = f"names {role!r}, which instruments.{instrument_by_role[role]} already provides"
+                    yield Problem(("instruments", name, "provides"), finding)
+                instrument_by_role.setdefault(role, name)
         for role in NEEDED_ROLES:
-            if role not in filled:
+            if role not in instrument_by_role:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
     def _emulation_problems(self) -> Iterator[Problem]:
         emulated = [name for name, table in self.instruments.items() if table.options.get("address") == EMULATED]
         if self.emulation is None:
             for name in emulated:
-                what = f"is {EMULATED!r}, but the station has no [emulation] table to say in which scene"
-                yield Problem(("instruments", name, "address"), what)
+                finding = f"is {EMULATED!r}, but the station has no [emulation] table to say in which scene"
+                yield Problem(("instruments", name, "address"), finding)
         elif not emulated:
             yield Problem(("emulation",), f"is given, but no instrument has address = {EMULATED!r}")
 

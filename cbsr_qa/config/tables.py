@@ -71,7 +71,7 @@ def as_domain(kind: type[D], table: BaseModel, **others: Any) -> D:
 
 def _fraction(percent: float | list[float] | None) -> float | list[float] | None:
     if isinstance(percent, list):
-        return [one / 100 for one in percent]
+        return [value / 100 for value in percent]
     return None if percent is None else percent / 100
 
 
@@ -90,7 +90,10 @@ def validate(model: type[FileModel[T]], document: Document, plugins: Plugins | N
     infinite = [Problem(path, "is not a finite number") for path in find_not_finite(document.data)]
     parsed, problems = check(model, document.data)
     problems += () if plugins is None else model.plugin_problems(document.data, plugins)
-    problems = [*infinite, *(p for p in problems if all(p.path != known.path for known in infinite))]
+    problems = [
+        *infinite,
+        *(p for p in problems if all(p.path != infinite_problem.path for infinite_problem in infinite)),
+    ]
     if problems or parsed is None:
         raise refusal(document, problems)
     try:
@@ -101,12 +104,12 @@ def validate(model: type[FileModel[T]], document: Document, plugins: Plugins | N
 
 def refusal(document: Document, problems: list[Problem]) -> ConfigError:
     """Return the error that lists the first problems of a file, each with its line."""
-    some = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
-    lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{some}:"]
+    shown_part = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
+    lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{shown_part}:"]
     placed = [(line_of(document.text, problem.path), problem) for problem in problems]
     file = Path(document.label).name
     for line, problem in sorted(placed, key=lambda each: each[0] or 0)[:MOST_LISTED]:
-        where = f"{file} line {line}: " if line else ""
-        lines.append(f"  {where}{problem}")
-    what = "it" if len(problems) == 1 else "them"
-    return ConfigError("\n".join(lines), remedy=f"correct {what} and try again; {REFERENCE} lists every key")
+        place = f"{file} line {line}: " if line else ""
+        lines.append(f"  {place}{problem}")
+    pronoun = "it" if len(problems) == 1 else "them"
+    return ConfigError("\n".join(lines), remedy=f"correct {pronoun} and try again; {REFERENCE} lists every key")

@@ -31,29 +31,31 @@ def line_of(text: str, path: KeyPath) -> int | None:
     1-based line, or None if the outermost table is not in the text (or in a form this scan does not follow, such as
     tables inside inline arrays).
     """
-    first = _first_lines(text)
-    return next((first[path[:length]] for length in range(len(path), 0, -1) if path[:length] in first), None)
+    line_by_path = _first_lines(text)
+    return next(
+        (line_by_path[path[:length]] for length in range(len(path), 0, -1) if path[:length] in line_by_path), None
+    )
 
 
 @lru_cache(maxsize=1)  # a file with a thousand problems is scanned once
 def _first_lines(text: str) -> dict[KeyPath, int]:
     """First line of every key, and of every table by its contents."""
-    first: dict[KeyPath, int] = {}
+    line_by_path: dict[KeyPath, int] = {}
     for line, place in _places(text):
         for length in range(1, len(place) + 1):
-            first.setdefault(place[:length], line)
-    return first
+            line_by_path.setdefault(place[:length], line)
+    return line_by_path
 
 
 def _places(text: str) -> Iterator[tuple[int, KeyPath]]:
     table: KeyPath = ()
     counts: dict[KeyPath, int] = {}
-    inside = ""  # the delimiter of a multi-line string that is open
+    open_delimiter = ""  # the delimiter of a multi-line string that is open
     # Only line feeds end lines in TOML; texts and comments may hold other separators, such as U+2028.
     for number, line in enumerate(text.split("\n"), start=1):
-        opened = bool(inside)
-        inside = _open_string(line, inside)
-        if opened:
+        in_string = bool(open_delimiter)
+        open_delimiter = _open_string(line, open_delimiter)
+        if in_string:
             continue
         if header := _HEADER.match(line):
             names = _insert_positions(_split(header[2]), counts)
@@ -100,7 +102,7 @@ def toml_value(value: Any) -> str:
     if isinstance(value, float):
         return float.__repr__(value)  # of numpy's floats too
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(key)} = {toml_value(one)}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(key)} = {toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     if not isinstance(value, str | int):
@@ -129,18 +131,18 @@ def one_line(text: str) -> str:
 
 
 def _table(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    later = {key: value for key, value in table.items() if _is_table(value) or _is_tables(value)}
+    nested = {key: value for key, value in table.items() if _is_table(value) or _is_tables(value)}
     for key, value in table.items():
-        if key not in later:
+        if key not in nested:
             yield f"{_key(key)} = {toml_value(value)}"
-    for key, value in later.items():
+    for key, value in nested.items():
         name = ".".join(map(_key, (*path, key)))
         if _is_table(value):
-            own = any(not (_is_table(one) or _is_tables(one)) for one in value.values())
-            yield from (*(("", f"[{name}]") if own else ()), *_table(value, (*path, key)))
+            has_own_keys = any(not (_is_table(item) or _is_tables(item)) for item in value.values())
+            yield from (*(("", f"[{name}]") if has_own_keys else ()), *_table(value, (*path, key)))
             continue
-        for one in value:
-            yield from ("", f"[[{name}]]", *(f"{_key(k)} = {toml_value(v)}" for k, v in one.items()))
+        for item in value:
+            yield from ("", f"[[{name}]]", *(f"{_key(k)} = {toml_value(v)}" for k, v in item.items()))
 
 
 def _is_table(value: Any) -> bool:
@@ -149,7 +151,7 @@ def _is_table(value: Any) -> bool:
 
 def _is_tables(value: Any) -> bool:
     listed = isinstance(value, Sequence) and not isinstance(value, str)
-    return listed and bool(value) and all(isinstance(one, Mapping) for one in value)
+    return listed and bool(value) and all(isinstance(item, Mapping) for item in value)
 
 
 def _key(key: str) -> str:
