@@ -68,8 +68,8 @@ def analyse(
     analysed = [analyse_file(path, request, tell=announce) for path in files]
     for file in analysed:
         if file.error is not None:
-            named = file.error.reason.startswith("--") or file.file.name in file.error.reason
-            note(f"cbsr-qa: {'' if named else f'{file.file.name}: '}{file.error}")
+            is_named = file.error.reason.startswith("--") or file.file.name in file.error.reason
+            note(f"cbsr-qa: {'' if is_named else f'{file.file.name}: '}{file.error}")
     if as_json:
         emit_json(json_document(analysed[0] if len(analysed) == 1 else AnalysedFiles(tuple(analysed))))
     else:

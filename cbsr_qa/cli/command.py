@@ -112,8 +112,8 @@ def commands(first_word: str = "") -> list[Command]:
 
 
 def _rank(words: str) -> int:
-    first = words.partition(" ")[0]
-    return _FIRST.index(first) if first in _FIRST else len(_FIRST)
+    first_word = words.partition(" ")[0]
+    return _FIRST.index(first_word) if first_word in _FIRST else len(_FIRST)
 
 
 def purpose(of_group: str) -> str:
@@ -124,11 +124,11 @@ def purpose(of_group: str) -> str:
 def documents() -> dict[str, Any]:
     """Return the dataclass of each document that a command prints, or their union, by the command's words."""
     _import_all()
-    found = {}
+    kinds = {}
     for words in sorted(_PRINTED):
         places = (place.split(":") for place in _PRINTED[words].split("|"))
-        found[words] = reduce(or_, (getattr(import_module(module), name) for module, name in places))
-    return found
+        kinds[words] = reduce(or_, (getattr(import_module(module), name) for module, name in places))
+    return kinds
 
 
 def _import_all() -> None:
@@ -144,8 +144,12 @@ def _spread(run: Callable[..., Any]) -> Callable[..., Any]:
     if not shared:
         return run
     spread: list[Parameter] = []
-    for one in signature(run).parameters.values():
-        spread += _options_of(shared[one.name]) if one.name in shared else [one.replace(kind=Parameter.KEYWORD_ONLY)]
+    for parameter in signature(run).parameters.values():
+        spread += (
+            _options_of(shared[parameter.name])
+            if parameter.name in shared
+            else [parameter.replace(kind=Parameter.KEYWORD_ONLY)]
+        )
 
     @wraps(run)
     def whole(**given: Any) -> Any:
@@ -153,7 +157,7 @@ def _spread(run: Callable[..., Any]) -> Callable[..., Any]:
             given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
         return run(**given)
 
-    whole.__annotations__ = {one.name: one.annotation for one in spread}
+    whole.__annotations__ = {parameter.name: parameter.annotation for parameter in spread}
     vars(whole)["__signature__"] = Signature(spread)
     return whole
 
@@ -161,7 +165,10 @@ def _spread(run: Callable[..., Any]) -> Callable[..., Any]:
 def _options_of(kind: Any) -> list[Parameter]:
     hints = get_type_hints(kind, include_extras=True)
     keyword = Parameter.KEYWORD_ONLY
-    return [Parameter(one.name, keyword, default=one.default, annotation=hints[one.name]) for one in fields(kind)]
+    return [
+        Parameter(option.name, keyword, default=option.default, annotation=hints[option.name])
+        for option in fields(kind)
+    ]
 
 
 def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any]]:
@@ -183,10 +190,10 @@ _FLAGS: Final = ("help", "version", "install_completion", "show_completion")
 
 def _plain(parameters: list[Any]) -> list[Any]:
     """Remove types and ranges, which typer adds, from help: descriptions state them."""
-    for one in parameters:
-        one._get_number_range_help_str = lambda: None
-        if one.param_type_name == "argument" or one.name in _FLAGS:
-            one.display_type_rich = lambda ctx: ""
+    for parameter in parameters:
+        parameter._get_number_range_help_str = lambda: None
+        if parameter.param_type_name == "argument" or parameter.name in _FLAGS:
+            parameter.display_type_rich = lambda ctx: ""
     return parameters
 
 

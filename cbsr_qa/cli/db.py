@@ -31,8 +31,8 @@ def upgrade(
     from cbsr_qa.app.database import upgrade_database
 
     with _show_stages() as count:
-        done = upgrade_database(database, count, backup=not no_backup)
-    show(done, as_json=as_json)
+        outcome = upgrade_database(database, count, backup=not no_backup)
+    show(outcome, as_json=as_json)
 
 
 @command("db backup", prints="cbsr_qa.app.keeping:Backup")
@@ -48,8 +48,8 @@ def backup(
     from cbsr_qa.app.keeping import back_up
 
     with _show_stages() as count:
-        done = back_up(database, file, count)
-    show(done, as_json=as_json)
+        outcome = back_up(database, file, count)
+    show(outcome, as_json=as_json)
 
 
 @command("db restore", prints="cbsr_qa.app.keeping:Restored")
@@ -62,8 +62,8 @@ def restore(
     from cbsr_qa.app.keeping import restore_backup
 
     with _show_stages() as count:
-        done = restore_backup(database, backup, count)
-    show(done, as_json=as_json)
+        outcome = restore_backup(database, backup, count)
+    show(outcome, as_json=as_json)
 
 
 @command("db check", prints="cbsr_qa.app.keeping:DatabaseCheck")
@@ -80,8 +80,8 @@ def check(
     from cbsr_qa.app.keeping import check_database
 
     with _show_stages() as count:
-        done = check_database(database, to_day(since), count, quick=quick)
-    raise typer.Exit(show(done, as_json=as_json))
+        outcome = check_database(database, to_day(since), count, quick=quick)
+    raise typer.Exit(show(outcome, as_json=as_json))
 
 
 @contextmanager
@@ -196,11 +196,13 @@ def sync(
     if station is not None:
         stated = load_station(station).value.sync
         to, limit_h = to or stated.centre, stated.backlog_hours if limit_h is None else limit_h
-    given = [option for option, value in {"--watch": watch, "--status": status, "--let-go": let_go}.items() if value]
-    given += ["--compare-since"] if compare_since and given else []
-    given += ["--retry"] if retry and (let_go or status) else []
-    if len(given) > 1:
-        raise ConfigError(f"{' and '.join(given)} cannot be given together", remedy="give one of them")
+    exclusive_options = [
+        option for option, value in {"--watch": watch, "--status": status, "--let-go": let_go}.items() if value
+    ]
+    exclusive_options += ["--compare-since"] if compare_since and exclusive_options else []
+    exclusive_options += ["--retry"] if retry and (let_go or status) else []
+    if len(exclusive_options) > 1:
+        raise ConfigError(f"{' and '.join(exclusive_options)} cannot be given together", remedy="give one of them")
     if let_go:
         return show(decide_item(database, let_go, again=False), as_json=as_json)
     if retry:
@@ -210,14 +212,14 @@ def sync(
     if watch is not None:
         return show(keep_synchronised(database, to, watch, note, limit_h=limit_h), as_json=as_json)
     with Counting("items") as counting:
-        done = synchronise(
+        outcome = synchronise(
             database,
             to,
             limit_h=limit_h,
             progress=lambda one, of, _: counting.count(one, of),
             compare_since=to_day(compare_since),
         )
-    return show(done, as_json=as_json)
+    return show(outcome, as_json=as_json)
 
 
 @command("db roles", prints="cbsr_qa.app.database:Roles")
@@ -230,8 +232,8 @@ def roles(as_json: AsJson = False) -> None:
     from cbsr_qa.app.database import database_roles
     from cbsr_qa.report.document import json_document
 
-    made = database_roles()
+    script = database_roles()
     if as_json:
-        emit_json(json_document(made))
+        emit_json(json_document(script))
     else:
-        say(made.sql.removesuffix("\n"))
+        say(script.sql.removesuffix("\n"))

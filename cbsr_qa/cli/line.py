@@ -60,13 +60,13 @@ def line(
     validate_batch(batch)
     validate_operator(operator)
     bench = load_station(station).value
-    given = {"--station": station, "--recipe": recipe, "--operator": operator, "--batch": batch}
-    given["--database"] = database or ""
-    options = [word for name, value in given.items() if value for word in (name, value)]
-    tested = _Line(bench.name, operator, [*options, "--prompts", "channel"], _pin_of(bench, operator))
-    with tested.signals_heard():
-        tested.work()
-        tested.count(database)
+    value_by_option = {"--station": station, "--recipe": recipe, "--operator": operator, "--batch": batch}
+    value_by_option["--database"] = database or ""
+    options = [word for name, value in value_by_option.items() if value for word in (name, value)]
+    loop = _Line(bench.name, operator, [*options, "--prompts", "channel"], _pin_of(bench, operator))
+    with loop.signals_heard():
+        loop.work()
+        loop.count(database)
     return 0
 
 
@@ -103,14 +103,14 @@ class _Line:
     def work(self) -> None:
         """Test sensors until the input ends."""
         threading.Thread(target=self._listen, name="scanner", daemon=True).start()
-        more = True
-        while more:
+        has_input = True
+        while has_input:
             note("\nScan the next sensor (quit ends):")
             kind, text = self._heard.get()
             if kind in ("end", "signal") or text.lower() in _ENDS:
                 return
             if kind == "scan" and text and self._is_valid(text):
-                more = self._test(text)
+                has_input = self._test(text)
 
     @contextmanager
     def signals_heard(self) -> Iterator[None]:
@@ -120,11 +120,11 @@ class _Line:
             self._heard.put(("signal", signal.Signals(number).name))
 
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        before = {n: signal.signal(n, hear) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
+        previous_handlers = {n: signal.signal(n, hear) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
         try:
             yield
         finally:
-            for number, handler in before.items():
+            for number, handler in previous_handlers.items():
                 signal.signal(number, handler)
 
     def count(self, database: str | None) -> None:
@@ -189,33 +189,33 @@ class _Line:
 
         threading.Thread(target=read, name="run", daemon=True).start()
         threading.Thread(target=self._follow, args=(process,), name="prompts", daemon=True).start()
-        ignored, more = self._wait(process, serial)
+        ignored, has_input = self._wait(process, serial)
         document = "".join(printed)
         _show(serial, document)
         if '"run"' in document:
             self._serials.append(serial)
         for scan in ignored:
             note(f"{scan!r} was scanned during the run and is ignored: scan it again")
-        return more
+        return has_input
 
     def _wait(self, process: "subprocess.Popen[str]", serial: str) -> tuple[list[str], bool]:
         """Wait for the end of a run; return what was scanned meanwhile, and whether there is more input."""
-        ignored, more, prompt = list[str](), True, ""
+        ignored, has_input, prompt = list[str](), True, ""
         while True:
             kind, text = self._heard.get()
             match kind:
                 case "ended":
-                    return ignored, more
+                    return ignored, has_input
                 case "end":
-                    more = False
+                    has_input = False
                 case "signal":
-                    more = more and text == "SIGINT"
+                    has_input = has_input and text == "SIGINT"
                     note(f"stopping the run of {serial} …")
                     process.send_signal(signal.SIGINT)
                 case "prompt":
                     prompt = text
                 case _ if text.lower() in _ENDS:
-                    more = False
+                    has_input = False
                     note(f"ending after the run of {serial}")
                 case _ if prompt:
                     self._answer(prompt, text)
@@ -227,16 +227,16 @@ class _Line:
         """Show the questions of a run as they come, and report the number of the open question, if any."""
         from cbsr_qa.station.control.client import RunChannel
 
-        shown = ""
+        shown_number = ""
         while process.poll() is None:
             with suppress(RefusedError, OSError), RunChannel.connect(self.station) as channel:
                 # The run leads a session of its own; another process may use the station.
-                ours = os.getsid(channel.hello["pid"]) == process.pid
-                for prompt in _prompts(channel) if ours else ():
+                is_own_run = os.getsid(channel.hello["pid"]) == process.pid
+                for prompt in _prompts(channel) if is_own_run else ():
                     number = "" if prompt is None else str(prompt["prompt"])
-                    if number == shown:
+                    if number == shown_number:
                         continue
-                    shown = number
+                    shown_number = number
                     self._heard.put(("prompt", number))
                     if prompt is not None:
                         picture = f"  picture: {prompt['picture']}\n" if prompt["picture"] else ""
@@ -272,12 +272,12 @@ def _prompts(channel: "RunChannel") -> Iterator[dict[str, Any] | None]:
 def _show(serial: str, printed: str) -> None:
     """Show a verdict between rules, with its reason and what to do with the sensor."""
     try:
-        found: dict[str, Any] = json.loads(printed)
+        result: dict[str, Any] = json.loads(printed)
     except ValueError:
-        found = {}
-    finished = found.get("end") == "finished"
-    outcome = str(found.get("outcome", "")) if finished else ""
+        result = {}
+    finished = result.get("end") == "finished"
+    outcome = str(result.get("outcome", "")) if finished else ""
     word = outcome.upper() or "NO VERDICT"
     rule = "=" * 72
-    reason = str(found.get("reason") or "the message above says why")
+    reason = str(result.get("reason") or "the message above says why")
     note(f"\n{rule}\n  {serial}:  {word}\n  {reason}\n  {_DO.get(outcome, _OTHERWISE)}\n{rule}")

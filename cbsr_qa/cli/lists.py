@@ -83,14 +83,14 @@ def _list(
     if csv == _STDOUT and as_json:
         raise RefusedError("--csv - with --json", remedy="one of them is printed: name a file for the other")
     with open_store(database_url(database), create=False) as store:
-        found = find(store, request)
-    outcome = lay_out(found)
+        listed = find(store, request)
+    outcome = lay_out(listed)
     if csv == _STDOUT:
-        say(as_csv(found).removesuffix("\n"))
+        say(as_csv(listed).removesuffix("\n"))
         for remark in outcome.page.remarks:
             note(remark)
         raise typer.Exit(outcome.exit_code)
     if csv is not None:
-        write_table(csv, as_csv(found))
+        write_table(csv, as_csv(listed))
         note(f"list         {csv}")
     raise typer.Exit(show(outcome, as_json=as_json))

@@ -132,10 +132,10 @@ def run_guarded(arguments: list[str]) -> int:
     Output that could not be written (a full disk) gives exit code 3, unless the command was refused. A reader that
     has gone does not change the exit code.
     """
-    code, why = _run_typer(arguments), take_lost_output()
-    if not why:
+    code, lost_reason = _run_typer(arguments), take_lost_output()
+    if not lost_reason:
         return code
-    note(f"cbsr-qa: the output could not be written: {why}\n{_LOST}")
+    note(f"cbsr-qa: the output could not be written: {lost_reason}\n{_LOST}")
     return 3 if code < 2 else code
 
 
@@ -182,8 +182,8 @@ def _report_error(error: CbsrError, arguments: list[str], words: str = "") -> in
 
 def _report_defect(error: BaseException, arguments: list[str]) -> int:
     """Report an internal error and its place; exit code 3: nothing was decided."""
-    where = traceback.extract_tb(error.__traceback__)[-1]
-    reason = f"internal error: {describe_error(error)} ({Path(where.filename).name}, line {where.lineno})"
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    reason = f"internal error: {describe_error(error)} ({Path(frame.filename).name}, line {frame.lineno})"
     code = _report_error(BrokenError(reason, remedy=_REPORT_IT), arguments)
     if os.environ.get("CBSR_QA_TRACEBACK"):
         traceback.print_exception(error)
@@ -202,9 +202,9 @@ _WORDS = {
 
 
 def _reword(message: str) -> str:
-    for jargon, words in _WORDS.items():
+    for jargon, wording in _WORDS.items():
         if re.fullmatch(jargon, message):
-            return re.sub(jargon, words, message)
+            return re.sub(jargon, wording, message)
     return message
 
 

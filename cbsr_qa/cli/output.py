@@ -78,9 +78,9 @@ def announce(stage: str) -> None:
 
 def take_lost_output() -> str:
     """Return why output on stdout was lost, and reset it; empty if it was not, or its reader (``head``) has ended."""
-    why = "; ".join(_lost)
+    reason = "; ".join(_lost)
     _lost.clear()
-    return why
+    return reason
 
 
 def reader_has_gone() -> bool:
@@ -111,10 +111,10 @@ def claim_stdout(stream: TextIO | None = None) -> None:
         return
     stdout.flush()
     _on_terminal[:] = [stdout.isatty()]
-    own = stdout.fileno()
+    descriptor = stdout.fileno()
     if stream is None:
-        stream = os.fdopen(os.dup(own), "w", encoding=stdout.encoding, errors=stdout.errors)
-    os.dup2(os.open(os.devnull, os.O_WRONLY) if stderr is None else stderr.fileno(), own)
+        stream = os.fdopen(os.dup(descriptor), "w", encoding=stdout.encoding, errors=stdout.errors)
+    os.dup2(os.open(os.devnull, os.O_WRONLY) if stderr is None else stderr.fileno(), descriptor)
     sys.stdout, _claimed = sys.stderr, stream
 
 
@@ -127,9 +127,9 @@ def live_output() -> Callable[[bytes], None] | None:
     number = stream.fileno()
 
     def write(data: bytes) -> None:
-        left = memoryview(data)
-        while left:
-            left = left[os.write(number, left) :]
+        remaining = memoryview(data)
+        while remaining:
+            remaining = remaining[os.write(number, remaining) :]
 
     return write
 

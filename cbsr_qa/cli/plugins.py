@@ -36,20 +36,28 @@ def list_plugins(
     from cbsr_qa.report.tables import plural, text_table
 
     plugins = discover()
-    found = [fill_from_object(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))]
+    listed = [
+        fill_from_object(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))
+    ]
     columns: tuple[str, ...] = ("kind", "name", "from")
-    rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in found]
+    rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in listed]
     if options:
         from cbsr_qa.plugin.reference import plugin_reference
 
-        taken = [plugin_reference(plugins, Kind(plugin.kind), plugin.name).options for plugin in found]
-        found = [replace(plugin, options=each) for plugin, each in zip(found, taken, strict=True)]
+        options_of_each = [plugin_reference(plugins, Kind(plugin.kind), plugin.name).options for plugin in listed]
+        listed = [
+            replace(plugin, options=plugin_options)
+            for plugin, plugin_options in zip(listed, options_of_each, strict=True)
+        ]
         columns += ("options",)
-        rows = [[*row, ", ".join(option.name for option in each)] for row, each in zip(rows, taken, strict=True)]
+        rows = [
+            [*row, ", ".join(option.name for option in plugin_options)]
+            for row, plugin_options in zip(rows, options_of_each, strict=True)
+        ]
     failed = tuple(fill_from_object(FailedPlugin, failure) for failure in plugins.failures)
     warnings = [f"not loaded: {failure.distribution}: {failure.reason}" for failure in failed]
     table = text_table("By kind and name.", columns, rows)
-    outcome = answer(ListedPlugins(tuple(found), failed), plural(len(found), "plugin"), warnings=warnings)
+    outcome = answer(ListedPlugins(tuple(listed), failed), plural(len(listed), "plugin"), warnings=warnings)
     show(replace(outcome, sections=(Section("Installed", (table,)),)), as_json=as_json)
 
 
@@ -70,16 +78,20 @@ def show_plugin(
     from cbsr_qa.report.page import answer
 
     plugins = discover()
-    asked = kind_named(kind)
-    kinds = [each for each in Kind if asked in (None, each) and name in plugins.names(each)]
-    shown = tuple(plugin_reference(plugins, each, name) for each in kinds)
-    if not shown:
-        raise plugins.unknown(asked, name)
+    asked_kind = kind_named(kind)
+    kinds = [
+        plugin_kind
+        for plugin_kind in Kind
+        if asked_kind in (None, plugin_kind) and name in plugins.names(plugin_kind)
+    ]
+    references = tuple(plugin_reference(plugins, plugin_kind, name) for plugin_kind in kinds)
+    if not references:
+        raise plugins.unknown(asked_kind, name)
     kinds_text = " and ".join(
-        f"{'an' if plugin.kind[0] in 'aeiou' else 'a'} {plugin.kind} plugin" for plugin in shown
+        f"{'an' if plugin.kind[0] in 'aeiou' else 'a'} {plugin.kind} plugin" for plugin in references
     )
-    outcome = answer(ShownPlugins(shown), f"{name} is {kinds_text}")
-    show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
+    outcome = answer(ShownPlugins(references), f"{name} is {kinds_text}")
+    show(replace(outcome, sections=tuple(map(_section, references))), as_json=as_json)
 
 
 @command("plugins new", prints="cbsr_qa.testing.kit.new:NewPackage")
@@ -97,16 +109,16 @@ def new_plugin(
     from cbsr_qa.report.page import answer
     from cbsr_qa.testing.kit.new import make_package
 
-    wanted = kind_named(kind)
-    assert wanted is not None  # None stands for all kinds only where no kind is given
-    made = make_package(wanted, name, discover(), into)
+    plugin_kind = kind_named(kind)
+    assert plugin_kind is not None  # None stands for all kinds only where no kind is given
+    package = make_package(plugin_kind, name, discover(), into)
     printed = (
-        *(("file", str(made.folder / file)) for file in made.files),
-        ("change", str(made.folder / made.module / f"{made.kind}.py")),
-        ("check", f"cbsr-qa plugins check {made.folder}/"),
-        ("install", f"python -m pip install --no-deps {_path(made.folder)}"),
+        *(("file", str(package.folder / file)) for file in package.files),
+        ("change", str(package.folder / package.module / f"{package.kind}.py")),
+        ("check", f"cbsr-qa plugins check {package.folder}/"),
+        ("install", f"python -m pip install --no-deps {_path(package.folder)}"),
     )
-    show(answer(made, f"{made.folder} has the {made.kind} {made.name}", printed=printed), as_json=as_json)
+    show(answer(package, f"{package.folder} has the {package.kind} {package.name}", printed=printed), as_json=as_json)
 
 
 @command("plugins check", prints="cbsr_qa.testing.kit.conformance:CheckedPlugins")

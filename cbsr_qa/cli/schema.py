@@ -33,8 +33,10 @@ def document_schema(words: str) -> dict[str, Any]:
     """Return the JSON Schema of a command's document. RefusedError if the command has none."""
     from cbsr_qa.report.document import json_schema
 
-    known = documents()
-    chosen = [name for name in known if name == words] or [name for name in known if name.startswith(f"{words} ")]
+    kind_by_words = documents()
+    chosen = [name for name in kind_by_words if name == words] or [
+        name for name in kind_by_words if name.startswith(f"{words} ")
+    ]
     if len(chosen) == 1:  # "limits" is enough for the only command that begins so
-        return json_schema(known[chosen[0]])
-    raise RefusedError(f"no schema for {words!r}", remedy=f"choose one of: {', '.join(chosen or known)}")
+        return json_schema(kind_by_words[chosen[0]])
+    raise RefusedError(f"no schema for {words!r}", remedy=f"choose one of: {', '.join(chosen or kind_by_words)}")

@@ -141,13 +141,13 @@ def pin(as_json: AsJson = False) -> None:
     from cbsr_qa.report.page import answer
     from cbsr_qa.system.pins import hash_pin, pin_allowed
 
-    given = read_pin("New PIN")
-    if not pin_allowed(given):
+    new_pin = read_pin("New PIN")
+    if not pin_allowed(new_pin):
         remedy = "allowed: 4 to 64 printable characters, without a space at either end"
         raise ConfigError("the PIN cannot be used", remedy=remedy)
-    if sys.stdin is not None and sys.stdin.isatty() and read_pin("The same PIN again") != given:
+    if sys.stdin is not None and sys.stdin.isatty() and read_pin("The same PIN again") != new_pin:
         raise ConfigError("the two PINs differ", remedy="try again")
-    line = PinLine(hash_pin(given))
+    line = PinLine(hash_pin(new_pin))
     show(
         answer(line, "add this to the operator's [[gate.operators]] table", "", (), (("pin", f'= "{line.pin}"'),)),
         as_json=as_json,

@@ -92,8 +92,8 @@ def stream(
         interrupts.listen(),
         Outlets(places, plugins, write=write, tell=note) as outlets,
     ):
-        made = stream_messages(request, plugins=plugins, tell=note, waiting=interrupts.idle)
-        with closing(made) as messages:
+        generator = stream_messages(request, plugins=plugins, tell=note, waiting=interrupts.idle)
+        with closing(generator) as messages:
             for message in messages:
                 outlets.send(message)
                 if isinstance(message, EndMessage):

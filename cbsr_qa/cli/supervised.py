@@ -107,10 +107,10 @@ class _Child:
         if not os.path.samestat(os.fstat(cls.report), cls.pipe):
             raise OSError(errno.EBADF, "the pipe to the parent was closed")
         line = f"{_mark(os.getpid())}{json.dumps(message)[1:]}".encode()
-        left = b"\n" + line + b"\n"  # keeps anything a plugin wrote there on a separate line
+        remaining = b"\n" + line + b"\n"  # keeps anything a plugin wrote there on a separate line
         with suppress(BrokenPipeError):
-            while left:
-                left = left[os.write(cls.report, left) :]
+            while remaining:
+                remaining = remaining[os.write(cls.report, remaining) :]
 
     @classmethod
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int, live: bool) -> None:
@@ -199,7 +199,7 @@ class _Parent:
             os.set_blocking(end, False)
         waker = signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
         heard = [n for n in _HANDED_ON if signal.getsignal(n) is not signal.SIG_IGN]
-        before = {number: signal.signal(number, lambda *_: None) for number in (*heard, signal.SIGCHLD)}
+        previous_handlers = {number: signal.signal(number, lambda *_: None) for number in (*heard, signal.SIGCHLD)}
         try:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
             while (status := self._poll_child()) is None:
@@ -211,7 +211,7 @@ class _Parent:
                 self._loads.join()
             return status
         finally:
-            for number, handler in before.items():
+            for number, handler in previous_handlers.items():
                 signal.signal(number, handler)
             signal.set_wakeup_fd(waker)
             os.close(woken)
@@ -219,17 +219,17 @@ class _Parent:
 
     def _poll_child(self) -> int | None:
         """Return the child's status once it has ended; stop and continue with it (Ctrl-Z)."""
-        found, status = os.waitpid(self._child, os.WNOHANG | os.WUNTRACED)
-        if found and os.WIFSTOPPED(status):
+        changed_child, status = os.waitpid(self._child, os.WNOHANG | os.WUNTRACED)
+        if changed_child and os.WIFSTOPPED(status):
             os.kill(os.getpid(), signal.SIGSTOP)
             os.kill(self._child, signal.SIGCONT)
-        return status if found and not os.WIFSTOPPED(status) else None
+        return status if changed_child and not os.WIFSTOPPED(status) else None
 
     def _read_report(self) -> None:
-        while self._reads and (more := _read(self._report)) is not None:
-            self._received += more
-            self._reads = bool(more)
-            if self._loads is None and b'"run":' in more:  # a run has begun: its end need not wait for this
+        while self._reads and (chunk := _read(self._report)) is not None:
+            self._received += chunk
+            self._reads = bool(chunk)
+            if self._loads is None and b'"run":' in chunk:  # a run has begun: its end need not wait for this
                 self._loads = threading.Thread(target=_load_the_store, daemon=True)
                 self._loads.start()
 
@@ -241,14 +241,14 @@ class _Parent:
 
     def _unheard(self, numbers: set[int]) -> set[int]:
         """Wait for the echoes of signals; return those without."""
-        left, until_s = set(numbers), time.monotonic() + _ECHO_S
-        while left and (wait_s := until_s - time.monotonic()) > 0:
+        unheard, until_s = set(numbers), time.monotonic() + _ECHO_S
+        while unheard and (wait_s := until_s - time.monotonic()) > 0:
             if select.select([self._echo], [], [], wait_s)[0]:
                 heard = _read(self._echo)
                 if not heard:  # it has ended
                     break
-                left -= set(heard)
-        return left
+                unheard -= set(heard)
+        return unheard
 
 
 def _read(end: int) -> bytes | None:
@@ -265,15 +265,15 @@ def _load_the_store() -> None:
 
 def _conclude(reported: dict[str, Any], status: int, *, judges: bool) -> int:
     code, run, database = reported.get("code"), reported.get("run"), reported.get("database")
-    why = _cut_off(status, code)
-    if why:
-        why = f"the process of the {'run' if judges else 'command'} {why}"
+    reason = _cut_off(status, code)
+    if reason:
+        reason = f"the process of the {'run' if judges else 'command'} {reason}"
         if judges and run is not None:
-            why += f"; {_look_up_run(run, database).words}"
+            reason += f"; {_look_up_run(run, database).words}"
     elif judges and not code:
-        why = _explain_unconfirmed(run, database)
-    if why:
-        raise _broken(run, database, why, judges=judges)
+        reason = _explain_unconfirmed(run, database)
+    if reason:
+        raise _broken(run, database, reason, judges=judges)
     if reported["printed"]:
         say(reported["printed"].removesuffix("\n"))
     assert isinstance(code, int)
@@ -288,12 +288,12 @@ def _broken(run: str | None, database: str | None, why: str, *, judges: bool) ->
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    held = _look_up_run(run, database)
-    if not held.stored:  # it was named before anything of it was stored
+    stored_run = _look_up_run(run, database)
+    if not stored_run.stored:  # it was named before anything of it was stored
         return BrokenProcessError(why, remedy=f"{look}. Then start it again: nothing can be continued")
     # Only the files of a result may be missing.
-    on = f"cbsr-qa {'report' if held.result else 'run --resume'} {run}{database_option(database)}"
-    return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {on}")
+    next_command = f"cbsr-qa {'report' if stored_run.result else 'run --resume'} {run}{database_option(database)}"
+    return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {next_command}")
 
 
 def _cut_off(status: int, code: int | None) -> str:
@@ -314,8 +314,8 @@ def _explain_unconfirmed(run: str | None, database: str | None) -> str:
     """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
-    held = _look_up_run(run, database)
-    return "" if held.passed else f"the process of the run reported success, and {held.words}"
+    stored_run = _look_up_run(run, database)
+    return "" if stored_run.passed else f"the process of the run reported success, and {stored_run.words}"
 
 
 class _Held(NamedTuple):
@@ -338,6 +338,6 @@ def _look_up_run(run: str, database: str | None) -> _Held:
         return _Held("nothing of the run was stored", stored=False)
     except CbsrError as error:
         return _Held(f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}")
-    held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
-    passed = outcome is not None and not outcome.exit_code
-    return _Held(f"the database holds {held}", result=result is ResultState.STORED, passed=passed)
+    verdict_text = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
+    has_passed = outcome is not None and not outcome.exit_code
+    return _Held(f"the database holds {verdict_text}", result=result is ResultState.STORED, passed=has_passed)
