@@ -26,15 +26,15 @@ from cbsr_qa.system.untrusted import read_untrusted
 
 #: Arrays of a block; empty in the row of an archived one.
 ARRAYS: Final = ("time_s", "voltages", "flags", "reading_time_s")
-#: Names the folder of a server's archives, as this computer reaches it.
+#: Environment variable that names the folder of a server's archives, as this computer reaches it.
 ROOT_VARIABLE: Final = "CBSR_QA_ARCHIVE"
 _NAME_ROOT: Final = f"set {ROOT_VARIABLE} to the folder of the archives, as this computer reaches it"
 _UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
-#: Of a run of a day at 100 frames a second; a whole archive is in memory.
+#: Largest archive that is read: a run of a day at 100 frames a second. All of it is in memory.
 _LARGEST_BYTES: Final = 2**32
 _FORMAT: Final = "cbsr-qa archive"
 _KINDS: Final = {"flags": np.uint8}
-#: gzip, byte shuffle and checksum.
+#: Numbers of the HDF5 filters that are allowed: gzip, byte shuffle and checksum.
 _FILTERS: Final = frozenset({1, 2, 3})
 
 
@@ -152,7 +152,7 @@ class Archives:
         self._archive: Archive | None = None
 
     def find(self, connection: Connection, run: str) -> "Archive | None":
-        """Return the archive of a run; None if its frames are in the database. StoreError as checked_bytes."""
+        """Return the archive of a run; None if its frames are in the database. Raises like :func:`read_checked`."""
         if run != self._run:
             row, data = archive_row(connection, run), read_checked(connection, run)
             self._archive = (
@@ -167,12 +167,12 @@ def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives 
 
     Parameters
     ----------
-    archives : read before, if the run is read in parts.
+    archives : archives already open, if the run is read in parts; None opens the run's own.
 
     Raises
     ------
     StoreError
-        As :func:`read_checked`, or if the archive does not hold a block.
+        If the archive is missing, was altered, or does not hold a block; see :func:`read_checked`.
     """
     archived = next((row.run for row in rows if not row.voltages), None)
     archive = None if archived is None else (archives or Archives()).find(connection, archived)

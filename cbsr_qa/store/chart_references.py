@@ -44,7 +44,7 @@ class ChartReferences:
 
         Parameters
         ----------
-        until : ignore references that sort after this name.
+        until : name of the last reference that counts, in sorting order; empty for no bound.
         """
         conditions = [ChartReferenceRow.station == station]
         if until:

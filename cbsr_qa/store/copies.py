@@ -21,7 +21,7 @@ from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.system.files import holder
 from cbsr_qa.system.foreign import UnfitFileError, check_regular, open_foreign
 
-#: Called with what is done, and parts done and in total.
+#: Function that reports progress: the stage, the parts done, and all parts.
 Count = Callable[[str, int, int], None]
 
 #: Pages copied between two reports of progress: 4 MB.

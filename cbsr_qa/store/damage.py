@@ -30,9 +30,9 @@ from sqlalchemy.types import NullType, TypeDecorator
 
 from cbsr_qa.domain.errors import CbsrError, StoreError
 
-#: Raised where a cell has another type than its column, JSON without end, or a moment that no calendar has.
+#: Errors of a cell that has another type than its column, JSON without end, or a moment that no calendar has.
 FOREIGN_VALUE: Final = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
-#: The same where a cell is read; a driver raises the last one, and for some values that are looked for.
+#: Errors of reading a cell: the driver raises the last one, also for some values that a query looks for.
 FOREIGN_CELL: Final = (*FOREIGN_VALUE, DataError)
 
 #: Columns of JSON that hold an object; others hold a list.
@@ -84,8 +84,8 @@ def read_word(words: type[_Word], value: Any, column: str, row: str) -> _Word:
 
     Parameters
     ----------
-    column : with its table, e.g. ``"analyses.outcome"``.
-    row : its key in words, e.g. ``"analysis 0199…"``.
+    column : name of the column with its table, e.g. ``"analyses.outcome"``.
+    row : key of the row in words, e.g. ``"analysis 0199…"``.
 
     Raises
     ------

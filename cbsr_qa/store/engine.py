@@ -24,22 +24,22 @@ from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
 from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, name_database, translate_errors
 from cbsr_qa.system.foreign import UnfitFileError, check_regular
 
-#: How long a writer waits for another one [ms].
+#: Longest wait of a writer for another one [ms].
 BUSY_TIMEOUT_MS = 10_000
-#: How long it waits before it reports that [ms].
+#: Time a writer waits before it reports the wait [ms].
 _PATIENCE_MS = 1_000
 
 #: Size of the log at which it is merged into the file where commits do not wait for the disk [pages of 4 KB]: merging
 #: does wait, and SQLite's 1000 pages are full every 90 frames.
 _LOG_PAGES = 10_000
 
-#: What the names of a SQLite file's journal, log and index of the log end in.
+#: Suffixes of a SQLite file's journal, log and index of the log.
 SIDES: Final = ("-journal", "-wal", "-shm")
 
 #: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
 
-#: How long a server may be silent before the connection counts as lost (libpq; [s], the last one [ms]).
+#: Settings of libpq by which a silent server's connection counts as lost ([s], the last one [ms]).
 _PATIENCE: Final = {
     "connect_timeout": 10,
     "keepalives_idle": 30,
@@ -85,7 +85,7 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
     Parameters
     ----------
-    durable : whether a power cut may lose no committed frame of a SQLite file. Without it a commit does not wait
+    durable : whether commits to a SQLite file survive a power cut. If not, a commit does not wait
         for the disk: a killed process still loses nothing and the file stays whole, but a power cut may undo the
         last commits.
 
@@ -177,7 +177,8 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
 
     Parameters
     ----------
-    tell : called when the wait for another program exceeds a second; it ends after :data:`BUSY_TIMEOUT_MS`.
+    tell : function called once the wait for another program exceeds a second; the wait ends after
+        :data:`BUSY_TIMEOUT_MS`.
     """
     with translate_errors(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
@@ -218,7 +219,7 @@ def use_write_ahead_log(engine: Engine) -> None:
             connection.close()
 
 
-#: Up to this size indexes are compared with their tables too, which doubles the time (2 s per GB, in the cache) [B].
+#: Largest file whose indexes are compared with their tables, which doubles the time (2 s per GB, cached) [B].
 _COMPARED: Final = 2_000_000_000
 
 

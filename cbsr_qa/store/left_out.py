@@ -21,8 +21,8 @@ from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.types import first_id
 from cbsr_qa.store.unreadable_runs import read_apart
 
-#: How much earlier than its run began an identifier may have been made. It may be later by any time: identifiers
-#: go on from the latest one where a clock was set back.
+#: Longest time by which an identifier may be older than the start of its run. It may be younger by any time:
+#: identifiers go on from the latest one where a clock was set back.
 _EARLIER: Final = timedelta(hours=1)
 _ANY: Final = RunSelection()
 
@@ -32,7 +32,7 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
 
     Parameters
     ----------
-    selected : the runs that the columns select.
+    selected : runs that the columns select.
     """
     bounds = _within(selection, selected)
     hidden = _find_hidden(connection, selection, bounds)
@@ -47,9 +47,9 @@ def find_altered_outside(
 
     Parameters
     ----------
-    within : which runs are looked at.
-    known : runs that are not.
-    latest : only so many of the latest; None for all.
+    within : conditions on the runs to look at.
+    known : runs to skip.
+    latest : number of the latest runs to look at; None for all.
     """
     name: Any = type_coerce(RunRow.run, NullType())
     query = select(name).where(*within).order_by(RunRow.run.desc()).limit(latest)
@@ -94,7 +94,7 @@ def _begins(selection: RunSelection) -> Iterator[datetime]:
 
 
 def _find_hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:
-    """Return the runs that are left out as golden sensors', though no check that names them is to be believed."""
+    """Return the runs left out as runs of golden sensors although every check that names them is doubtful."""
     if selection.checks:
         return set()
     conditions_with_checks = conditions(replace(selection, checks=True, latest=None))

@@ -29,9 +29,9 @@ from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
 from cbsr_qa.store.unreadable_runs import read_apart
 
 _EVERY: Final = RunSelection()
-#: Runs up to which the others of their sensors are looked up; those of all sensors are read for more.
+#: Number of runs from which on the runs of all sensors are read; below it, only those of the sensors concerned.
 _FEW: Final = 1000
-#: Columns of measurements that hold one of some words.
+#: Allowed words of those columns of measurements that hold a word.
 _WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map(str, Bound))}
 
 
@@ -46,9 +46,9 @@ class MeasuredRuns:
 
     Parameters
     ----------
-    runs : of each measurement.
+    runs : run of each measurement.
     columns : cells of the table of measurements, by the name of their column.
-    altered : what is wrong with runs that do not match their chain, by run; they have no measurements here.
+    altered : problems of the runs that do not match their chain, by run; these have no measurements here.
     """
 
     runs: Sequence[str]
@@ -77,7 +77,7 @@ class RunLists:
             return _list_runs(connection, _names(connection, selection))
 
     def read_named(self, runs: Sequence[str]) -> tuple[ListedRun, ...]:
-        """Return some runs as :meth:`read_runs`; names of no stored run are passed over."""
+        """Return the named runs, checked like those of :meth:`read_runs`; names of no stored run are passed over."""
         with reading(self._engine) as connection:
             return _list_runs(connection, runs)
 

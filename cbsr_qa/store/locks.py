@@ -22,7 +22,7 @@ from cbsr_qa.system.files import FileLock, HeldError, holder
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
 
-#: How long another program that creates tables is waited for, and how long silently [s].
+#: Longest wait for another program that creates tables, and the part of it that is silent [s].
 SCHEMA_WAIT_S: Final = 60.0
 PATIENCE_S: Final = 1.0
 
@@ -76,7 +76,7 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
 
     Parameters
     ----------
-    tell : called with the current holder after :data:`PATIENCE_S`.
+    tell : function called with the current holder after :data:`PATIENCE_S`.
 
     Raises
     ------
@@ -239,7 +239,7 @@ class _ServerLocks:
 
 
 _SERVER_LOCKS: Final[WeakKeyDictionary[Engine, _ServerLocks]] = WeakKeyDictionary()
-#: The connection is named after the writer once it has the lock; None if another one has it.
+#: Query that tries to take a lock. It names the connection after its writer; None if another one has the lock.
 _TRY_LOCK: Final = text(
     "SELECT CASE WHEN pg_try_advisory_lock(:number) THEN set_config('application_name', :who, false) END"
 )

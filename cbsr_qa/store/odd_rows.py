@@ -24,8 +24,8 @@ class OddRow:
 
     Parameters
     ----------
-    words : table, key and cell.
-    cells : those that can be read.
+    words : the problem in words: table, key and cell.
+    cells : cells that can be read, by column.
     """
 
     words: str

@@ -30,7 +30,7 @@ def open_store(
     create : create missing tables.
     durable : wait for the disk at every commit, see :func:`cbsr_qa.store.engine.open_engine`.
     wall : clock for identifiers and analyses; by default the computer's.
-    tell : called while another program creates the tables.
+    tell : function called while another program creates the tables.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def open_store(
 
 
 def open_existing(url: str) -> Repository | None:
-    """Open a database as :func:`open_store`, but create nothing; None if it does not exist."""
+    """Open a database that exists, and create nothing; None if it does not exist. Raises like :func:`open_store`."""
     return _open(url, create=False)
 
 

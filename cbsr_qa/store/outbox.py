@@ -32,7 +32,7 @@ _ANNOUNCE: Final = text(
     " version = CASE WHEN excluded.version > outbox.version THEN excluded.version ELSE outbox.version + 1 END,"
     " noted_at = CASE WHEN outbox.sent < outbox.version THEN outbox.noted_at ELSE excluded.noted_at END"
 )
-#: What was confirmed, and is to be looked at again: it waits, and ``sent`` says what the centre confirmed.
+#: Insertion of an item to look at again: it waits, and ``sent`` says what the centre confirmed.
 _CONFIRMED: Final = text(
     "INSERT INTO outbox (kind, item, version, sent, noted_at, state, why)"
     " VALUES (:kind, :item, :sent + 1, :sent, CURRENT_TIMESTAMP, 'waiting', '')"

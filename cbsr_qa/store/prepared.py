@@ -32,7 +32,7 @@ class Prepared:
         self._types = [one.type.dialect_impl(dialect) for one in columns]
 
     def execute(self, connection: Connection, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Insert rows. Errors as :meth:`Connection.execute`."""
+        """Insert rows. Raises what :meth:`Connection.execute` raises."""
         with self._cursor(connection) as cursor:
             if len(rows) == 1:
                 cursor.execute(self._text, self._values(rows[0]))
@@ -40,7 +40,7 @@ class Prepared:
                 cursor.executemany(self._text, list(map(self._values, rows)))
 
     def one(self, connection: Connection, values: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Return the only row of a query. Errors as :meth:`Connection.execute`; TypeError for a foreign cell."""
+        """Return the only row of a query. Raises like :meth:`Connection.execute`; TypeError for a foreign cell."""
         with self._cursor(connection) as cursor:
             cursor.execute(self._text, self._values(values))
             (row,), kinds = cursor.fetchall(), [column[1] for column in cursor.description]

@@ -15,7 +15,7 @@ from cbsr_qa.store.outbox import Kind, announce
 from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.types import time_of_id
 
-#: Sorts after every identifier: what has no readable one may be the latest.
+#: Stand-in for an unreadable identifier. It sorts after every identifier: such a row may be the latest.
 _LATEST: Final = "~"
 
 

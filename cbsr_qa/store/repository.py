@@ -37,7 +37,7 @@ from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, Reanalysis
 from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, SampleBlockRow, SensorRow
 from cbsr_qa.store.types import IdSource, time_of_id
 
-#: Difference of the clocks of computers that share a database below which no warning is given.
+#: Least difference between the clocks of computers that share a database at which a warning is given.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
 
 
@@ -48,18 +48,18 @@ class Repository:
 
     Parameters
     ----------
-    engine : of an up-to-date database.
+    engine : engine of an up-to-date database.
     wall : clock for identifiers, and for the times of analyses and decisions.
 
     Attributes
     ----------
     runs, unfinished, live : runs by their identifier; those without a result; those that somebody watches.
     sensors, fleet, lists : runs of one sensor; of many, with their values; as a shift lists them.
-    claims, archives : who writes what now; frames outside of the database.
+    claims, archives : runs and sensors that processes work on now; frames outside of the database.
     analyses, reanalyses, calibrations : results of runs.
     changes : changed files and overridden verdicts.
     stations, charts, releases : checks of stations, references of control charts, released files.
-    soundness : what is damaged or missing.
+    soundness : damage, and missing data.
     """
 
     def __init__(self, engine: Engine, wall: Callable[[], datetime]) -> None:

@@ -34,7 +34,7 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 REVISIONS: Final = ("1001",)
 HEAD: Final = REVISIONS[-1]
 _UNRELEASED: Final = frozenset(f"{number:04}" for number in range(1, 25))
-#: Where Alembic finds the migrations.
+#: Place where Alembic finds the migrations.
 SCRIPTS: Final = "cbsr_qa._migrations:"
 VERSION_TABLE: Final = "alembic_version"
 #: Oldest schema of databases that may send to one of schema HEAD; the migrations set it too.
@@ -58,7 +58,7 @@ class SchemaVersion:
 
     Parameters
     ----------
-    revision : None if the database has no version.
+    revision : revision of the schema; None if the database has no version.
     """
 
     age: Age
@@ -97,7 +97,7 @@ def upgrade(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Sch
 
     Parameters
     ----------
-    tell : called while another program creates or upgrades the same database.
+    tell : function called while another program creates or upgrades the same database.
 
     Returns
     -------

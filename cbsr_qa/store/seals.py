@@ -45,7 +45,7 @@ def check_seal(connection: Connection, check: str, seal: str | None) -> tuple[Ch
 
 
 def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict[str, tuple[CheckSeal, str]]:
-    """Compare the rows of checks with their seals, by check; returns as :func:`check_seal`."""
+    """Compare the rows of checks with their seals; return state and problem by check, see :func:`check_seal`."""
     sealed = [check for check, seal in seals.items() if seal is not None]
     digests = {
         check: digest

@@ -16,9 +16,9 @@ from cbsr_qa.store.tables.runs import RunRow
 Conditions: TypeAlias = list[ColumnElement[bool]]
 
 _T = TypeVar("_T")
-#: Raised by a cell whose value has another type than its column.
+#: Errors of a cell whose value has another type than its column.
 _UNREADABLE: Final = (*FOREIGN_CELL, OperationalError)
-#: Columns that select runs by name, as :func:`_names` gives them.
+#: Columns that select runs by name, in the order of :func:`_names`.
 _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
 
 

@@ -24,7 +24,7 @@ from cbsr_qa.store.tables.results import CalibrationRow
 from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
 from cbsr_qa.store.tables.sync import OutboxRow
 
-#: Rows of one table that refer to nothing and are named; the rest is counted.
+#: Most rows with a missing reference that are named.
 _MOST_NAMED = 10
 
 
@@ -160,7 +160,16 @@ class Soundness:
 def _unlike_earlier(
     connection: Connection, before: ColumnElement[bool], after: ColumnElement[bool]
 ) -> Sequence[Row[str, str]]:
-    """Return runs of one kind of chain that are younger than the first of their station's of another kind, and it."""
+    """Find runs of one kind of chain that are younger than their station's first run of another kind.
+
+    Parameters
+    ----------
+    before, after : conditions on the kind of chain of the first run, and of the younger ones.
+
+    Returns
+    -------
+    Pairs: the younger run, and the first run.
+    """
     first_runs = (
         select(RunRow.station, func.min(RunRow.run).label("run")).where(before).group_by(RunRow.station).subquery()
     )

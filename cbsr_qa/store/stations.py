@@ -68,7 +68,7 @@ class StationChecks:
 
         Parameters
         ----------
-        before : ignore later checks.
+        before : moment of the latest check that counts; None for any.
         """
         conditions = [StationCheckRow.station == station]
         if before is not None:

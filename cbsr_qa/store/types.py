@@ -25,11 +25,11 @@ from sqlalchemy.types import TypeDecorator
 from cbsr_qa.domain.numbers import Array
 
 _COUNTER_BITS = 12
-#: Of zlib: no header and no checksum, the digest of a row covers what is packed.
+#: Window bits for zlib without header and checksum: the digest of a row covers what is packed.
 _NO_HEADER: Final = -15
-#: Cells that are restored at once: few enough to stay in the processor's cache.
+#: Number of cells restored at once: few enough to stay in the processor's cache.
 _AT_ONCE: Final = 128
-#: An identifier can encode later years than a date.
+#: First millisecond of the year 10000: an identifier can encode later years than a date.
 _YEAR_10000_MS = 253_402_300_800_000
 
 
@@ -42,7 +42,7 @@ class IdSource:
 
     Parameters
     ----------
-    wall : tells the time.
+    wall : function that returns date and time.
     """
 
     def __init__(self, wall: Callable[[], datetime]) -> None:
@@ -123,7 +123,7 @@ def unpack(data: bytes, shape: tuple[int, ...]) -> Array:
 
 
 def unpack_flags(data: bytes, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return uint8 of a shape from bytes; a copy. Raises ValueError as :func:`unpack`."""
+    """Return uint8 of a shape from bytes; a copy. ValueError if the number of bytes does not fit the shape."""
     return np.frombuffer(data, dtype=np.uint8).reshape(shape).copy()
 
 
@@ -134,8 +134,8 @@ def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
     ----------
     data : little-endian numbers.
     width : bytes of a number.
-    steps : whether each number is replaced by its distance from the one before, as 64-bit integers: for times, whose
-        steps are alike. Exact: the bits of a float64 are taken as an integer, and integers wrap around.
+    steps : whether to store the step from each number to the next instead of the numbers: for times, whose steps
+        are alike. This is exact: the bits of a float64 are taken as a 64-bit integer, and integers wrap around.
     """
     if len(data) == width:
         return data
@@ -168,7 +168,7 @@ def restore(data: bytes, size: int, width: int, *, steps: bool = False) -> bytes
 
 
 def restore_many(cells: Sequence[bytes], size: int, width: int, *, steps: bool = False) -> list[bytes]:
-    """Return the numbers of many cells of one size, as :func:`restore` does of each, in half the time."""
+    """Return the numbers of many cells of one size; takes half the time of :func:`restore` for each cell."""
     if width == 1:  # flags, which are alike in most frames
         distinct = {cell: restore(cell, size, width) for cell in set(cells)}
         return [distinct[cell] for cell in cells]

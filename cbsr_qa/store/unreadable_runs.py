@@ -29,8 +29,8 @@ def read_apart(
 
     Parameters
     ----------
-    read : reads some runs.
-    instead : gives what stands for a run that cannot be read, from its name and what is wrong.
+    read : function that reads a batch of runs.
+    instead : function that returns the stand-in for an unreadable run, from its name and its problem.
 
     Yields
     ------

@@ -56,8 +56,8 @@ JOIN measurements AS m
     ON m.analysis = a.analysis
 """
 
-#: A row that was added without a link, or to a run of another sensor, is no calibration. Of a run
-#: whose chain was removed, no link says so.
+#: Condition on a calibration to be one: a row added without a link, or to a run of another sensor, is none.
+#: A run whose chain was removed has no links, and any row of its sensor counts.
 _ISSUED: Final = f"""{{run}}.run = {{row}}.run AND {{run}}.serial = {{row}}.serial AND (
         {{run}}.chain IS NULL OR EXISTS (
             SELECT 1 FROM run_links AS l
@@ -83,7 +83,7 @@ WHERE NOT EXISTS (
 )
 """
 
-#: What a view says of itself: in its definition on SQLite, as its comment on PostgreSQL.
+#: Remark in the database on each view: in its definition on SQLite, as its comment on PostgreSQL.
 UNCHECKED: Final = (
     "Unchecked: rows as they are, not compared with the chains of the runs. Anyone who can write the tables can"
     " change what is shown here; cbsr-qa runs, export, report and db check notice it."
