@@ -25,7 +25,7 @@ from cbsr_qa.web.texts import refusal_words, text
 
 Action = Callable[[str, dict[str, str]], Awaitable[Response]]
 
-#: What is said when a run does as it was asked.
+#: Key of the text shown when a run does as it was asked, by request.
 _DONE = {
     "pause": "control.pausing",
     "continue": "control.continuing",

@@ -32,7 +32,7 @@ _STATIC: Final = ("line.css", "line.js", "icon.svg", "none.png")
 T = TypeVar("T")
 _RUN: Final = re.compile(r"[0-9a-f-]{36}")
 
-#: Pages that are made at once for those who may only look, and such requests that wait for it.
+#: Number of pages made at once for those who may only look, and number of their requests that may wait.
 _LOOKER_THREADS: Final = 1
 _MOST_WAITING: Final = 16
 

@@ -14,11 +14,11 @@ from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.state import Control, control_of
 from cbsr_qa.web.texts import text
 
-#: Between attempts to connect [s].
+#: Interval between attempts to connect [s].
 _AGAIN_S: Final = 0.2
-#: How long an answer may take [s].
+#: Longest wait for an answer [s].
 _ANSWER_S: Final = 5.0
-#: A page that joins a run takes the head to be down above this force, until it hears of a step [N].
+#: Force above which a page that joins a run takes the head to be down, until it hears of a step [N].
 _TOUCHES_N: Final = 0.2
 
 
@@ -27,7 +27,7 @@ class ChannelClient:
 
     Parameters
     ----------
-    changed : called when ``control`` has changed.
+    changed : function called when ``control`` has changed.
     """
 
     def __init__(self, station: str, changed: Callable[[], None]) -> None:

@@ -18,17 +18,17 @@ from cbsr_qa.web.guesses import client_network
 from cbsr_qa.web.line import MOST_VIEWERS
 from cbsr_qa.web.turns import MOST_NEW, PLACES, Turns, WaitingConnection
 
-#: How long the head of a request may take, from the opening of its connection or the answer before it [s].
+#: Longest time for the head of a request, from the opening of its connection or the previous answer [s].
 HEAD_S: Final = 10.0
-#: A client that takes nothing of what it is sent for so long is left [s].
+#: Time after which the connection to a client that reads nothing is closed [s].
 SLOW_S: Final = 30.0
 #: Largest head of a request [B].
 MOST_HEAD: Final = 16_384
-#: What is read in a turn of a client without the token, so that a turn is short whatever was sent [B].
+#: Size of the piece read in one turn of a client without the token; turns stay short whatever was sent [B].
 _PIECE: Final = 4_096
-#: What is looked at again for a token that arrived in two parts, which is hardly longer [B].
+#: Size of the end of earlier data that is searched again, for a token that arrived in two parts [B].
 _OVERLAP: Final = 256
-#: Connections that are accepted before others are read from.
+#: Number of connections accepted before others are read from.
 _ACCEPTED_AT_ONCE: Final = 64
 #: Connections that may control, beside their open pages. More are answered with 503, as are all above the sum.
 _MOST_CONTROL: Final = 128
@@ -189,7 +189,7 @@ def connection_settings(shows_token: Callable[[bytes], bool]) -> dict[str, Any]:
 
     Parameters
     ----------
-    shows_token : whether the beginning of what a client sent shows that it has the token.
+    shows_token : function that says whether the beginning of a client's data shows the token.
     """
     return {
         "http": partial(Connection, Turns(shows_token)),

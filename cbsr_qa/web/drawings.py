@@ -51,10 +51,10 @@ class Trace:
 
     Parameters
     ----------
-    points : of a polyline; empty without values.
+    points : points of a polyline, as SVG text; empty without values.
     low, high : values at the lower and the upper edge.
     last : latest value; None without values.
-    zero_y : where zero is; None outside.
+    zero_y : height of the value zero in the drawing; None if it is outside.
     """
 
     points: str
@@ -69,7 +69,7 @@ def trace(points: Sequence[tuple[float, float]], span_s: float, least: float) ->
 
     Parameters
     ----------
-    points : (time_s, value).
+    points : pairs (time_s, value).
     span_s : time of the whole width.
     least : smallest range of values to show.
     """
@@ -100,7 +100,7 @@ class SheetDrawing:
     Parameters
     ----------
     outline : path of its edge.
-    x, y, width, height : of the box around it, which an image of it fills.
+    x, y, width, height : box around the sheet, which an image of it fills [mm].
     """
 
     view_box: str

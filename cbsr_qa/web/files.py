@@ -18,7 +18,7 @@ from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import REPORT_POLICY
 from cbsr_qa.web.texts import text
 
-#: How large the picture of a prompt may be [B].
+#: Largest picture of a prompt [B].
 _LARGEST: Final = 5_000_000
 
 

@@ -33,10 +33,10 @@ MOST_BODY: Final = 16_384
 MOST_TARGET: Final = 1_024
 #: Longest headers together [B].
 MOST_HEADERS: Final = 16_384
-#: How long a body may take [s].
+#: Longest time for a body [s].
 BODY_S: Final = 10.0
 
-#: What comes before a token or a cookie, and these; so many of each are looked at.
+#: Marks before a token or a cookie, the form of both, and how many of each are compared.
 _MARKS: Final = (b"bearer ", b"token=")
 _CREDENTIAL: Final = re.compile(rb" *([\w-]+)")
 _MOST_CREDENTIALS: Final = 16
@@ -45,9 +45,9 @@ _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
     " form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
 )
-#: Of a page whose drawings bring their own data.
+#: Policy of a page whose drawings bring their own data.
 DRAWINGS_POLICY: Final = _POLICY.replace("img-src 'self'", "img-src 'self' data:")
-#: Of a report, which brings its own style and drawings and runs nothing.
+#: Policy of a report, which brings its own style and drawings and runs nothing.
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none';"
     " form-action 'none'; sandbox allow-popups"
@@ -79,9 +79,9 @@ class Access:
     ----------
     hosts : allowed values of ``Host``, with the port.
     scheme : ``"http"`` or ``"https"``.
-    token : of at least 16 characters; who shows it may control.
-    anyone_may_look : whether pages are shown without it.
-    port : in the cookie's name, as cookies are shared by the ports of a computer.
+    token : secret of at least 16 characters; whoever shows it may control.
+    anyone_may_look : whether pages are shown without the token.
+    port : port of the server; part of the cookie's name, as the ports of a computer share cookies.
     cookie_key : secret; without it, a guess of the token gives no cookie to try.
     emergencies : paths of emergency stops.
     guesses : wrong tokens by client.

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from ipaddress import IPv6Address, ip_address, ip_network
 from typing import Final
 
-#: Different wrong guesses that are looked at without a wait.
+#: Number of different wrong guesses that are compared without a wait.
 FREE_GUESSES: Final = 5
 #: Longest wait; the first is one second, and each is twice the one before [s].
 LONGEST_WAIT_S: Final = 30.0
-#: Without a guess for so long, all is forgotten [s].
+#: Time without a guess after which all guesses are forgotten [s].
 _FORGET_S: Final = 900.0
-#: Those who guess, and guesses of each, that are remembered.
+#: Most guessers, and most guesses of each, that are remembered.
 _MOST_GUESSERS: Final = 4096
 _MOST_GUESSES: Final = 64
 

@@ -14,23 +14,23 @@ from typing import Any, Final
 
 from cbsr_qa.web.connections import HEAD_S
 
-#: Connections that wait for the system to accept them.
+#: Number of connections that may wait at the system to be accepted.
 _BACKLOG: Final = 2048
-#: What the system keeps of a connection before it is read, as the system counts: it doubles this [B].
+#: Buffer of the system for a connection that is not read yet [B]; the system doubles it.
 _KEPT: Final = 32_768
-#: Connections whose hello is not complete: at most, and beside other files.
+#: Most connections whose hello is not complete, and number of files that are left for others.
 _MOST_WAITING: Final = 512
 _OTHER_FILES: Final = 64
-#: One is left for another, if all places are taken, when it is so old [s]; until then the other waits.
+#: Age at which a connection makes room for another if all places are taken [s]; until then the other waits.
 _SPARED_S: Final = 0.25
-#: Handshakes under way. If there are so many, the oldest is left for the next once it is so old [s]: one that is
-#: meant has ended by then.
+#: Most handshakes under way. If there are as many, the oldest makes room for the next from this age on [s]:
+#: an honest one has ended by then.
 _MOST_HANDSHAKES: Final = 256
 _AGREED_S: Final = 0.4
-#: Handshakes that are begun before connections are read from again.
+#: Number of handshakes begun before connections are read from again.
 _BEGUN_AT_ONCE: Final = 8
 _ACCEPTED_AT_ONCE: Final = 64
-#: Between looks whether a place is free [s].
+#: Interval between looks whether a place is free [s].
 _LOOK_S: Final = 0.02
 #: A record of TLS (RFC 8446, 5.1): type, version and length, then so many bytes.
 _HEADER: Final = 5
@@ -44,9 +44,9 @@ class Reception:
 
     Parameters
     ----------
-    listening : does not block.
-    protocol_factory : makes the protocol of a connection.
-    context : of TLS.
+    listening : listening socket that does not block.
+    protocol_factory : function that makes the protocol of a connection.
+    context : settings of TLS.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class Reception:
 
 
 class ServerLoop(asyncio.SelectorEventLoop):
-    """An event loop whose servers receive connections of TLS as :class:`Reception` does."""
+    """An event loop whose servers receive connections of TLS through a :class:`Reception`."""
 
     async def create_server(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
         """Return a server; of TLS on a given socket, a reception."""

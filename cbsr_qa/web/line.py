@@ -10,7 +10,7 @@ from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
 
-#: Pages that may be open at once: all, and those that may only look.
+#: Most pages that may be open at once: all, and those that may only look.
 MOST_VIEWERS = 256
 MOST_LOOKERS = 192
 
@@ -21,9 +21,9 @@ class Viewer:
 
     Parameters
     ----------
-    station : that it shows; None for all.
+    station : name of the station it shows; None for all.
     control : whether it may control.
-    news : set when there is something new.
+    news : event that is set when there is something new.
     """
 
     station: str | None

@@ -29,9 +29,9 @@ from cbsr_qa.web.drawings import SheetDrawing, png
 TRACE_S: Final = 240.0
 #: Pixels of a live image along its longer side.
 _PIXELS: Final = 160
-#: Later than any time of a run [s].
+#: Time later than any of a run [s].
 _NEVER_S: Final = 1e12
-#: Last frames of a hold that a place is judged by [s].
+#: Length of the end of a hold by which a place is judged [s].
 _STEADY_S: Final = 8.0
 
 
@@ -41,7 +41,7 @@ class Place:
 
     Parameters
     ----------
-    seen : how well it was seen; None before it was pressed.
+    seen : quality of its image; None before it was pressed.
     now : whether the head is there.
     """
 
@@ -60,8 +60,8 @@ class LiveView:
     change_percent : change at the dark end of the scale; 0 without an image.
     force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
         unloaded sheet, as the mean of all readings.
-    silent_s : since the last frame, by this computer's clock; None before the first.
-    no_image : why there is no image, for people; empty with one.
+    silent_s : time since the last frame, by this computer's clock; None before the first.
+    no_image : reason for a missing image, in words; empty with an image.
     """
 
     sheet: SheetDrawing
@@ -83,7 +83,7 @@ class LiveRun:
 
     Parameters
     ----------
-    run : its identifier.
+    run : identifier of the run.
     """
 
     def __init__(self, store: Repository, plugins: Plugins, run: str) -> None:

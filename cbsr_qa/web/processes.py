@@ -17,9 +17,9 @@ from cbsr_qa.domain.errors import ConfigError, off_command_line
 from cbsr_qa.web.guard import LOG
 
 _LOG_NAME: Final = "%Y%m%dT%H%M%S%f"
-#: Lines of a log that a page shows.
+#: Number of lines of a log that a page shows.
 _SHOWN_LINES: Final = 6
-#: Logs that are kept of each station.
+#: Number of logs kept of each station.
 _KEPT_LOGS: Final = 50
 
 
@@ -31,7 +31,7 @@ class Started:
     ----------
     process : None if another process of the page started it, before a restart.
     what : serial number or run, for people.
-    log : of the process: what ``cbsr-qa run`` says in a terminal.
+    log : file with the output of ``cbsr-qa run``.
     """
 
     process: "subprocess.Popen[bytes] | None"
@@ -77,8 +77,8 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
 
     Parameters
     ----------
-    station : its name, which names the folder of the log.
-    pin : of the operator, for the process alone; empty without one.
+    station : name of the station, which names the folder of the log.
+    pin : PIN of the operator, for the process alone; empty without one.
 
     Raises
     ------

@@ -33,7 +33,7 @@ _ALLOWED: Final = f"allowed: a file with at least {_SHORTEST} letters, digits, -
 _LARGEST_TOKEN: Final = 2**12
 _LARGEST_PEM: Final = 2**20
 _PEM: Final = "both must be PEM files, of the same pair, readable and without a passphrase"
-#: Files that may be open: twice as many as connections.
+#: Number of files that may be open: twice that of connections.
 _MOST_FILES: Final = 4096
 
 
@@ -58,7 +58,7 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
 
     Parameters
     ----------
-    tell : gets the address of the page once it can be opened.
+    tell : function called with the address of the page once it can be opened.
 
     Raises
     ------

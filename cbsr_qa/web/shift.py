@@ -18,9 +18,9 @@ from cbsr_qa.web.texts import text
 if TYPE_CHECKING:
     from cbsr_qa.studies.charts.charting import MetricChart
 
-#: Charts that are drawn of a station, recipe and golden sensor, those that signal first.
+#: Most charts drawn of a station, recipe and golden sensor; those that signal come first.
 _MOST_DRAWN: Final = 6
-#: Drawings that are kept: a chart is drawn again only once it has another run.
+#: Most drawings kept: a chart is drawn again only once it has another run.
 _MOST_KEPT: Final = 64
 
 
@@ -39,9 +39,9 @@ class StationChartsView:
 
     Parameters
     ----------
-    banner : their state; None if they could not be charted.
-    why : the reason then.
-    left : how many are not drawn.
+    banner : state of the charts; None if they could not be made.
+    why : reason in that case; else empty.
+    left : number of charts that are not drawn.
     """
 
     station: str

@@ -50,13 +50,13 @@ class Control:
 
     Parameters
     ----------
-    run : its identifier; empty before it has begun.
-    step : in words.
+    run : identifier of the run; empty before it has begun.
+    step : the step in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
-    number, of : which press of how many, under way or next; 0 for none.
+    number, of : number of the press under way or next, and number of all; 0 for none.
     next : whether that press is yet to begin.
-    ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or its clock does not wait.
-    paused_by, pause_wanted_by : who; None for nobody.
+    ends_at : expected end of the run, by ``time.monotonic`` [s]; None if unknown, or if its clock does not wait.
+    paused_by, pause_wanted_by : person who paused the run, or asked for a pause; None for nobody.
     """
 
     run: str
@@ -83,12 +83,12 @@ class Snapshot:
 
     Parameters
     ----------
-    control : of the run in progress; None without one, or before it answers.
-    look : the latest stored run; None before the first.
-    live : of the run in progress.
-    refused : why the run that was started last never began; empty otherwise.
-    trouble : why the store cannot be read, or the run cannot be followed; empty otherwise.
-    health : of the station, in words, and whether that is in order.
+    control : state of the run in progress, by its channel; None without a run, or before it answers.
+    look : latest stored run; None before the first.
+    live : view of the run in progress; None without one.
+    refused : reason why the run that was started last never began; empty otherwise.
+    trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
+    health, healthy : state of the station in words, and whether it is in order.
     """
 
     station: str

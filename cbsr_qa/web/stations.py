@@ -12,7 +12,7 @@ from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import Station
 from cbsr_qa.plugin.discovery import Plugins, discover
 
-#: A station's name is part of addresses.
+#: Form of a station's name, which is part of addresses.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]*")
 
 
@@ -30,8 +30,8 @@ class ServedStation:
 
     Parameters
     ----------
-    source : what ``--station`` takes.
-    recipes : that may be started here, the first one by default.
+    source : value of ``--station``.
+    recipes : recipes that may be started here; the first is the default.
     """
 
     name: str

@@ -11,7 +11,7 @@ from starlette.types import Receive, Scope, Send
 from cbsr_qa.web.line import Line, Viewer
 from cbsr_qa.web.pages import Part
 
-#: After so long without news a page is told that the server is here [s].
+#: Time without news after which a page is told that the server is here [s].
 _HERE_S: Final = 5.0
 
 
@@ -20,8 +20,8 @@ async def events(viewer: Viewer, parts: Callable[[], list[Part]], picture: Calla
 
     Parameters
     ----------
-    parts : returns the page's parts as they are now.
-    picture : returns the address of the live image; empty without one.
+    parts : function that returns the page's parts as they are now.
+    picture : function that returns the address of the live image; empty without one.
     """
     sent: dict[str, str] = {}
     shown_address = ""

@@ -12,18 +12,18 @@ from typing import Final, Protocol
 from cbsr_qa.web.guard import Right
 from cbsr_qa.web.line import MOST_LOOKERS
 
-#: Places of connections without a right, and of those that may only look.
+#: Number of places by right: for connections without a right, and for those that may only look.
 PLACES: Final = {Right.NONE: 64, Right.LOOK: MOST_LOOKERS + 64}
-#: Above so many, even new ones make room.
+#: Number of connections above which even new ones make room.
 MOST_NEW: Final = 384
-#: Above so many, they make room at once.
+#: Number of connections above which they make room at once.
 _CROWD: Final = 640
-#: Between looks whether some have to make room [s].
+#: Interval between looks whether connections have to make room [s].
 LOOK_S: Final = 0.25
-#: A connection that was not there at so many looks makes no room for another: its request may be on its way. The
-#: looks are counted, and not the time, as a busy server looks less often.
+#: Number of looks for which a connection is new and makes no room: its request may be on its way. Looks are
+#: counted, not time, as a busy server looks less often.
 _NEW_LOOKS: Final = 4
-#: How many are read from before the loop looks after the others again.
+#: Number of connections read from before the loop serves the others again.
 _READ_AT_ONCE: Final = 8
 
 
@@ -32,8 +32,8 @@ class WaitingConnection(Protocol):
 
     Attributes
     ----------
-    opened_s : when, by the clock of the loop [s].
-    looks : how many there have been since.
+    opened_s : time of its opening, by the clock of the loop [s].
+    looks : number of looks since its opening.
     """
 
     client_name: str
@@ -56,7 +56,7 @@ class Turns:
 
     Parameters
     ----------
-    shows_token : whether what a client sent shows that it has the token.
+    shows_token : function that says whether a client's data show the token.
     """
 
     def __init__(self, shows_token: Callable[[bytes], bool]) -> None:

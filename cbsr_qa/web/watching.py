@@ -21,19 +21,19 @@ from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import refusal_words, text
 
-#: Between looks whether anything was written [s].
+#: Interval between looks whether anything was written [s].
 _LOOK_S: Final = 0.02
-#: Between images of one station at least [s].
+#: Shortest interval between images of one station [s].
 _IMAGE_S: Final = 0.06
-#: Between snapshots of a station of which nothing is heard [s].
+#: Interval between snapshots of a station of which nothing is heard [s].
 _QUIET_S: Final = 1.0
-#: Between looks whether a run in progress has ended, if its channel does not say so [s].
+#: Interval between looks whether a run in progress has ended, if its channel does not say so [s].
 _END_S: Final = 0.5
-#: Between looks at what changes by the hour [s].
+#: Interval between looks at what changes by the hour: station check and backlog [s].
 _HEALTH_S: Final = 15.0
-#: Between attempts to open the store [s].
+#: Interval between attempts to open the store [s].
 _AGAIN_S: Final = 1.0
-#: A run that takes frames and has sent none for so long is in trouble [s].
+#: Time without frames after which a run that takes them is in trouble [s].
 SILENT_S: Final = 60.0
 
 
@@ -42,11 +42,11 @@ class StationWatch:
 
     Parameters
     ----------
-    channel : of its runs; belongs to the event loop, its ``control`` is only read here.
+    channel : channel of its runs. It belongs to the event loop; only its ``control`` is read here.
 
     Attributes
     ----------
-    failure : why the store could not be read at the last look; None if it could.
+    failure : error of the last look at the store; None if it succeeded.
     """
 
     def __init__(self, served: ServedStation, channel: ChannelClient) -> None:
@@ -149,7 +149,7 @@ class StationWatch:
             if self.live is None or self.live.run != self.look.run:
                 self.live = LiveRun(store, plugins, self.look.run)
             self.live.update()
-        except Exception as error:  # noqa: BLE001 - as above; the run itself goes its way
+        except Exception as error:  # noqa: BLE001 - must not stop the watching of others; the run itself continues
             return self._words(error)
         return ""
 
@@ -198,8 +198,8 @@ class Watcher(threading.Thread):
 
     Parameters
     ----------
-    database : its URL.
-    publish : called from this thread with the names of stations that have a new snapshot.
+    database : URL of the database.
+    publish : function called in this thread with the names of stations that have a new snapshot.
     """
 
     def __init__(self, stations: Sequence[StationWatch], database: str, publish: Callable[[list[str]], None]) -> None:
