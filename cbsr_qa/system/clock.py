@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Final, Protocol
 
-#: What times are multiples of [s]; 0.95 µs.
+#: Tick: unit of which all times are multiples [s]; 0.95 µs.
 TICK_S: Final = 2.0**-20
-#: How far a paced clock may lag behind and catch up by not waiting [s].
+#: Longest lag of a paced clock that it makes up by not waiting [s].
 _CATCH_UP_S: Final = 1.0
 
 
@@ -66,7 +66,7 @@ class RealClock:
 
 
 class WallWatch:
-    """Notices that the computer's clock was set, which says nothing itself."""
+    """Notices that the computer's clock was set; the system does not report it."""
 
     def __init__(self) -> None:
         self._wall, self._since_s = datetime.now(UTC), time.monotonic()
@@ -85,9 +85,9 @@ class VirtualClock:
 
     Parameters
     ----------
-    start : the wall time at second 0; by default now.
-    speed : station seconds per second, for people who watch: sleeping then waits. What happens at which station time
-        is the same at any speed. None: as fast as the computer can.
+    start : wall time at second 0; by default now.
+    speed : station seconds per real second, for people who watch: sleeping then waits. Events happen at the same
+        station times at any speed. None: as fast as the computer can.
     """
 
     def __init__(self, start: datetime | None = None, *, speed: float | None = None) -> None:
@@ -134,7 +134,7 @@ def passing(clock: Clock, wait: Callable[[float], object], station_s: float) -> 
     clock.sleep((time.monotonic() - before_s) * speed)
 
 
-#: Told the name of each stage as it begins.
+#: Function that is called with the name of each stage as it begins.
 Listener = Callable[[str], None]
 
 

@@ -39,7 +39,7 @@ else:
 _FAR: Final = 1 << 20
 _LONGEST: Final = 4096  # of the holder's description in a file [bytes]
 _TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
-#: How long a holder may leave its name out: it is about to write it, or removes the file [s].
+#: Longest time for which a holder may have no name in its file: it is about to write it, or removes the file [s].
 _NAMELESS_S: Final = 0.1
 
 
@@ -112,7 +112,7 @@ class FileLock:
                 os.ftruncate(file, 0)
             with suppress(OSError):
                 self._path.unlink()
-            # Said explicitly: a copy that a library's C code forked would hold the lock on.
+            # Unlocked explicitly: a copy that a library's C code forked would keep the lock.
             with suppress(OSError):
                 _unlock(file)
         finally:
@@ -144,7 +144,7 @@ def holder(path: Path) -> bytes | None:
     return None
 
 
-#: A lock in a shared folder may be another user's link to a file of this user, or a pipe that has no other end.
+#: Flags of opening a lock in a shared folder: it may be another user's link to a file of this user, or a pipe.
 _SAFE: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 

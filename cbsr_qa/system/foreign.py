@@ -13,9 +13,9 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Final
 
-#: More than any recording: board text of two days.
+#: Largest file that is opened [B]: more than any recording, such as board text of two days.
 LARGEST_FILE: Final = 2**32
-#: Opening waits for nobody, makes no terminal that of this process, and is not inherited by other programs.
+#: Flags of opening: it does not wait, takes no controlling terminal, and other programs do not inherit it.
 _FLAGS: Final = (
     os.O_RDONLY
     | getattr(os, "O_NONBLOCK", 0)
@@ -61,7 +61,7 @@ def open_foreign(path: Path, most_bytes: int = LARGEST_FILE) -> BufferedReader:
 
 
 def read_foreign(path: Path, most_bytes: int) -> bytes:
-    """Return the bytes of a file of unknown origin; OSError as :func:`open_foreign`."""
+    """Return the bytes of a file of unknown origin. Raises what :func:`open_foreign` raises."""
     with open_foreign(path, most_bytes) as file:
         data = file.read(most_bytes + 1) or b""  # files of the kernel have no size, and may answer None
     if len(data) > most_bytes:
@@ -70,7 +70,7 @@ def read_foreign(path: Path, most_bytes: int) -> bytes:
 
 
 def check_regular(path: Path) -> None:
-    """Check what a library will open by its name; OSError as :func:`open_foreign`, also without a file."""
+    """Check a file that a library will open by its name. UnfitFileError if it is not regular; OSError if missing."""
     check_status(path, path.stat())
 
 

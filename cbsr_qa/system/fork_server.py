@@ -21,9 +21,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-#: Numerical libraries start no threads there.
+#: Environment variables by which numerical libraries start no threads in the server.
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-#: Process number or, negative, error number; status.
+#: Form of an answer: a process number, an error number (negative), or a status.
 _NUMBER: Final = struct.Struct("<i")
 _FORK: Final = b"F"
 _END: Final = b"E"
@@ -39,8 +39,8 @@ class ForkServer:
 
     Parameters
     ----------
-    requests : connected to the server.
-    process : its number.
+    requests : socket connected to the server.
+    process : process number of the server.
     """
 
     def __init__(self, requests: socket.socket, process: int) -> None:
@@ -54,9 +54,9 @@ class ForkServer:
 
         Parameters
         ----------
-        task : pickled; unpickled in the child, in this process's folder and with its module path.
+        task : pickled function; unpickled in the child, in this process's folder and with its module path.
         outgoing : descriptor that the child is given.
-        modules : to import before, which all later children share.
+        modules : modules to import before the fork; all later children share them.
         """
         content = os.memfd_create("cbsr-qa-task")
         try:

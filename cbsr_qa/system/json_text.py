@@ -6,11 +6,11 @@ import re
 from itertools import accumulate
 from typing import Any, Final, NoReturn
 
-#: Levels of lists and objects; no document of ours has more than ten.
+#: Most levels of lists and objects; no document of ours has more than ten.
 _DEEPEST: Final = 64
 _NOT_BRACKETS: Final = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?|[^][{}"]+', re.DOTALL)
 _STEPS: Final = {"[": 1, "{": 1, "]": -1, "}": -1}
-#: Digits of a whole number; no count, seed or time has as many.
+#: Most digits of a whole number; no count, seed or time has as many.
 _MOST_DIGITS: Final = 40
 _LONGEST_QUOTE: Final = 60
 

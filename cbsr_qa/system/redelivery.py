@@ -11,7 +11,7 @@ import threading
 from types import TracebackType
 from typing import Any, Final, Self
 
-#: How long after the loss: by then the callback has ended [s].
+#: Delay of the second delivery: by then the callback has ended [s].
 _LATER_S: Final = 0.02
 
 

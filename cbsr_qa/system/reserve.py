@@ -4,7 +4,7 @@ import mmap
 from contextlib import suppress
 from typing import Final
 
-#: Stacks of the threads that stop some instruments, and what they and the journal need [bytes of address space].
+#: Size of the reserve: stacks of the threads that stop instruments, and the journal's needs [B of address space].
 _BYTES: Final = 96 * 2**20
 
 

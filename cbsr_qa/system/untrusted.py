@@ -37,21 +37,21 @@ from cbsr_qa.system.fork_server import obtain_fork_server
 
 Result = TypeVar("Result")
 
-#: Whether there are children here.
+#: Whether files are read in a child process on this system.
 CONTAINED: Final = sys.platform == "linux"
 _MEGABYTE: Final = 2**20
-#: Seconds of processor time; a megabyte of text takes 1 to 2 s. What packed files hold is bounded by their size too.
+#: Processor time for any file, and more for each megabyte [s]; a megabyte of text takes 1 to 2 s.
 _SECONDS: Final = 8.0
 _SECONDS_PER_MB: Final = 10.0
-#: Seconds on the clock for each of processor time: others may need the computer at the same time.
+#: Factor from processor time to time on the clock: others may need the computer at the same time.
 _CLOCK: Final = 6.0
-#: Bytes that a file of any size may hold unpacked, and for each byte of it.
+#: Largest unpacked content of any file, and more for each of its bytes [B].
 _CONTENT: Final = 16 * _MEGABYTE
 _CONTENT_PER_BYTE: Final = 20
-#: Memory beyond what the program itself has, plus this many times the file's size, or half of the computer's.
+#: Memory beyond the program's own [B], and more for each byte of the file, up to half of the computer's.
 _MEMORY: Final = 2**30
 _MEMORY_PER_BYTE: Final = 16
-#: Files a reader has open at once: its own. Links of an HDF5 file would need a second one.
+#: Number of files a reader has open at once: its own. Links of an HDF5 file would need a second one.
 _OPEN_FILES: Final = 1
 _COPY: Final = "the file is damaged: copy it again from where it was recorded or issued"
 _BUSY: Final = (
@@ -61,10 +61,10 @@ _TOO_MUCH: Final = (
     "it holds too much for its size: give a smaller one; if it is a sound file elsewhere, copy it again"
 )
 _PICKLED: Final = "a format's plugin is a class of a module that can be imported, and what it holds can be pickled"
-#: Characters without a space, and of a whole message, that are repeated from a file.
+#: Longest word, and longest message, that is repeated from a file [characters].
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
-#: Python imports these on first use, and a child may open no other file.
+#: Codecs looked up beforehand: Python imports them on first use, and a child may open no other file.
 _CODECS: Final = (
     "ascii",
     "cp437",
@@ -78,7 +78,7 @@ _CODECS: Final = (
     "cp1252",
 )
 
-#: Needed by numpy, besides dataclasses, to unpickle arrays and numbers.
+#: Names that numpy needs to unpickle arrays and numbers.
 _NUMPY: Final = {
     ("numpy", "dtype"),
     ("numpy", "ndarray"),
@@ -137,13 +137,13 @@ def read_untrusted(
 
     Parameters
     ----------
-    path : of the file; the limits depend on its size, and refusals name it.
-    read : reads it, and says what is wrong where there is none. While it has the file open it can open no other, and
-        it can write none. It is pickled: a function of a module, or a ``functools.partial`` of one.
-    refusal : what is raised where the child dies.
-    seconds_per_mb : of processor time, in addition to what any file may take.
-    open_files : that ``read`` may have at once, if its library opens the file twice.
-    modules : of other packages, which ``read`` imports and cannot while its file is open.
+    path : path of the file; the limits depend on its size, and refusals name it.
+    read : function that reads the file, and raises a clear error if there is none. While it has the file open, it
+        can open no other, and it can write none. It is pickled: a function of a module, or a ``functools.partial``.
+    refusal : type of the error raised where the child dies.
+    seconds_per_mb : processor time for each megabyte, in addition to that of any file [s/MB].
+    open_files : number of files that ``read`` may have open at once; more if its library opens the file twice.
+    modules : modules of other packages to import beforehand: ``read`` cannot while its file is open.
     """
     size_bytes = _size(path, refusal)
     if not CONTAINED:

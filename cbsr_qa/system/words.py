@@ -9,9 +9,9 @@ from cbsr_qa.domain.errors import CbsrError
 
 KeyPath = tuple[str | int, ...]
 
-#: Characters of a key and of a value that are shown.
+#: Most characters shown of a key or a value.
 _LONGEST: Final = 60
-#: Longer messages of errors are cut [characters].
+#: Longest message of an error; longer ones are cut [characters].
 _LONGEST_MESSAGE: Final = 500
 
 
