@@ -27,9 +27,9 @@ from cbsr_qa.plugin.instruments import (
 from cbsr_qa.system.clock import RealClock
 from cbsr_qa.system.copies import come_back_once, end_copy
 
-#: How long one instrument may take before the next is called as well [s, real time].
+#: Longest wait for one instrument before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
-#: How long all of them together may take [s, real time].
+#: Longest time for all instruments together [s, real time].
 DEADLINE_S: Final = 10.0
 
 Action = tuple[str, Callable[[], object]]
@@ -123,8 +123,8 @@ class Bench:
 
     Parameters
     ----------
-    mounted : in the station file's order, which is also the order they are closed in.
-    stop_within_s : how long all of them together may take to reach their safe state [s, real time].
+    mounted : opened instruments in the station file's order, in which they are also closed.
+    stop_within_s : longest time for all of them together to reach their safe state [s, real time].
     after : further actions once all of them are closed.
     """
 
@@ -194,8 +194,8 @@ def open_bench(
 
     Parameters
     ----------
-    make : opens one instrument (finds its factory and calls it with its context).
-    after : (who, what to call) once the instruments are closed, also where one could not be opened.
+    make : function that opens one instrument (finds its factory and calls it with its context).
+    after : actions (who, what to call) once the instruments are closed, also where one could not be opened.
     """
     opened: list[Mounted] = []
     try:

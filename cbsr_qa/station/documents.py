@@ -37,9 +37,10 @@ class Documents:
 
     Parameters
     ----------
-    subscribers : the first is the journal and must store a document before it returns. The others only
-        watch: one that raises is warned about and not called again, unless it raises AbortedError to stop the run.
-    warn : called with listeners that fail.
+    subscribers : receivers of events. The first is the journal and must store a document before it returns. The
+        others only watch: one that raises is reported and not called again, unless it raises AbortedError to stop
+        the run.
+    warn : function called with a message for each listener that fails.
     """
 
     def __init__(self, subscribers: Sequence[Subscriber], interrupts: Interrupts, warn: Warn) -> None:

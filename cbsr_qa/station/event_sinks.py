@@ -19,7 +19,7 @@ from cbsr_qa.station.documents import Warn
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.words import describe_error
 
-#: Events that wait for a sink at most; beyond it the oldest are lost.
+#: Most events that wait for a sink; beyond it the oldest are lost.
 #: The recipe nine-locations has 2920 on the simulated bench.
 LARGEST_QUEUE: Final = 10_000
 #: Time for delivering what is pending at the end of a run, for all sinks together [s].
@@ -36,13 +36,13 @@ class EventSinks:
 
     Parameters
     ----------
-    identity : of the run.
-    warn : called with sinks that cannot be used, and at the end with how many events were lost.
+    identity : identity of the run.
+    warn : function called with sinks that cannot be used, and at the end with the number of lost events.
     first : number of the first event.
 
     Attributes
     ----------
-    number : of the next event.
+    number : number of the next event.
     """
 
     def __init__(
@@ -84,8 +84,8 @@ class Delivery:
 
     Parameters
     ----------
-    name : in warnings.
-    most : events that may wait.
+    name : name of the sink in warnings.
+    most : number of events that may wait.
     """
 
     def __init__(self, name: str, sink: EventSink, *, most: int = LARGEST_QUEUE) -> None:
@@ -154,7 +154,7 @@ class Delivery:
             return self._sending
 
     def _deliver(self, batch: list[Message]) -> bool:
-        """Deliver, and keep why it failed; False if the batch is to be sent again."""
+        """Deliver a batch, and keep the reason of a failure; False if the batch is to be sent again."""
         reason, dropped = "", 0
         try:
             with come_back_once():

@@ -25,7 +25,7 @@ from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.reserve import MemoryReserve
 from cbsr_qa.system.words import describe_error
 
-#: Reason and detail.
+#: End of a run: reason and detail.
 Ending = tuple[EndReason, str]
 
 _log: Final = logging.getLogger(__name__)
@@ -36,8 +36,8 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
 
     Parameters
     ----------
-    where : "while", the current step, and the state of the bench.
-    at_once : what ended it at once, not in order; empty if nothing did.
+    where : place in the run: "while", the current step, and the state of the bench.
+    at_once : cause of an end at once, not in order; empty without one.
     before : earlier ending, if this error arose while the head was being lifted.
     """
     with suppress(Exception):
@@ -114,16 +114,16 @@ def execute(
 
     Parameters
     ----------
-    subscribers : called with every document in order. The first is the journal, which stores a document before the
-        others see it; a document it cannot store breaks the run. The others cannot stop the run.
+    subscribers : functions called with every document in order. The first is the journal, which stores a document
+        before the others see it; a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
-    ask : shows a prompt and returns when it is answered; an ``OperatorPrompt`` if instruments
+    ask : function that shows a prompt and returns when it is answered; an ``OperatorPrompt`` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.
-    desk : takes requests for a pause, to continue, and to stop.
-    retries : how often an operation that failed retryably is tried again.
-    warn : called with subscribers that fail.
-    tell : called from a signal's handler with its effect and that of another one.
+    desk : desk that takes requests to pause, to continue, and to stop.
+    retries : most repetitions of an operation that failed retryably.
+    warn : function called with a message for each subscriber that fails.
+    tell : function called in a signal's handler with its effect and that of another signal.
     """
     dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
     dry.refuse()

@@ -22,7 +22,7 @@ FIRST: Final = (
     " the bench is made safe. A second signal makes the bench safe at once."
 )
 SECOND: Final = "{}: making the bench safe at once. Further signals are ignored until it is safe."
-#: What the first and the second one are called, if they are requests over the control channel.
+#: Names of the first and the second signal where they are requests over the control channel.
 _ASKED, _INSISTED = "stop asked for by {}", "emergency stop by {}"
 
 
@@ -56,16 +56,16 @@ class Interrupts:
 
     Parameters
     ----------
-    tell : called with the effect of a signal and of another one; not in a worker of a pool, whose parent received the
-        same signal.
+    tell : function called with the effect of a signal and of another one; not in a worker of a pool, whose parent
+        received the same signal.
     """
 
     def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
-        #: What made the run end at once, not in order; empty while nothing did.
+        #: Cause that made the run end at once, not in order; empty without one.
         self.urgent_by = ""
-        #: Whether the run is only waiting, as within :meth:`idle`.
+        #: Function that says whether the run only waits, as in :meth:`idle`.
         self.waiting: Callable[[], bool] = lambda: False
-        #: Called on the first signal, to shorten the deadline of the current call.
+        #: Function called on the first signal, to shorten the deadline of the current call.
         self.hurry: Callable[[], None] = lambda: None
         self._tell = tell if multiprocessing.parent_process() is None else _nobody
         self._redelivery = Redelivery()

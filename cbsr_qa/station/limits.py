@@ -14,7 +14,7 @@ from cbsr_qa.plugin.instruments import Sampler
 from cbsr_qa.station.bench import FORCE_CHANNEL
 from cbsr_qa.station.plan import Plan, duration
 
-#: Sums of durations are compared with this much room: below the resolution of any clock after hours [s].
+#: Tolerance in comparing sums of durations: below the resolution of any clock after hours [s].
 _ROUNDING_S: Final = 1e-6
 
 
@@ -116,7 +116,7 @@ def highest_force_N(strain: float, plan: Plan) -> float:
 #: Channel whose samples are compared with the temperature range, and their unit.
 TEMPERATURE_CHANNEL: Final = "temperature"
 TEMPERATURE_UNIT: Final = "°C"
-#: A limited temperature may be this old: a room does not warm up faster, and thermometers are slow [s].
+#: Greatest age of a limited temperature: a room does not warm up faster, and thermometers are slow [s].
 TEMPERATURE_STALE_S: Final = 300.0
 
 _LIMITED: Final = int(ReadingFlag.COMPLIANCE | ReadingFlag.SATURATED)

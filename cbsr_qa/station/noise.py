@@ -10,7 +10,7 @@ from cbsr_qa.domain.plan.steps import AcquireFrames, Press, Release
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
 from cbsr_qa.domain.run.run import FramesTaken, RunEvent, StepStarted
 
-#: Fewer degrees of freedom give no figure.
+#: Fewest degrees of freedom that give a figure.
 _LEAST: Final = 5
 
 

@@ -86,10 +86,10 @@ T = TypeVar("T")
 
 #: Pause before an operation that failed is tried again [s]; two of them must leave the bench safe within a second.
 RETRY_PAUSE_S: Final = 0.25
-#: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
+#: Remainder of a hold at which it counts as over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
 
-#: Shows a text, and a picture if there is one, and returns when it is answered.
+#: Function that shows a text, and a picture if there is one, and returns when it is answered.
 Ask = Callable[..., object]
 
 
@@ -98,8 +98,8 @@ class Performer:
 
     Parameters
     ----------
-    retries : how often an operation that failed retryably is tried again.
-    ask : shows a prompt and returns when it is answered; None without an operator.
+    retries : most repetitions of an operation that failed retryably.
+    ask : function that shows a prompt and returns when it is answered; None without an operator.
     """
 
     def __init__(

@@ -31,8 +31,8 @@ from cbsr_qa.plugin.interfaces import Sequence, SequenceContext
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.copies import end_copy
 
-#: A frame starts only if more than this share of it lies inside the hold; otherwise rounding of the clock would
-#: decide whether a hold of exactly 24 frames takes 24 or 25.
+#: Share of a frame that must lie inside the hold for it to start. Without it, rounding of the clock would decide
+#: whether a hold of exactly 24 frames takes 24 or 25.
 WORTHWHILE: Final = 0.1
 
 
@@ -151,8 +151,8 @@ class Plan:
 
     Parameters
     ----------
-    motion, safety : how the station moves, and what it allows whatever the recipe asks for.
-    seed : of the run; sequences that draw numbers address them by their own name.
+    motion, safety : speeds of the station, and limits that hold whatever the recipe asks for.
+    seed : seed of the run; sequences that draw numbers address them by their own name.
     """
 
     phases: tuple[PlannedPhase, ...]
@@ -168,7 +168,7 @@ class Plan:
         return SequenceContext(self.sensor_type, self.indenter, self.seed)
 
 
-#: A sequence with more steps than this counts as endless.
+#: Most steps of a sequence; one with more counts as endless.
 MOST_STEPS: Final = 100_000
 
 #: A load as (phase index, load index within the phase).
@@ -181,7 +181,7 @@ class ScheduledStep:
 
     Parameters
     ----------
-    number : 0-based within the phase.
+    number : number of the step within the phase, from 0.
     load : index within the phase of the load it presses, eases, holds, releases, rests after; None before the first.
     """
 
@@ -197,7 +197,7 @@ class ScheduledPhase:
 
     Parameters
     ----------
-    finished : ended in an earlier session, so that only set-up steps remain.
+    finished : whether it ended in an earlier session, so that only set-up steps remain.
     """
 
     index: int

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
-#: A log has no more than one line a minute beside those of phases and presses [s].
+#: Shortest interval between lines of a log beside those of phases and presses [s].
 _QUIET_S: Final = 60.0
 
 
@@ -40,8 +40,8 @@ class RunProgress:
 
     Parameters
     ----------
-    status : knows which press of how many is under way; it must see every event first.
-    tell : called with every line instead; no bar is shown then.
+    status : status of the run, with the press under way; it must see every event first.
+    tell : function called with every line instead of showing a bar or printing.
     """
 
     def __init__(

@@ -20,9 +20,9 @@ class OperatorPrompt(Generic[A]):
 
     Parameters
     ----------
-    ask : shows a text in the terminal and returns the answer; None without a terminal.
-    desk : shows prompts to others as well, and answers them if ``ask`` does not.
-    operator : who answers in the terminal.
+    ask : function that shows a text in the terminal and returns the answer; None without a terminal.
+    desk : desk that shows prompts to others as well, and answers them if ``ask`` does not.
+    operator : name of the person who answers in the terminal.
     first : number of the first prompt; a resumed run counts on.
     """
 

@@ -51,7 +51,7 @@ _IN_WORDS: Final[dict[State, str]] = {
     State.RELEASING: "head going up",
 }
 
-#: Which state may follow which. STOPPING may follow every one but the two it ends in.
+#: States that may follow each state. STOPPING may follow every one but the two it ends in.
 TRANSITIONS: Final[dict[State, frozenset[State]]] = {
     State.IDLE: frozenset({State.CLEARING, State.STOPPING}),
     State.CLEARING: frozenset({State.ARMED, State.STOPPING}),
@@ -69,7 +69,7 @@ TRANSITIONS: Final[dict[State, frozenset[State]]] = {
 
 #: States in which the head touches, or may touch, the sheet.
 TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.EASING, State.RELEASING})
-#: States in which it is in the sheet and stays there.
+#: States in which the head is in the sheet and stays there.
 DWELLING: Final = frozenset({State.PRESSED, State.EASING})
 
 
@@ -131,7 +131,7 @@ T = TypeVar("T")
 
 #: Interval of checks of force and duration while idle [s].
 WATCH_S: Final = 5.0
-#: Checks due within this time are done now [s].
+#: Time ahead of a check at which it is done already [s].
 _SOON_S: Final = 1e-3
 
 

@@ -42,8 +42,9 @@ def configure(
 
     Parameters
     ----------
-    sensor_type, material : instead of the station's own, which are looked for next to its file first.
-    plugins : to check plugin options in the same pass.
+    sensor_type, material : files or names that replace the station's own; those are looked for next to its file
+        first.
+    plugins : installed plugins, to check their options in the same pass; None checks no options.
     """
     loaded_station = load_station(station, plugins)
     return merge(
@@ -111,8 +112,8 @@ def open_station(
 
     Parameters
     ----------
-    resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.instruments.StationContext`.
-    emulated : called with the emulation, if any: to arm faults, or to inspect its world.
+    resumed_at_s, ask : fields of :class:`~cbsr_qa.plugin.instruments.StationContext`.
+    emulated : function called with the emulation, if any: to arm faults, or to inspect its world.
     """
     open_one, closing_actions = opener(
         configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated

@@ -10,11 +10,11 @@ from cbsr_qa.domain.errors import CbsrError, SafetyError
 from cbsr_qa.plugin.failures import Interruption, blame_plugin
 from cbsr_qa.system.clock import RealClock
 
-#: Beyond what its work takes, a call gets this long once the run is to stop in order [s, real time].
+#: Time a call gets beyond that of its work once the run is to stop in order [s, real time].
 GRACE_S: Final = 10.0
-#: How long the run's own thread may take to react before the bench is made safe without it [s, real time].
+#: Longest time for the run's own thread to react before the bench is made safe without it [s, real time].
 REACTION_S: Final = 0.5
-#: How often the watchdog looks [s, real time].
+#: Interval between looks of the watchdog [s, real time].
 LOOK_S: Final = 0.1
 
 
@@ -43,11 +43,11 @@ class Watchdog:
 
     Parameters
     ----------
-    answer_s : how long a call may take beyond twice what its work takes.
-    break_in : raises an error in the run's thread, wherever that hangs.
-    make_safe : called if that does not help.
-    tell : called with a message in that case.
-    excused : whether an operator is being asked.
+    answer_s : longest time of a call beyond twice the time of its work [s].
+    break_in : function that raises an error in the run's thread, wherever that hangs.
+    make_safe : function called if that does not help.
+    tell : function called with a message in that case.
+    excused : function that says whether an operator is being asked.
     """
 
     def __init__(
