@@ -23,8 +23,8 @@ class Choice:
 
     Parameters
     ----------
-    path : of the table its options are in.
-    named : key of its name, where that is not the table's own.
+    path : key path of the table with its options.
+    named : key path of its name, where that is not the table's own.
     """
 
     kind: Kind
@@ -66,7 +66,7 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
         reason = f"is {name}no installed {choice.kind} plugin" if unknown else f"cannot be used: {error.reason}"
         return None, [Problem(path, reason, error.remedy)]
     if choice.kind is Kind.INSTRUMENT and not hasattr(factory, "Options"):
-        return factory, []  # it looks at its table itself
+        return factory, []  # the driver checks its table itself
     _, problems = check(options_of(factory, handed=int(choice.kind is Kind.EFFECT)), choice.options)
     if problems or choice.kind not in _MADE_OF_OPTIONS:
         return factory, [replace(problem, path=(*choice.path, *problem.path)) for problem in problems]
@@ -85,7 +85,7 @@ def check_measured(
     Parameters
     ----------
     measured : names of measurements and their units.
-    all_known : whether nothing else is measured.
+    all_known : whether these are all measurements.
     """
     for index, limit in limits:
         name, unit = limit.get("measurement"), limit.get("unit")

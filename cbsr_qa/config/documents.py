@@ -15,11 +15,11 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.system.foreign import UnfitFileError, read_foreign
 from cbsr_qa.system.words import echo, printable
 
-#: Larger than any configuration; a recording given by mistake is not read into memory.
+#: Largest file [B]: more than any configuration; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000
 #: Most parts of a dotted key; parsing time grows with their square, and no key here has more than four.
 MOST_KEY_PARTS = 50
-#: Where every key is described, in words: an installed package has no pages.
+#: Place where every key is described, in words: an installed package has no pages.
 REFERENCE = 'the page "Configuration" of the documentation'
 
 _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
@@ -63,11 +63,11 @@ class Document:
 
     Parameters
     ----------
-    kind : what it describes.
-    label : how messages name it: a path, or ``shipped station 'simulated'``.
-    path : where a user's file is; None for shipped files and for configurations restored from a run.
-    text : its source; empty where it was restored.
-    data : the parsed content.
+    kind : kind of the file.
+    label : its name in messages: a path, or ``shipped station 'simulated'``.
+    path : path of a user's file; None for shipped files and for configurations restored from a run.
+    text : source text; empty where it was restored.
+    data : parsed content.
     """
 
     kind: DocumentKind
@@ -96,7 +96,7 @@ def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | 
     Parameters
     ----------
     name_or_path : a path (it has a folder or ends in ``.toml``) or the name of a shipped file.
-    near : folder of the file that refers to it; looked in before the shipped files.
+    near : folder of the file that refers to it; searched before the shipped files.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def reference_path(name: str, near: Path | None) -> Path | None:
 
 
 def _path_of(name_or_path: str | Path, near: Path | None) -> Path | None:
-    """Return the path if one is meant, even if it does not exist."""
+    """Return the path that a name means, even if it does not exist; None for the name of a shipped file."""
     if isinstance(name_or_path, Path):
         return name_or_path
     if path := reference_path(name_or_path, near):

@@ -69,7 +69,7 @@ def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Seque
 
     Parameters
     ----------
-    phases : those in which single presses are held; the loads of loops have no overlap.
+    phases : phases in which single presses are held; the loads of loops have no overlap.
     """
     limit_by_index = {}
     for index, table in limits:

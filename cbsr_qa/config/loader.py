@@ -68,8 +68,8 @@ class Loaded(Generic[T]):
 
     Parameters
     ----------
-    value : e.g. a :class:`~cbsr_qa.domain.plan.plan.Station`.
-    document : its source: text, path (None where shipped or restored), parsed data, and a label for messages.
+    value : domain object, e.g. a :class:`~cbsr_qa.domain.plan.plan.Station`.
+    document : source of the object: text, path (None where shipped or restored), parsed data, and a label for messages.
     """
 
     value: T
@@ -88,7 +88,7 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
 
     Parameters
     ----------
-    plugins : to check plugin options as well; the same for every loader here.
+    plugins : installed plugins, to check their options as well; None checks none. The same for every loader here.
 
     Raises
     ------
@@ -154,9 +154,10 @@ def load_material(source: Source, *, near: Path | None = None) -> Loaded[Materia
 
 
 def load_scene(source: Source, plugins: Plugins | None = None, *, near: Path | None = None) -> Loaded[Scene]:
-    """Load what a station needs of a scene, looked for in the folder ``near`` first; raises as :func:`load_station`.
+    """Load the tables of a scene that a station needs; the folder ``near`` is searched first.
 
-    The document is reduced in the same way: the rest is not part of a run's configuration.
+    The document is reduced to the same tables: the others are not part of a run's configuration. See
+    :func:`load_station` for what is raised.
     """
     plan = load_scene_plan(source, plugins, near=near)
     station_tables = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}

@@ -19,9 +19,9 @@ from cbsr_qa.system.words import KeyPath
 
 Positive = Annotated[float, Field(gt=0)]
 Strain = Annotated[float, Field(gt=0, lt=1)]
-#: Digits that are lost when a covariance is written by hand.
+#: Tolerance for the digits that are lost when a covariance is written by hand.
 _ROUNDING = 1e-3
-#: No characterisation resolves more exponentials than this.
+#: Most exponentials of a kernel; no characterisation resolves more.
 _MOST = 4
 
 
@@ -189,7 +189,7 @@ def material_text(material: Material, comments: Sequence[str] = ()) -> str:
 
     Parameters
     ----------
-    comments : lines before everything else.
+    comments : comment lines before everything else.
 
     Returns
     -------

@@ -26,8 +26,8 @@ class Configuration:
 
     Parameters
     ----------
-    station, recipe, sensor_type, material : checked and in domain terms.
-    seed : of the run.
+    station, recipe, sensor_type, material : content of the files, checked and in domain terms.
+    seed : seed of the run.
     canonical : all files' content as canonical JSON (keys sorted, no blanks); paths of files are not in it,
         so the same content gives the same digest wherever it lies.
     serial_pattern : regular expression that serial numbers of the sensor type match; empty for any.
@@ -60,7 +60,7 @@ def merge(
 
     Parameters
     ----------
-    plugins : to check the effects of scenes as well.
+    plugins : installed plugins, to check the effects of scenes as well; None checks none.
 
     Raises
     ------

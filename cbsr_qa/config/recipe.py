@@ -155,7 +155,7 @@ class ReportTable(Table):
 
 #: Sequence option that names an image file next to the recipe.
 _PICTURE = "picture"
-#: What such a file may be: endings and their media types, as a page shows them.
+#: Media types of such a file by its ending, as a page shows them.
 PICTURES: Final = {
     ".png": "image/png",
     ".jpg": "image/jpeg",

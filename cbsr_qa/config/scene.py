@@ -25,17 +25,17 @@ def _printable(text: str) -> str:
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 PrintableLine = Annotated[str, AfterValidator(_printable)]
-#: From a picoampere to ten amperes: readings and their squares stay numbers.
+#: Current from a picoampere to ten amperes [mA]: readings and their squares stay numbers.
 Current = Annotated[float, Field(ge=1e-9, le=1e4)]
-#: From a microsecond; force is sampled 8 times a second, so that a frame and a recording have a number of samples
-#: that a computer holds.
+#: Period of frames from a microsecond to ten minutes [s]. Force is sampled 8 times a second, so that a frame and a
+#: recording have a number of samples that a computer holds.
 Period = Annotated[float, Field(ge=1e-6, le=600)]
 Duration = Annotated[float, Field(gt=0, le=1e6)]
-#: From a short to an open circuit that currents and voltages of it stay numbers for.
+#: Resistance from a short to an open circuit [ohm]: currents and voltages stay numbers.
 Resistance = Annotated[float, Field(ge=1e-6, le=1e12)]
-#: Wider than any sheet, slower and faster than any head, longer than any recording: sums of times stay numbers.
+#: Length beyond any sheet [mm]. Like the ranges of speed and time below, it keeps sums of times numbers.
 Length = Annotated[float, Field(ge=-1e6, le=1e6)]
-#: A head that covers some of the sheet's elements, and whose force is one.
+#: Diameter of a head that covers some of the sheet's elements and has a measurable force [mm].
 Diameter = Annotated[float, Field(ge=1, le=1000)]
 Speed = Annotated[float, Field(ge=0.01, le=1e6)]
 Moment = Annotated[float, Field(ge=0, le=1e9)]

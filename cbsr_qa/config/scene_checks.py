@@ -15,8 +15,8 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.plugin.problems import Problem
 from cbsr_qa.simulate.sheet import finest_mesh_mm
 
-_ROUNDING_S = 1e-9  # of times that are sums of others
-_PER_SIDE = 16  # points of a head's side that are compared with the sheet's edge
+_ROUNDING_S = 1e-9  # tolerance of times that are sums of others
+_PER_SIDE = 16  # number of points on a head's side that are compared with the sheet's edge
 
 #: A load, its place in the file's list, and when it is pressed.
 _Timed = tuple[int, SceneLoad, PressTimes]

@@ -121,9 +121,9 @@ class PatternTable(Table):
 
 _OUTLINE = ("sensor_type", "outline_mm")
 _POSITIONS = ("electrodes", "positions_mm")
-#: What places a ring; a list of positions needs none of it.
+#: Keys that place a ring; a list of positions needs none of them.
 _RING_KEYS = ("count", "ring_radius_mm", "first_angle_deg", "direction")
-#: What describes an outline; a mesh has one of its own.
+#: Keys that describe an outline; a mesh has one of its own.
 _OUTLINE_KEYS = ("radius_mm", "outline_mm", "corner_radius_mm")
 
 
@@ -224,7 +224,7 @@ class SensorTypeFile(FileModel[SensorType]):
     def _placement_problems(self) -> Iterator[Problem]:
         outline, layout = self._outline, self._layout
         if outline is None or layout is None:
-            return  # what is wrong with them has been said
+            return  # their problems are reported already
         assert self.electrodes is not None
         width_finding = width_problem(layout, outline.radius_mm)
         if width_finding is not None:

@@ -9,10 +9,10 @@ from cbsr_qa.system.words import echo
 
 LONGEST = 64
 
-#: Of a reason, which is a sentence or two.
+#: Longest reason, which is a sentence or two [characters].
 LONGEST_REASON = 500
 
-#: Of a pattern of serial numbers [characters].
+#: Longest pattern of serial numbers [characters].
 LONGEST_PATTERN = 200
 
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")

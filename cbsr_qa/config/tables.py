@@ -29,7 +29,7 @@ def _word(text: str) -> str:
     raise ValueError("it must be lower-case letters, digits and _, starting with a letter, at most 64 of them")
 
 
-#: A name that code uses: of a role, of a measurement.
+#: Name that code uses, as of a role or a measurement.
 Word = Annotated[str, AfterValidator(_word)]
 
 
@@ -80,7 +80,7 @@ def validate(model: type[FileModel[T]], document: Document, plugins: Plugins | N
 
     Parameters
     ----------
-    plugins : to check their options as well.
+    plugins : installed plugins, to check their options as well; None checks none.
 
     Raises
     ------

@@ -115,7 +115,7 @@ def toml_document(document: Mapping[str, Any], comments: Sequence[str] = ()) -> 
 
     Parameters
     ----------
-    comments : lines at the top.
+    comments : comment lines at the top.
 
     Returns
     -------
