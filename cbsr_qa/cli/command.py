@@ -63,7 +63,7 @@ def command(words: str, *, prints: str = "", live: bool = False, reads: str = ""
 
     Parameters
     ----------
-    words : of the command line, e.g. ``"db status"``.
+    words : words of the command line, e.g. ``"db status"``.
     prints : dataclass of its document, or a union of some, e.g. ``"cbsr_qa.app.database:DatabaseStatus"``, imported
         only to print its schema; several are separated by ``|``.
     live : whether it writes to standard output while it runs, by :func:`cbsr_qa.cli.output.live_output`; the output
@@ -101,7 +101,7 @@ def commands(first_word: str = "") -> list[Command]:
 
     Parameters
     ----------
-    first_word : of a command line: if a module has its name, and declares such commands, no other one is imported.
+    first_word : first word of a command line. If a module of that name declares such commands, no other is imported.
     """
     module = f"{__package__}.{first_word}"
     if first_word.isidentifier() and find_spec(module) is not None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cbsr_qa.domain.plan.plan import Station
     from cbsr_qa.station.control.client import RunChannel
 
-#: What to do with a sensor, by the outcome of its run.
+#: Instruction for the sensor, by the outcome of its run.
 _DO: Final = {
     "pass": "put it with the passed sensors",
     "marginal": "it passed, only just: put it with the passed sensors, marked",
@@ -34,7 +34,7 @@ _DO: Final = {
 }
 _OTHERWISE: Final = "set it aside: it is neither passed nor failed"
 _ENDS: Final = ("quit", "exit")
-#: Between attempts to reach the run's channel [s].
+#: Interval between attempts to reach the run's channel [s].
 _AGAIN_S: Final = 0.2
 
 
@@ -88,8 +88,8 @@ class _Line:
 
     Parameters
     ----------
-    options : of every run.
-    pin : given to every run; empty without one.
+    options : options of every run.
+    pin : PIN given to every run; empty without one.
     """
 
     station: str

@@ -91,10 +91,10 @@ _LOST = "free some space, or name another file; stored data are kept: cbsr-qa db
 #: Errors of typer for a misused command line. It has its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 
-#: Raised by typer for Ctrl-C when it does not end the program.
+#: Result of typer after Ctrl-C when it does not end the program.
 _INTERRUPTED = 130
 
-#: Numerical libraries take their number of threads from these when they are loaded.
+#: Environment variables from which numerical libraries take their number of threads when they are loaded.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

@@ -103,7 +103,7 @@ def claim_stdout(stream: TextIO | None = None) -> None:
 
     Parameters
     ----------
-    stream : what they write to instead of stdout.
+    stream : stream that both write to instead of stdout; None for stdout itself.
     """
     global _claimed
     stdout, stderr = sys.__stdout__, sys.__stderr__
@@ -141,10 +141,10 @@ def _stream() -> TextIO | None:
 #: The original stdout.
 _claimed: TextIO | None = None
 
-#: Whether it is a terminal; a child process hands its output to its parent, who prints it there.
+#: Whether stdout is a terminal; a child process hands its output to its parent, who prints it there.
 _on_terminal: Final[list[bool]] = []
 
-#: Why output was lost; a command continues without a reader, and its exit code reports its result.
+#: Reasons why output was lost; a command continues without a reader, and its exit code reports its result.
 _lost: list[str] = []
 
 
@@ -176,7 +176,7 @@ def _discard_the_rest(stream: TextIO) -> None:
         os.close(nowhere)
 
 
-#: Of a line with a PIN [characters]; a longer one is no PIN.
+#: Longest line with a PIN [characters]; a longer one is no PIN.
 _LONGEST_PIN_LINE: Final = 1000
 
 #: Answers that end the run instead of being passed on.
@@ -228,8 +228,8 @@ class Counting:
 
     Parameters
     ----------
-    what : counted things, e.g. ``"frames"``.
-    stream : by default the process's stderr.
+    what : name of the counted things, e.g. ``"frames"``.
+    stream : stream of the output; by default the process's stderr.
     """
 
     def __init__(self, what: str, *, stream: TextIO | None = None) -> None:

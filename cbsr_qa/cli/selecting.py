@@ -60,5 +60,5 @@ class Selecting:
         )
 
 
-#: None of the options.
+#: Selection without any option: every run.
 EVERY_RUN: Final = Selecting()

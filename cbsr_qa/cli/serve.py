@@ -12,7 +12,7 @@ from cbsr_qa.cli.options import Database
 from cbsr_qa.cli.output import note
 from cbsr_qa.domain.errors import RefusedError
 
-#: Libraries of the extra.
+#: Libraries of the optional extra for this command.
 _NEEDED = ("starlette", "uvicorn", "PIL")
 
 

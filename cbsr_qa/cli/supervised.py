@@ -26,7 +26,7 @@ _HANDED_ON: Final = tuple(
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
     if hasattr(signal, name)  # Windows knows two
 )
-#: How long the child may take to echo a signal [s].
+#: Longest time for the child to echo a signal [s].
 _ECHO_S: Final = 0.25
 
 _Mask = set[int | signal.Signals]
