@@ -57,11 +57,11 @@ def place_of(engine: Engine, file: Path) -> str:
     StoreError
         If a server's archives have no root, or the file is in no folder of archives: it would not be read again.
     """
-    root, full = archive_root(engine), file.resolve()
+    root, absolute = archive_root(engine), file.resolve()
     if root is None:
         raise StoreError("a PostgreSQL database has no folder", remedy=_NAME_ROOT)
-    _check_inside(root, full)
-    return os.path.relpath(full, root)
+    _check_inside(root, absolute)
+    return os.path.relpath(absolute, root)
 
 
 def _check_inside(root: Path, file: Path) -> None:
@@ -119,8 +119,8 @@ def read_checked(connection: Connection, run: str) -> bytes | None:
         with open_foreign(file, _LARGEST_BYTES) as archive:
             size_bytes = os.fstat(archive.fileno()).st_size
             if size_bytes != row.file_bytes:  # before gigabytes are read
-                why = f"it has {size_bytes} bytes, {row.file_bytes} were written"
-                raise _alteration_error(run, file, why)
+                reason = f"it has {size_bytes} bytes, {row.file_bytes} were written"
+                raise _alteration_error(run, file, reason)
             data = archive.read(size_bytes)
     except OSError as error:
         raise StoreError(
@@ -174,8 +174,8 @@ def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives 
     StoreError
         If the archive is missing, was altered, or does not hold a block; see :func:`read_checked`.
     """
-    archived = next((row.run for row in rows if not row.voltages), None)
-    archive = None if archived is None else (archives or Archives()).find(connection, archived)
+    archived_run = next((row.run for row in rows if not row.voltages), None)
+    archive = None if archived_run is None else (archives or Archives()).find(connection, archived_run)
     for row in rows:  # one that lacks its arrays without an archive is refused by its digest
         yield row if row.voltages or archive is None else with_cells(row, archive.cells(row.phase, row.block))
 

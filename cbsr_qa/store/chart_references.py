@@ -52,8 +52,8 @@ class ChartReferences:
         with reading(self._engine) as connection:
             rows = read_rows_apart(connection, ChartReferenceRow, *conditions).rows
         latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
-        holding = (one for one in latest.values() if not one.retired)
-        return tuple(sorted(holding, key=lambda one: one.reference))
+        current = (one for one in latest.values() if not one.retired)
+        return tuple(sorted(current, key=lambda one: one.reference))
 
     def read_all(self, station: str = "") -> tuple[ChartReference, ...]:
         """Return all references of a station's charts (empty: of all stations), oldest first."""

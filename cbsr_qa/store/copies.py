@@ -151,8 +151,8 @@ def _verify(partial: Path, heads: dict[str, str], to: Path) -> None:
         if not problem:
             with closing(sqlite3.connect(partial)) as connection:
                 copied_heads = _heads(connection)
-            differing = [run for run in heads | copied_heads if heads.get(run) != copied_heads.get(run)]
-            problem = f"run {differing[0]} in it has another chain than the database" if differing else ""
+            differing_runs = [run for run in heads | copied_heads if heads.get(run) != copied_heads.get(run)]
+            problem = f"run {differing_runs[0]} in it has another chain than the database" if differing_runs else ""
     finally:
         copy.dispose()
     if problem:
@@ -178,8 +178,8 @@ def _source(engine: Engine) -> Path:
 
 
 def _server_error(engine: Engine, command: str) -> RefusedError:
-    bare = engine.url.difference_update_query([name for name in engine.url.query if "password" in name.lower()])
-    url = bare._replace(drivername=bare.get_backend_name(), password=None).render_as_string()
+    bare_url = engine.url.difference_update_query([name for name in engine.url.query if "password" in name.lower()])
+    url = bare_url._replace(drivername=bare_url.get_backend_name(), password=None).render_as_string()
     if engine.url.get_backend_name() == "sqlite":
         return RefusedError(f"{name_database(engine.url)} is not a file")
     return RefusedError(
@@ -267,17 +267,17 @@ def _busy_error(database: Path, who: str) -> StoreError:
 
 def _exchange(partial: Path, target: Path, aside: Path) -> None:
     """Rename the old database with its log, then the new one; put the old one back if that fails."""
-    moved: list[tuple[Path, Path]] = []
+    moved_files: list[tuple[Path, Path]] = []
     try:
         for suffix in ("", *_MOVED):
             old_file, kept_file = target.with_name(target.name + suffix), aside.with_name(aside.name + suffix)
             if old_file.exists():
                 old_file.rename(kept_file)
-                moved.append((old_file, kept_file))
+                moved_files.append((old_file, kept_file))
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.rename(target)
     except OSError:
-        for old_file, kept_file in reversed(moved):
+        for old_file, kept_file in reversed(moved_files):
             kept_file.rename(old_file)
         raise

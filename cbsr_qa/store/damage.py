@@ -203,8 +203,8 @@ def foreign_cell(
     """
     for table, condition in rows:
         converters = [(table_column, cell_reader(connection, table_column)) for table_column in table.columns]
-        raw = select(*(raw_cell(connection, table_column) for table_column in table.columns))
-        for row in connection.execute(raw.where(condition)).mappings():
+        raw_query = select(*(raw_cell(connection, table_column) for table_column in table.columns))
+        for row in connection.execute(raw_query.where(condition)).mappings():
             for column, convert in converters:
                 try:
                     convert(row[column.name])
@@ -235,9 +235,9 @@ def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], 
             return partial(_json_value, column.name, json.loads)
         if isinstance(kind, DateTime):
             return lambda cell: None if cell is None else datetime.fromisoformat(cell).astimezone(UTC)
-        declared: Any = column.type
-        if isinstance(kind, LargeBinary) and isinstance(declared, TypeDecorator):  # a digest
-            return lambda cell: declared.process_result_value(cell, connection.dialect)
+        column_type: Any = column.type
+        if isinstance(kind, LargeBinary) and isinstance(column_type, TypeDecorator):  # a digest
+            return lambda cell: column_type.process_result_value(cell, connection.dialect)
         return lambda cell: cell
     convert = column.type.dialect_impl(connection.dialect).result_processor(connection.dialect, None)
     if convert is None:

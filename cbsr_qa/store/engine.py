@@ -165,10 +165,10 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
         from cbsr_qa.store.tables.runs import Base
 
         try:
-            foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
+            cell_error = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
         except SQLAlchemyError:  # a schema that is being changed lacks tables
-            foreign = None
-        raise foreign or error from error
+            cell_error = None
+        raise cell_error or error from error
 
 
 @contextmanager
@@ -284,8 +284,8 @@ def _refuse_copy(process: int, connection: Connection) -> None:
 
 def _refuse_lost_file(path: Path, connection: Connection) -> None:
     """Refuse a deleted or replaced file: SQLite would continue to write into the old one."""
-    was, current_file = connection.info[_FILE], _which_file(path)
-    if was in (None, current_file):
+    opened_file, current_file = connection.info[_FILE], _which_file(path)
+    if opened_file in (None, current_file):
         return
     fate = "was deleted or moved away" if current_file is None else "was replaced by another file"
     raise StoreError(
@@ -297,8 +297,8 @@ def _refuse_lost_file(path: Path, connection: Connection) -> None:
 
 def _begin_sqlite(connection: Connection) -> None:
     # A transaction that will write takes the lock at once: requesting it later can fail without waiting.
-    immediate = connection.get_execution_options().get("cbsr_writes", False)
-    _directly(connection, "BEGIN IMMEDIATE" if immediate else "BEGIN")
+    writes = connection.get_execution_options().get("cbsr_writes", False)
+    _directly(connection, "BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
 def _directly(connection: Connection, statement: str) -> None:

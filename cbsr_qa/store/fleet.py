@@ -92,8 +92,8 @@ def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLi
 def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
     row = one.values
     simulated = () if one.altered else tuple(map(str, row["simulated"]))  # of an altered run it may be anything
-    described = None if one.altered else row["setting"].get("material")
-    material = str(described.get("name", "")) if isinstance(described, dict) else ""
+    material_table = None if one.altered else row["setting"].get("material")
+    material = str(material_table.get("name", "")) if isinstance(material_table, dict) else ""
     return RunLine(
         run=row["run"],
         serial=row["serial"],

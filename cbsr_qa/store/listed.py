@@ -134,13 +134,13 @@ def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:
 
 def _read_measurements(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
     verdicts = {verdict.run: verdict for verdict in read_verdicts(connection, runs)}
-    sound = [run for run, verdict in verdicts.items() if not verdict.altered]
-    rows = read_rows(connection, MeasurementRow, sound)
+    sound_runs = [run for run, verdict in verdicts.items() if not verdict.altered]
+    rows = read_rows(connection, MeasurementRow, sound_runs)
     altered = {run: verdict.altered for run, verdict in verdicts.items() if verdict.altered}
-    altered |= find_altered(connection, {run: verdicts[run].values["chain"] for run in sound}, [rows])
+    altered |= find_altered(connection, {run: verdicts[run].values["chain"] for run in sound_runs}, [rows])
     altered |= _unknown_words(rows, altered)
-    latest = {verdict.analysis for run, verdict in verdicts.items() if run not in altered}
-    shown_indexes = [index for index, analysis in enumerate(rows.columns["analysis"]) if analysis in latest]
+    latest_analyses = {verdict.analysis for run, verdict in verdicts.items() if run not in altered}
+    shown_indexes = [index for index, analysis in enumerate(rows.columns["analysis"]) if analysis in latest_analyses]
     columns = {name: [cells[index] for index in shown_indexes] for name, cells in rows.columns.items()}
     return MeasuredRuns([rows.runs[index] for index in shown_indexes], columns, altered)
 
@@ -222,13 +222,13 @@ def _find_failures(
     """
     if not runs:
         return {}, {}
-    latest = {verdicts[run].analysis for run in runs}
+    latest_analyses = {verdicts[run].analysis for run in runs}
     rows = read_rows(connection, MeasurementRow, runs)
     altered = find_altered(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
     failed_by_analysis: dict[str, dict[MetricKey, None]] = {}
     cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
     for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
-        if outcome == Outcome.FAIL and analysis in latest and run not in altered:
+        if outcome == Outcome.FAIL and analysis in latest_analyses and run not in altered:
             failed_by_analysis.setdefault(analysis, {})[MetricKey(*key)] = None
     return failed_by_analysis, altered
 
@@ -240,10 +240,10 @@ def _mark_problem(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, Non
 def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, int], set[str]]:
     """Return how many finished runs of the sensor and recipe are before each run, and the runs of golden sensors."""
     r, s = RunRow, RunStateRow
-    finished = exists().where(s.run == r.run, s.end == str(EndReason.FINISHED))
+    has_finished = exists().where(s.run == r.run, s.end == str(EndReason.FINISHED))
     # A cell of another type must not stop this: the run is marked where its row is read.
     columns: list[Any] = [type_coerce(column, NullType()) for column in (r.run, r.serial, r.recipe)]
-    query = select(*columns, finished).order_by(r.run)
+    query = select(*columns, has_finished).order_by(r.run)
     if len(names) < _FEW:
         query = query.where(r.serial.in_(select(r.serial).where(r.run.in_(names))))
     rows = [tuple(row) for row in connection.execute(query)]

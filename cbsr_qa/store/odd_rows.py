@@ -53,26 +53,26 @@ def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnEl
     """
     table = Base.metadata.tables[model.__tablename__]
     readers = {column.name: cell_reader(connection, column) for column in table.columns}
-    cells = select(*(raw_cell(connection, column) for column in table.columns))
+    raw_query = select(*(raw_cell(connection, column) for column in table.columns))
     rows: list[dict[str, Any]] = []
-    odd: list[OddRow] = []
+    odd_rows: list[OddRow] = []
     with keep_odd_text(connection):
-        stored = connection.execute(cells.where(*wanted).order_by(*table.primary_key)).mappings().all()
-    for row in stored:
+        raw_rows = connection.execute(raw_query.where(*wanted).order_by(*table.primary_key)).mappings().all()
+    for row in raw_rows:
         values: dict[str, Any] = {}
-        unread: list[str] = []
+        unread_columns: list[str] = []
         for name, read_cell in readers.items():
             try:
                 values[name] = read_cell(row[name])
             except FOREIGN_CELL:
-                unread.append(name)
-        if unread:
+                unread_columns.append(name)
+        if unread_columns:
             key = ", ".join(f"{column.name} {_quote(row[column.name])}" for column in table.primary_key)
-            odd_cells = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread)
-            odd.append(OddRow(f"{table.name} ({key}): {odd_cells}, which is not a value of that column", values))
+            odd_cells = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread_columns)
+            odd_rows.append(OddRow(f"{table.name} ({key}): {odd_cells}, which is not a value of that column", values))
         else:
             rows.append(values)
-    return RowsApart(tuple(rows), tuple(odd))
+    return RowsApart(tuple(rows), tuple(odd_rows))
 
 
 @contextmanager

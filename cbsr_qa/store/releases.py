@@ -74,21 +74,21 @@ class Releases:
 
 def _list_said(found: RowsApart) -> list[Release]:
     """Return what rows say; one that cannot be read and is no release withdraws its content."""
-    withdrawing = (
+    withdrawing_rows = (
         odd for odd in found.odd if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}
     )
-    return [*map(_release, found.rows), *map(_stand_in, withdrawing)]
+    return [*map(_release, found.rows), *map(_stand_in, withdrawing_rows)]
 
 
 def _release(cells: Mapping[str, Any]) -> Release:
     # An unknown word is no release.
     action: Literal["released", "withdrawn"] = "released" if cells["outcome"] == "released" else "withdrawn"
-    renamed = {"release": cells["release_id"], "by": cells["operator"], "at": cells["noted_at"]}
-    return fill_from_mapping(Release, {**cells, **renamed}, action=action)
+    renamed_cells = {"release": cells["release_id"], "by": cells["operator"], "at": cells["noted_at"]}
+    return fill_from_mapping(Release, {**cells, **renamed_cells}, action=action)
 
 
 def _stand_in(row: OddRow) -> Release:
     """Return the withdrawal that stands for a row that cannot be read."""
     made_at = time_of_id(row.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
-    instead = {"release_id": _LATEST, "name": "", "operator": "a row that cannot be read", "why": row.words}
-    return _release({"noted_at": made_at, **instead, **row.cells, "outcome": "withdrawn"})
+    defaults = {"release_id": _LATEST, "name": "", "operator": "a row that cannot be read", "why": row.words}
+    return _release({"noted_at": made_at, **defaults, **row.cells, "outcome": "withdrawn"})

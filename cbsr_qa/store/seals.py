@@ -46,11 +46,11 @@ def check_seal(connection: Connection, check: str, seal: str | None) -> tuple[Ch
 
 def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict[str, tuple[CheckSeal, str]]:
     """Compare the rows of checks with their seals; return state and problem by check, see :func:`check_seal`."""
-    sealed = [check for check, seal in seals.items() if seal is not None]
+    sealed_checks = [check for check, seal in seals.items() if seal is not None]
     digests = {
         check: digest
-        for start in range(0, len(sealed), _AT_ONCE)
-        for check, digest in _digest_checks(connection, sealed[start : start + _AT_ONCE]).items()
+        for start in range(0, len(sealed_checks), _AT_ONCE)
+        for check, digest in _digest_checks(connection, sealed_checks[start : start + _AT_ONCE]).items()
     }
     return {check: _state(connection, check, seal, digests.get(check, "")) for check, seal in seals.items()}
 

@@ -58,13 +58,13 @@ class Soundness:
         went on with.
         """
         with reading(self._engine) as connection:
-            missing = begun.gaps(connection)
-            refused = tuple(
+            gaps = begun.gaps(connection)
+            explanations = tuple(
                 f"run {gap.run} is not here: it was refused when it was sent, see cbsr-qa db sync --status"
-                for gap in missing
+                for gap in gaps
                 if gap.refused
             )
-            return tuple(gap for gap in missing if not gap.refused), (*refused, *begun.forks(connection))
+            return tuple(gap for gap in gaps if not gap.refused), (*explanations, *begun.forks(connection))
 
     def find_odd_rows(self) -> Iterator[str]:
         """Yield which rows outside of runs hold what their columns cannot, and are passed over.
@@ -85,27 +85,29 @@ class Soundness:
         runs that have no chain, or are not signed, though earlier ones of their station have or are.
         """
         of_sensor = RunRow.serial == SensorRow.serial
-        same = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
+        same_kind = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type
         serial: Any = type_coerce(SensorRow.serial, NullType())
-        foreign = select(serial).where(~exists().where(of_sensor, *same)).order_by(SensorRow.serial)
-        swapped = (
+        untested_query = select(serial).where(~exists().where(of_sensor, *same_kind)).order_by(SensorRow.serial)
+        swapped_query = (
             select(CalibrationRow.calibration, CalibrationRow.serial, RunRow.run, RunRow.serial.label("tested"))
             .join(RunRow, RunRow.run == CalibrationRow.run)
             .where(RunRow.serial != CalibrationRow.serial)
         )
         with reading(self._engine) as connection:
             with keep_odd_text(connection):
-                serials = [one for one in connection.scalars(foreign) if isinstance(one, str)]  # others are odd rows
+                serials = [
+                    one for one in connection.scalars(untested_query) if isinstance(one, str)
+                ]  # others are odd rows
             for serial in serials:
                 yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
-            for row in connection.execute(swapped.order_by(CalibrationRow.calibration)):
-                issued = f"calibration {row.calibration} is of sensor {row.serial}"
-                yield f"{issued}; its run {row.run} tested {row.tested}"
+            for row in connection.execute(swapped_query.order_by(CalibrationRow.calibration)):
+                origin = f"calibration {row.calibration} is of sensor {row.serial}"
+                yield f"{origin}; its run {row.run} tested {row.tested}"
             for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
                 yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
             if signing_key(connection) is not None:
-                signed = RunRow.chain == new_chain(connection)
-                for run, earlier in _unlike_earlier(connection, signed, RunRow.chain == PLAIN):
+                is_signed = RunRow.chain == new_chain(connection)
+                for run, earlier in _unlike_earlier(connection, is_signed, RunRow.chain == PLAIN):
                     yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
 
     def check_run(self, run: str, *, frames: bool) -> ChainState:
@@ -125,9 +127,11 @@ class Soundness:
                 return check_run(connection, run)
         chain = Runs(self._engine).load(run).chain
         with reading(self._engine) as connection:
-            issued = list(connection.scalars(select(CalibrationRow.calibration).where(CalibrationRow.run == run)))
+            calibration_ids = list(
+                connection.scalars(select(CalibrationRow.calibration).where(CalibrationRow.run == run))
+            )
         calibrations = Calibrations(self._engine)
-        for calibration in issued:
+        for calibration in calibration_ids:
             calibrations.load_file(calibration)
         return chain
 

@@ -79,9 +79,9 @@ class StationChecks:
 
     def read_latest_golden_check(self, station: str) -> StationCheck | None:
         """Return the latest check of a station that measured a golden sensor, or None."""
-        row = StationCheckRow
+        table = StationCheckRow
         with reading(self._engine) as connection:
-            for check in _read_checks(connection, [row.station == station], [row.check_id.desc()]):
+            for check in _read_checks(connection, [table.station == station], [table.check_id.desc()]):
                 # One that was altered may have measured a golden sensor.
                 if check.golden_run is not None or check.altered:
                     return check
@@ -133,7 +133,7 @@ def _read_checks(
 def _check(connection: Connection, row: Mapping[str, Any]) -> StationCheck:
     lines = select(*StationCheckLineRow.__table__.columns).where(StationCheckLineRow.check_id == row["check_id"])
     of_check = f"check {row['check_id']}"
-    sealed, problem = check_seal(connection, row["check_id"], row["seal"])
+    seal_state, problem = check_seal(connection, row["check_id"], row["seal"])
     results = (
         convert_row(
             CheckResult, line, outcome=read_word(CheckOutcome, line.outcome, "station_check_lines.outcome", of_check)
@@ -148,7 +148,7 @@ def _check(connection: Connection, row: Mapping[str, Any]) -> StationCheck:
         if problem
         else tuple(fill_from_mapping(InstrumentIdentity, identity) for identity in row["instruments"]),
         results=(_mark_altered(problem),) if problem else tuple(results),
-        sealed=sealed,
+        sealed=seal_state,
         altered=problem,
     )
 

@@ -170,17 +170,17 @@ def restore(data: bytes, size: int, width: int, *, steps: bool = False) -> bytes
 def restore_many(cells: Sequence[bytes], size: int, width: int, *, steps: bool = False) -> list[bytes]:
     """Return the numbers of many cells of one size; takes half the time of :func:`restore` for each cell."""
     if width == 1:  # flags, which are alike in most frames
-        distinct = {cell: restore(cell, size, width) for cell in set(cells)}
-        return [distinct[cell] for cell in cells]
-    whole = list(cells)
+        restored_by_cell = {cell: restore(cell, size, width) for cell in set(cells)}
+        return [restored_by_cell[cell] for cell in cells]
+    restored = list(cells)
     places = [place for place, cell in enumerate(cells) if len(cell) != size]
     for start in range(0, len(places), _AT_ONCE):
         batch_places = places[start : start + _AT_ONCE]
         numbers = _numbers([_inflate(cells[place], size) for place in batch_places], width)
         data = (np.cumsum(numbers, axis=1, dtype=numbers.dtype) if steps else numbers).tobytes()
         for index, place in enumerate(batch_places):
-            whole[place] = data[index * size : (index + 1) * size]
-    return whole
+            restored[place] = data[index * size : (index + 1) * size]
+    return restored
 
 
 def _inflate(data: bytes, size: int) -> bytes:
