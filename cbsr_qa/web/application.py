@@ -57,7 +57,7 @@ def make_application(line: Line, access: Access) -> Guard:
         return Route(path, endpoint, methods=["POST"])
 
     station = "/stations/{station}"
-    look = [
+    viewer_pages = [
         ("/", site.overview),
         ("/events", site.overview_events),
         (station, site.station),
@@ -70,7 +70,7 @@ def make_application(line: Line, access: Access) -> Guard:
         ("/sensors/{serial}", site.sensor),
     ]
     routes = [
-        *(Route(path, site.guard_page(endpoint)) for path, endpoint in look),
+        *(Route(path, site.guard_page(endpoint)) for path, endpoint in viewer_pages),
         Route("/static/{name}", site.static),
         Route("/sign-in", site.sign_in, methods=["GET", "POST"]),
         *(
@@ -78,12 +78,12 @@ def make_application(line: Line, access: Access) -> Guard:
             for name, action in actions.list_actions().items()
         ),
     ]
-    failed: dict[type[Exception] | int, Callable[[Request, Exception], Awaitable[Response]]] = {
+    error_handlers: dict[type[Exception] | int, Callable[[Request, Exception], Awaitable[Response]]] = {
         HTTPException: site.problem,
         CbsrError: site.refusal,
         Exception: site.broken,
     }
-    return Guard(Starlette(routes=routes, lifespan=open_line, exception_handlers=failed), access)
+    return Guard(Starlette(routes=routes, lifespan=open_line, exception_handlers=error_handlers), access)
 
 
 class Site:
@@ -135,8 +135,8 @@ class Site:
         return self._events(Viewer(name, _controls(request)), lambda: self._pages.station_parts(name), picture)
 
     def _events(self, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> Response:
-        lookers = sum(not open_viewer.control for open_viewer in self._line.viewers)
-        if len(self._line.viewers) >= MOST_VIEWERS or (not viewer.control and lookers >= MOST_LOOKERS):
+        looker_count = sum(not open_viewer.control for open_viewer in self._line.viewers)
+        if len(self._line.viewers) >= MOST_VIEWERS or (not viewer.control and looker_count >= MOST_LOOKERS):
             LOG.warning("%s", text("refused.streams"))
             return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
         return EventStream(self._line, viewer, parts, picture)

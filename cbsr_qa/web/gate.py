@@ -17,7 +17,11 @@ from cbsr_qa.web.texts import text
 class GateView:
     """Answers that say more than that all is well, and whether the run may begin.
 
-    ``asks_pin``: whether it begins only with the PIN of the operator.
+    Parameters
+    ----------
+    may : whether the run may begin.
+    asks_pin : whether it begins only with the PIN of the operator.
+    answers : answers of the gate that are shown.
     """
 
     may: bool
@@ -58,8 +62,8 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
         override=wanted.override,
     )
     result = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
-    quiet = (GateOutcome.PASSED, GateOutcome.OFF)
-    answers = tuple(answer for answer in result.answers if answer.outcome not in quiet)
+    quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
+    answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
     return GateView(result.refused is None, result.asks_pin, answers)
 
 

@@ -202,8 +202,8 @@ class Guard:
         return (Right.LOOK if self._access.anyone_may_look else Right.NONE), True
 
     def _check_bearer(self, scope: Scope, token: str) -> None:
-        stops = scope["method"] == "POST" and scope["path"] in self._access.emergencies
-        if stops and self._access.is_token(token):
+        is_emergency = scope["method"] == "POST" and scope["path"] in self._access.emergencies
+        if is_emergency and self._access.is_token(token):
             return  # an emergency stop waits for nobody's guesses; a right guess stops the station
         try:
             if self._access.check_token(token, client_of(scope)):

@@ -61,8 +61,10 @@ class Reception:
         self._handshakes: dict[asyncio.Task[None], tuple[socket.socket, float]] = {}  # since when [s]
         self._begins: asyncio.Handle | None = None
         self._again: asyncio.TimerHandle | None = None
-        soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        self._places = _MOST_WAITING if soft < 0 else max(min(_MOST_WAITING, soft // 2 - _OTHER_FILES), 16)
+        soft_limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        self._places = (
+            _MOST_WAITING if soft_limit < 0 else max(min(_MOST_WAITING, soft_limit // 2 - _OTHER_FILES), 16)
+        )
         self._listen()
         self._sweep_later = self._loop.call_later(_SWEEP_S, self._sweep)
 

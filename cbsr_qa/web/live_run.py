@@ -175,8 +175,8 @@ class LiveRun:
         for _, block in tail.frames:
             self._frames += len(block)
             self._frame, self._frame_at = block.select(slice(-1, None)), monotonic()
-            sound = pattern & ~((block.flags & UNUSABLE) != 0).any(axis=0)
-            levels = np.abs(block.voltages[:, sound]).mean(axis=1)
+            is_sound = pattern & ~((block.flags & UNUSABLE) != 0).any(axis=0)
+            levels = np.abs(block.voltages[:, is_sound]).mean(axis=1)
             if not np.isfinite(levels).all() or not (levels > 0).all():
                 continue
             if self._level is None:
@@ -190,21 +190,25 @@ class LiveRun:
         phase = next((phase for phase in tail.phases if phase.unloaded_from_s is not None), None)
         if phase is None or phase.unloaded_from_s is None or self._no_image:
             return
-        pressed = min((load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S)
+        first_press_s = min(
+            (load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S
+        )
         settings = self.configuration.recipe.analysis
-        unloaded = self._store.live.read_frames(self.run, phase.index, phase.unloaded_from_s, pressed)
-        if unloaded is None or len(unloaded) <= settings.noise_floor_frames:
+        unloaded_frames = self._store.live.read_frames(self.run, phase.index, phase.unloaded_from_s, first_press_s)
+        if unloaded_frames is None or len(unloaded_frames) <= settings.noise_floor_frames:
             return
-        unloaded = unloaded.select(slice(0, settings.noise_floor_frames + settings.reference_frames))
+        unloaded_frames = unloaded_frames.select(slice(0, settings.noise_floor_frames + settings.reference_frames))
         sensor_type, station = self.configuration.sensor_type, self.configuration.station
         try:
             choice = self.configuration.recipe.reconstruction
             reconstruction = create_plugin(self._plugins, Kind.RECONSTRUCTION, choice, "[reconstruction]")
-            self._preview = LivePreview.prepare(sensor_type, station.indenter, settings, reconstruction, unloaded)
+            self._preview = LivePreview.prepare(
+                sensor_type, station.indenter, settings, reconstruction, unloaded_frames
+            )
         except CbsrError as error:
             self._no_image = error.reason
             return
-        self._level = float(np.abs(unloaded.voltages[:, sensor_type.pattern.usable()]).mean())
+        self._level = float(np.abs(unloaded_frames.voltages[:, sensor_type.pattern.usable()]).mean())
         self._raster = Raster(self._preview.mesh, sensor_type.outline, _PIXELS)
 
     def _image(self) -> None:
@@ -216,9 +220,9 @@ class LiveRun:
             self._no_image = error.reason
             return
         self._no_image = ""
-        largest = float(np.abs(values).max())
+        largest_change = float(np.abs(values).max())
         # The scale grows at once and shrinks slowly: an unloaded sheet is not shown as a picture of its noise.
-        self._change = max(largest, 0.9 * self._change, 4 * self._preview.noise_floor)
+        self._change = max(largest_change, 0.9 * self._change, 4 * self._preview.noise_floor)
         self.picture = png(self._raster.picture(values), self._change)
         self._frame = None
 
@@ -227,9 +231,9 @@ class LiveRun:
             key = (phase, record.index)
             if key not in self._seen and self._role(phase) is Role.GRID:
                 start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
-                steady = self._store.live.read_frames(self.run, phase, start_s, record.release_start_s)
-                if steady is not None:
-                    self._seen[key] = preview.place(record.load, steady)
+                steady_frames = self._store.live.read_frames(self.run, phase, start_s, record.release_start_s)
+                if steady_frames is not None:
+                    self._seen[key] = preview.place(record.load, steady_frames)
 
     def _role(self, phase: int) -> Role:
         return self._schedule[phase].role if phase < len(self._schedule) else Role.OTHER

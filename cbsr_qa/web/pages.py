@@ -239,13 +239,13 @@ class Pages:
 
     def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
         """Render a whole page."""
-        common = {
+        shared_names = {
             "stations": list(self._line.stations),
             "trouble": self._line.trouble,
             "in_progress": self._line.runs_in_progress(),
         }
         return self._environment.get_template(f"{template}.html.j2").render(
-            common | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names
+            shared_names | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names
         )
 
     def fragment(self, part: str, **names: Any) -> str:

@@ -11,7 +11,7 @@ from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 @dataclass(frozen=True, slots=True)
 class StartForm:
-    """A run that an operator asks for, checked. ``pin``: of the operator, as it was typed; empty without one."""
+    """A run that an operator asks for, checked. ``pin``: PIN of the operator as typed; empty without one."""
 
     serial: str
     recipe: OfferedRecipe

@@ -136,8 +136,8 @@ def mode_of(
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
     if held or starting:
-        unjudged = look is not None and look.result is ResultState.MISSING and not look.altered
-        if unjudged or control is not None or (starting and begun):
+        is_unjudged = look is not None and look.result is ResultState.MISSING and not look.altered
+        if is_unjudged or control is not None or (starting and begun):
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
     return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE

@@ -44,8 +44,8 @@ async def events(viewer: Viewer, parts: Callable[[], list[Part]], picture: Calla
 
 def _fresh(parts: list[Part], sent: dict[str, str]) -> list[Part]:
     """Return the parts to send, and note them as sent; after ``body`` all parts inside it follow."""
-    whole = any(part.place == "body" and sent.get("body") != part.key for part in parts)
-    fresh = [part for part in parts if whole or sent.get(part.place) != part.key]
+    sends_all = any(part.place == "body" and sent.get("body") != part.key for part in parts)
+    fresh = [part for part in parts if sends_all or sent.get(part.place) != part.key]
     sent.update({part.place: part.key for part in parts})
     return fresh
 

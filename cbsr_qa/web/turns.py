@@ -72,11 +72,11 @@ class Turns:
             asyncio.get_running_loop().call_soon(self._give_turns)
 
     def _give_turns(self) -> None:
-        loop = asyncio.get_running_loop()
+        event_loop = asyncio.get_running_loop()
         for _ in range(min(_READ_AT_ONCE, len(self._queue))):
-            loop.call_soon(self._queue.popleft().take_turn)
+            event_loop.call_soon(self._queue.popleft().take_turn)
         if self._queue:
-            loop.call_soon(self._give_turns)
+            event_loop.call_soon(self._give_turns)
 
     def look_after(self, connections: Iterable[WaitingConnection]) -> None:
         """See to it that there is a look at places soon, after a connection was opened."""

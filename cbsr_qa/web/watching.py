@@ -106,11 +106,11 @@ class StationWatch:
         if now_s < self._next_s or not (self._due or now_s >= self._next_s + _QUIET_S - _IMAGE_S):
             return False
         self._due, self._next_s = False, now_s + _IMAGE_S
-        unread = self._read(store, now_s)
+        read_trouble = self._read(store, now_s)
         control, started = self.channel.control, self.started
         holder = station_holder(self.served.name)
         mode = mode_of(control, self.look, held=holder is not None, starting=self._alive, begun=self._begun)
-        trouble = unread or self._follow(store, plugins, mode)
+        trouble = read_trouble or self._follow(store, plugins, mode)
         if not trouble:
             self._said = ""
         live = None if self.live is None else self.live.view("" if control is None else control.place)
