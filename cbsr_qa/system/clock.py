@@ -124,7 +124,7 @@ class VirtualClock:
 def passing(clock: Clock, wait: Callable[[float], object], station_s: float) -> None:
     """Wait in real time, at most for so much station time; a virtual clock advances by the time that has passed.
 
-    ``wait``: waits for at most so many seconds of real time, shorter if what it waits for has happened.
+    ``wait``: function that waits at most so many seconds of real time, and returns earlier if its event happens.
     """
     if not isinstance(clock, VirtualClock):
         wait(station_s)
@@ -139,7 +139,7 @@ Listener = Callable[[str], None]
 
 
 class Stages:
-    """Names and times the stages of a computation. ``listener``: called with each stage's name as it begins."""
+    """Names and times the stages of a computation. ``listener``: function called with the name of a new stage."""
 
     def __init__(self, listener: Listener = lambda stage: None) -> None:
         self._listener = listener

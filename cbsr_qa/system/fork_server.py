@@ -80,7 +80,7 @@ class ForkServer:
         return 0
 
     def has_ended(self) -> bool:
-        """Whether it has died."""
+        """Whether the server has died."""
         with suppress(ChildProcessError):
             return os.waitpid(self._process, os.WNOHANG)[0] != 0
         return True
@@ -140,9 +140,9 @@ def begin_fork_server() -> None:
         return
     try:
         end = os.dup2(server_end.fileno(), 3)
-        nothing = os.open(os.devnull, os.O_RDWR)
+        null_device = os.open(os.devnull, os.O_RDWR)
         for standard in range(3):
-            os.dup2(nothing, standard)
+            os.dup2(null_device, standard)
         os.closerange(4, _MOST_FILES)
         signal.pthread_sigmask(signal.SIG_SETMASK, ())
         serve_forks(end)

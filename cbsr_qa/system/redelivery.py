@@ -65,10 +65,10 @@ class Redelivery:
 
     def _again(self) -> None:
         timer, self._due = self._due, None
-        main = threading.main_thread().ident
-        if timer is None or main is None:
+        main_thread = threading.main_thread().ident
+        if timer is None or main_thread is None:
             return
         if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(main, self.number)  # also wakes what waits in C
+            signal.pthread_kill(main_thread, self.number)  # also wakes what waits in C
         else:
             signal.raise_signal(self.number)

@@ -171,16 +171,22 @@ def read_untrusted(
         finally:
             status = server.end(child)  # it has sent all, or has stopped
     if received is None:
-        late = time.monotonic() >= deadline
-        remedy = _BUSY if late else _TOO_MUCH if _ran_too_long(status) else _COPY
-        raise refusal(_why(path, limits, status, late=late), remedy=remedy)
+        is_late = time.monotonic() >= deadline
+        remedy = _BUSY if is_late else _TOO_MUCH if _ran_too_long(status) else _COPY
+        raise refusal(_why(path, limits, status, late=is_late), remedy=remedy)
     return cast(Result, _result(path, received, limits, refusal))
 
 
 def shorten(reason: str) -> str:
     """Return a message with quotes from the file cut: a name or unit may be a megabyte long."""
-    cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
-    return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
+    shortened = re.sub(
+        rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason
+    )
+    return (
+        shortened
+        if len(shortened) <= _LONGEST_REASON
+        else f"{shortened[:_LONGEST_REASON]}… ({len(shortened)} characters)"
+    )
 
 
 def _size(path: Path, refusal: type[RefusedError]) -> int:
@@ -237,13 +243,13 @@ def _confine(outgoing: int, limits: Limits) -> int:
     faulthandler.disable()
     for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(signal_number, signal.SIG_DFL)
-    nothing = os.open(os.devnull, os.O_RDWR)
+    null_device = os.open(os.devnull, os.O_RDWR)
     for standard in range(3):
-        os.dup2(nothing, standard)
+        os.dup2(null_device, standard)
     os.dup2(outgoing, 3)
     os.closerange(4, max(resource.getrlimit(resource.RLIMIT_NOFILE)[0], 2**16))
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    lowered = {
+    limit_by_kind = {
         resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
         resource.RLIMIT_CPU: int(limits.seconds) + 1,
         resource.RLIMIT_NOFILE: 4 + limits.open_files,
@@ -251,7 +257,7 @@ def _confine(outgoing: int, limits: Limits) -> int:
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_NPROC: 0,
     }
-    for resource_kind, limit in lowered.items():
+    for resource_kind, limit in limit_by_kind.items():
         hard_limit = resource.getrlimit(resource_kind)[1]
         new_limit = limit if hard_limit == resource.RLIM_INFINITY else min(limit, hard_limit)
         # A second later the kernel kills without saying why.

@@ -62,9 +62,9 @@ def _begin_worker() -> None:
 
 
 def _end_with(parent: int) -> None:
-    never = threading.Event()
+    never_set = threading.Event()
     while os.getppid() == parent:
-        never.wait(1.0)
+        never_set.wait(1.0)
     os._exit(1)
 
 
