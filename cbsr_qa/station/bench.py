@@ -80,8 +80,8 @@ def stop_all(
         call.done.wait(patience_s)
     for call in calls:
         call.done.wait(max(0.0, deadline_s - clock.now()))
-    late = [f"{call.who} did not answer within {deadline_s:g} s" for call in calls if not call.done.is_set()]
-    return (*(f"{call.who}: {call.why}" for call in calls if call.why), *late)
+    late_messages = [f"{call.who} did not answer within {deadline_s:g} s" for call in calls if not call.done.is_set()]
+    return (*(f"{call.who}: {call.why}" for call in calls if call.why), *late_messages)
 
 
 FRAME_SOURCE: Final = "frame_source"
@@ -217,14 +217,14 @@ def _urgency(mounted: Mounted) -> int:
 
 
 def _works_through_others(mounted: Mounted) -> bool:
-    """Whether it has no address: it is then as real as the instruments it is linked to."""
+    """Whether an instrument has no address of its own: it is as real as the instruments it is linked to."""
     return isinstance(mounted.instrument, Linked) and "address" not in mounted.spec.options
 
 
 def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     """Return the identity of one instrument; see :meth:`Bench.identities`.
 
-    ``emulated``: it works through emulated instruments, and therefore counts as simulated.
+    ``emulated``: whether it works through emulated instruments, and therefore counts as simulated.
     """
     with blame_plugin(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
         identity = mounted.instrument.identity()
@@ -282,8 +282,8 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
 def _check_role(mounted: Mounted, role: str) -> Mounted:
     channel = str(getattr(mounted.instrument, "channel", "")).replace(" ", "_")
     if role not in _PROTOCOLS and role != channel:
-        near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        close_matches = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
+        hint = f"did you mean {close_matches[0]!r}? " if close_matches else ""
         raise ConfigError(
             f"instrument {mounted.name} is configured to provide {role!r}, which is neither a role nor what it"
             f" samples: {f'it samples {channel!r}' if channel else 'it samples nothing'}",
@@ -291,10 +291,10 @@ def _check_role(mounted: Mounted, role: str) -> Mounted:
         )
     protocol = _PROTOCOLS.get(role, Sampler)
     if not isinstance(mounted.instrument, protocol):
-        lacking = sorted(name for name in _members(protocol) if not hasattr(mounted.instrument, name))
+        missing_members = sorted(name for name in _members(protocol) if not hasattr(mounted.instrument, name))
         raise ConfigError(
             f"instrument {mounted.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
-            f" it lacks {', '.join(lacking)}",
+            f" it lacks {', '.join(missing_members)}",
             remedy="correct 'provides' in the station file, or use another driver",
         )
     return mounted

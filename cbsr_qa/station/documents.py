@@ -124,14 +124,14 @@ class MemoryJournal:
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
         """Return the run as loaded from the database, without its sessions."""
-        ends = {event.phase: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
-        started = [event for event in self._events if isinstance(event, PhaseStarted)]
-        phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
+        end_s_by_phase = {event.phase: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
+        started_events = [event for event in self._events if isinstance(event, PhaseStarted)]
+        phases = tuple(self._phase(event, end_s_by_phase.get(event.index, ended.time_s)) for event in started_events)
         plan = self._plan
-        attended = [event for event in self._events if isinstance(event, AttendanceEvent)]
+        attendance = [event for event in self._events if isinstance(event, AttendanceEvent)]
         return RunRecord(
             identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, ended.time_s,
-            ended.spent, pauses=pauses_of(attended), prompts=prompts_of(attended),
+            ended.spent, pauses=pauses_of(attendance), prompts=prompts_of(attendance),
         )  # fmt: skip
 
     def _select_events(self, kind: type[E], phase: int) -> list[E]:

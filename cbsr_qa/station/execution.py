@@ -221,9 +221,9 @@ class _Execution:
         try:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:
-            urgent = self._interrupts.urgent_by
-            self._end = ending(error, self.describe_place(), at_once=urgent)
-            if not urgent:
+            urgent_by = self._interrupts.urgent_by
+            self._end = ending(error, self.describe_place(), at_once=urgent_by)
+            if not urgent_by:
                 self._performer.retreat()
         else:
             self._end = EndReason.FINISHED, ""
@@ -247,10 +247,10 @@ class _Execution:
         scheduled = phase.scheduled
         # A phase finished in an earlier session is already stored; only the bench is set up again.
         if not scheduled.finished:
-            began = PhaseStarted(
+            started_event = PhaseStarted(
                 scheduled.index, scheduled.name, scheduled.sequence, self._clock.now(), scheduled.role
             )
-            self._documents.emit(began)
+            self._documents.emit(started_event)
         for place, (step, planned_s) in enumerate(zip(scheduled.steps, phase.durations_s, strict=True)):
             if self._desk.pause_wanted() and ends_rest(step.step):
                 self._at = phase, step

@@ -72,9 +72,11 @@ def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
     corners = np.array(plan.indenter.outline_mm)
     if not len(corners):
         return False
-    ahead = np.roll(corners, -1, axis=0)
-    steps = [max(math.ceil(math.dist(a, b) / 0.25), 1) for a, b in zip(corners, ahead, strict=True)]
-    edges = [np.linspace(a, b, count, endpoint=False) for a, b, count in zip(corners, ahead, steps, strict=True)]
+    next_corners = np.roll(corners, -1, axis=0)
+    steps = [max(math.ceil(math.dist(a, b) / 0.25), 1) for a, b in zip(corners, next_corners, strict=True)]
+    edges = [
+        np.linspace(a, b, count, endpoint=False) for a, b, count in zip(corners, next_corners, steps, strict=True)
+    ]
     clearance_mm = plan.sensor_type.outline.clearance_mm(np.vstack(edges) + np.array([x_mm, y_mm]))
     return bool((clearance_mm >= -1e-9).all())
 
@@ -183,7 +185,7 @@ class Limits:
     def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
         """Check the run's duration, how long the head has been down, and the age of samples.
 
-        ``down``: whether it is in the sheet, still or changing depth.
+        ``down``: whether the head is in the sheet, still or changing depth.
         """
         safety = self._plan.safety
         if now_s - self._started_s > safety.duration_s:

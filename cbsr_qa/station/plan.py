@@ -239,16 +239,16 @@ def _schedule_phase(
         raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {count}")
     if index == 0 and not isinstance(steps[0], Home):
         steps = tuple(chain([Home()], steps))
-    numbered = tuple(_number_steps(index, steps))
+    numbered_steps = tuple(_number_steps(index, steps))
     loads = sum(isinstance(step, Press) for step in steps)
     first_open = next((load for load in range(loads) if (index, load) not in done), loads)
     if ended:
-        remaining = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
+        remaining_steps = tuple(s for s in numbered_steps if isinstance(s.step, Home | FindSurface))
     elif first_open:
-        remaining = tuple(_skip_finished(numbered, first_open, loads))
+        remaining_steps = tuple(_skip_finished(numbered_steps, first_open, loads))
     else:
-        remaining = numbered
-    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), remaining, loads, ended)
+        remaining_steps = numbered_steps
+    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), remaining_steps, loads, ended)
 
 
 def _role(phase: PlannedPhase) -> Role:
@@ -262,34 +262,34 @@ def _role(phase: PlannedPhase) -> Role:
 
 
 def _number_steps(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
-    pressed = -1
-    inside = False
+    load_index = -1
+    in_load = False
     for number, step in enumerate(steps):
         if isinstance(step, Press):
-            pressed, inside = pressed + 1, True
+            load_index, in_load = load_index + 1, True
         elif not isinstance(step, StrainStep | Hold | Release | AcquireFrames):
-            inside = False
-        yield ScheduledStep(phase, number, step, pressed if inside else None)
+            in_load = False
+        yield ScheduledStep(phase, number, step, load_index if in_load else None)
 
 
 def _skip_finished(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
     """Yield the remaining steps of a phase after its first, completed loads (at least one)."""
-    pressed = -1
+    load_index = -1
     released = False
     for scheduled in numbered:
         step = scheduled.step
         if isinstance(step, Press):
-            pressed, released = pressed + 1, False
-        if isinstance(step, Home | FindSurface) or pressed >= first_open:
+            load_index, released = load_index + 1, False
+        if isinstance(step, Home | FindSurface) or load_index >= first_open:
             yield scheduled
         elif first_open == loads:  # nothing is pressed any more: only what comes after the last load
-            if pressed == loads - 1 and scheduled.load is None:
+            if load_index == loads - 1 and scheduled.load is None:
                 yield scheduled
-        elif pressed == -1:
+        elif load_index == -1:
             # The sheet rests again; the unloaded frames of finished loads are already stored.
             if not isinstance(step, MarkUnloaded | AcquireFrames):
                 yield scheduled
-        elif pressed == first_open - 1 and (released or scheduled.load is None):
+        elif load_index == first_open - 1 and (released or scheduled.load is None):
             yield scheduled
         released = released or isinstance(step, Release)
 

@@ -157,7 +157,7 @@ class Attempt(Protocol):
 class Watch:
     """Collects samples, checks the limits, and checks that instruments respond.
 
-    ``attempt``: queries an instrument, with retries if harmless.
+    ``attempt``: function that queries an instrument, with retries if harmless.
     """
 
     def __init__(self, run: UnderWay, limits: Limits, attempt: Attempt) -> None:

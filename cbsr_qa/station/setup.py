@@ -147,8 +147,8 @@ def opener(
         emulated(emulation)
 
     def open_instrument(spec: InstrumentSpec) -> Instrument:
-        addressed = spec if emulation is None else emulation.fill_address(spec)
-        return _open_instrument(addressed, configuration, plugins, clock, resumed_at_s, ask)
+        addressed_spec = spec if emulation is None else emulation.fill_address(spec)
+        return _open_instrument(addressed_spec, configuration, plugins, clock, resumed_at_s, ask)
 
     return open_instrument, () if emulation is None else (("emulated instruments", emulation.close),)
 

@@ -99,8 +99,7 @@ class Watchdog:
         """Watch over a call.
 
         SafetyError with rule ``"no answer"`` if it was broken into or came back too late, and for every call after
-        that; PluginError for what else it raised, see ``contained``. ``work_s``: how long that
-        takes when all is well [s].
+        that; PluginError for any other error of the call. ``work_s``: normal duration of the call [s].
         """
         self._raise_late()
         self._call = _Call(what, self._clock.now(), work_s)
