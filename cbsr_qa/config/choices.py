@@ -92,8 +92,8 @@ def check_measured(
         if not isinstance(name, str) or not isinstance(unit, str):
             continue
         if name not in measured and all_known:
-            near = get_close_matches(name, measured, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            close_matches = get_close_matches(name, measured, n=1)
+            hint = f"did you mean {close_matches[0]!r}? " if close_matches else ""
             finding = f"is {quote_value(name)}, which no metric of this recipe measures"
             yield Problem(("limits", index, "measurement"), finding, f"{hint}measured: {', '.join(sorted(measured))}")
         elif name in measured and unit != measured[name]:

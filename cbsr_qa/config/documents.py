@@ -150,8 +150,8 @@ def _exists(path: Path) -> bool:
 
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
     shipped = list_shipped(kind)
-    near = get_close_matches(name, shipped, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    close_matches = get_close_matches(name, shipped, n=1)
+    hint = f"did you mean {close_matches[0]!r}? " if close_matches else ""
     remedy = []
     if name and _is_file(Path(f"{name}.toml")):
         remedy.append(f"for the file in this folder give {name}.toml")
@@ -187,8 +187,8 @@ def _read(kind: DocumentKind, path: Path) -> str:
 
 
 def _parse(kind: DocumentKind, label: str, path: Path | None, text: str) -> Document:
-    if deep := _TOO_DEEP.search(text):
-        line = text.count("\n", 0, deep.start()) + 1
+    if long_key := _TOO_DEEP.search(text):
+        line = text.count("\n", 0, long_key.start()) + 1
         raise ConfigError(
             f"{label} line {line}: a key of more than {MOST_KEY_PARTS} parts",
             remedy=f"{REFERENCE} lists every key",

@@ -135,11 +135,11 @@ def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTa
             yield Problem(("limits", index, "version"), f"is {limit.version!r}, but {stated}")
     if header is None or not header.limits_sha256:
         return
-    members = [limit for limit in limits if limit.version == header.version]
-    if limits_digest([limit.model_dump() for limit in members]) != header.limits_sha256:
+    versioned = [limit for limit in limits if limit.version == header.version]
+    if limits_digest([limit.model_dump() for limit in versioned]) != header.limits_sha256:
         yield Problem(
             ("limits_version", "limits_sha256"),
-            f"is not that of the {len(members)} limits of version {header.version!r}: they were changed, added or"
+            f"is not that of the {len(versioned)} limits of version {header.version!r}: they were changed, added or"
             " left out after they were proposed; propose them again, or give yours a version name of their own"
             " and remove limits_sha256",
         )

@@ -69,7 +69,7 @@ class Loaded(Generic[T]):
     Parameters
     ----------
     value : domain object, e.g. a :class:`~cbsr_qa.domain.plan.plan.Station`.
-    document : source of the object: text, path (None where shipped or restored), parsed data, and a label for messages.
+    document : source: text, path (None where shipped or restored), parsed data, and a label for messages.
     """
 
     value: T
@@ -142,10 +142,10 @@ def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
     """Electrodes of a sheet of unknown size: small ones at its rim."""
     count = electrodes.get("count")
     width_mm = UNIT_MM * min(0.03, 1 / count) if isinstance(count, int) and count > 0 else 0.03 * UNIT_MM
-    arc = electrodes.get("kind") == "arc"
+    is_arc = electrodes.get("kind") == "arc"
     kept_keys = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
-    ring_mm = UNIT_MM if arc else widest_ring_mm(width_mm, UNIT_MM)
-    return {**kept_keys, "ring_radius_mm": ring_mm, "length_mm" if arc else "diameter_mm": width_mm}
+    ring_mm = UNIT_MM if is_arc else widest_ring_mm(width_mm, UNIT_MM)
+    return {**kept_keys, "ring_radius_mm": ring_mm, "length_mm" if is_arc else "diameter_mm": width_mm}
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:

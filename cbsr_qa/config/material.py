@@ -198,11 +198,13 @@ def material_text(material: Material, comments: Sequence[str] = ()) -> str:
     data = _drop_unstated(asdict(material))
     stress = data["against_stress"]
     data["against_stress"] = {"slope_per_kPa": stress.pop("slope"), **stress}
-    ordered = {key: data[key] for key in MaterialTable.model_fields if key in data}
-    return toml_document({"material": ordered}, comments)
+    ordered_tables = {key: data[key] for key in MaterialTable.model_fields if key in data}
+    return toml_document({"material": ordered_tables}, comments)
 
 
 def _drop_unstated(table: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out unstated values, also in nested tables."""
-    stated = {key: value for key, value in table.items() if value is not None}
-    return {key: _drop_unstated(value) if isinstance(value, Mapping) else value for key, value in stated.items()}
+    stated_values = {key: value for key, value in table.items() if value is not None}
+    return {
+        key: _drop_unstated(value) if isinstance(value, Mapping) else value for key, value in stated_values.items()
+    }

@@ -117,16 +117,16 @@ class AnalysisTable(Table):
             yield Problem(("analysis", "masks_percent"), f"hold 100 %, where no contour encloses anything: {remedy}")
 
     def _band_problems(self) -> Iterator[Problem]:
-        reached = 0.0
+        end_percent = 0.0
         for index, band in enumerate(self.overlap_bands):
-            if band.lower_percent != reached or band.upper_percent <= band.lower_percent:
+            if band.lower_percent != end_percent or band.upper_percent <= band.lower_percent:
                 yield Problem(
                     ("analysis", "overlap_bands", index),
-                    f"covers {band.lower_percent:g} to {band.upper_percent:g} %; it must rise from {reached:g} %",
+                    f"covers {band.lower_percent:g} to {band.upper_percent:g} %; it must rise from {end_percent:g} %",
                 )
-            reached = band.upper_percent
-        if reached != 100:
-            yield Problem(("analysis", "overlap_bands"), f"end at {reached:g} %; they must reach 100 %")
+            end_percent = band.upper_percent
+        if end_percent != 100:
+            yield Problem(("analysis", "overlap_bands"), f"end at {end_percent:g} %; they must reach 100 %")
 
     def to_domain(self) -> AnalysisSettings:
         """Percent become fractions, except the bands of the overlap, which is a percentage itself."""
@@ -220,29 +220,29 @@ class RecipeFile(FileModel[Recipe]):
     @classmethod
     def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
         """Yield problems of plugins, and limits of quantities they do not measure."""
-        measured: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
-        all_known, looped = True, set[int]()
-        labelled: dict[str, tuple[float, float]] = {}
+        unit_by_measurement: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
+        all_known, loop_phases = True, set[int]()
+        place_mm_by_label: dict[str, tuple[float, float]] = {}
         for choice in cls.choices(data):
             plugin, problems = check_choice(choice, plugins)
             yield from problems
             if getattr(plugin, "role", None) is Role.LOOP:
-                looped.add(int(choice.path[1]))
+                loop_phases.add(int(choice.path[1]))
             # Places of a sequence's presses by label, where its options give both a prefix and places.
             options = getattr(plugin, "options", None)
             prefix, places_mm = getattr(options, "label", None), getattr(options, "locations_mm", ())
             places = {} if prefix is None else {f"{prefix}{number}": place for number, place in enumerate(places_mm)}
-            yield from _label_problems(choice, places, labelled)
+            yield from _label_problems(choice, places, place_mm_by_label)
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
                 if not problems and measures is None:
                     finding, rule = "does not say what it measures", "its `measures` must map names to units"
                     yield Problem(choice.path, finding, rule)
                 all_known &= measures is not None
-                measured |= measures or {}
-        yield from check_measured(tables(data, "limits"), measured, all_known=all_known)
-        pressed = [phase.get("name") for index, phase in tables(data, "phases") if index not in looped]
-        yield from size_problems(tables(data, "limits"), [name for name in pressed if isinstance(name, str)])
+                unit_by_measurement |= measures or {}
+        yield from check_measured(tables(data, "limits"), unit_by_measurement, all_known=all_known)
+        press_phases = [phase.get("name") for index, phase in tables(data, "phases") if index not in loop_phases]
+        yield from size_problems(tables(data, "limits"), [name for name in press_phases if isinstance(name, str)])
 
     def problems(self) -> Iterator[Problem]:
         """Referenced names must exist, and be unique."""

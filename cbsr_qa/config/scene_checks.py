@@ -60,8 +60,8 @@ def _over_the_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> 
     if not head.outline_mm:
         return _clearance_mm(sensor_type, load) < head.radius_mm
     corners = head.footprint_at(*load.place_mm).outline_mm()
-    along = np.linspace(0, 1, _PER_SIDE)[:, None, None]
-    outline = (corners + along * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+    fractions = np.linspace(0, 1, _PER_SIDE)[:, None, None]
+    outline = (corners + fractions * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
     return bool((sensor_type.outline.clearance_mm(outline) < 0).any())
 
 
@@ -111,14 +111,14 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
 
 def _meeting_heads(head: Indenter, timed: list[_Timed]) -> Iterator[Problem]:
     """Presses of two heads that are below the hover height at the same time and would collide."""
-    down: list[_Timed] = []
+    presses_below: list[_Timed] = []
     for press in sorted(timed, key=lambda each: each[2].leaves_s):
         index, load, times = press
-        down = [earlier for earlier in down if earlier[2].up_s > times.leaves_s + _ROUNDING_S]
-        for earlier in down:
+        presses_below = [earlier for earlier in presses_below if earlier[2].up_s > times.leaves_s + _ROUNDING_S]
+        for earlier in presses_below:
             if earlier[1].head != load.head and _overlap(head, load, earlier[1]):
                 yield Problem(("loads", index), _why_meeting(head, press, earlier))
-        down.append(press)
+        presses_below.append(press)
 
 
 def _why_meeting(head: Indenter, one: _Timed, other: _Timed) -> str:

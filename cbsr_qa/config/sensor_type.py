@@ -275,10 +275,10 @@ class SensorTypeFile(FileModel[SensorType]):
 
     @property
     def _count(self) -> int | None:
-        """How many electrodes there are; None where the file does not say, or a mesh has too few."""
+        """Number of electrodes; None where the file does not state it, or a mesh has too few."""
         if self.sensor_type.mesh is not None:
-            carried = len(self.sensor_type.mesh.electrode_edges)
-            return carried if carried >= 3 else None
+            electrode_count = len(self.sensor_type.mesh.electrode_edges)
+            return electrode_count if electrode_count >= 3 else None
         return None if self.electrodes is None else self.electrodes.number
 
     @cached_property

@@ -63,10 +63,10 @@ def validate_reason(text: str) -> str:
     ConfigError
         If it is longer than 500 characters, or holds line breaks or other invisible characters.
     """
-    hidden = next(
+    hidden_character = next(
         (character for character in text if unicodedata.category(character)[0] in "CZ" and character != " "), ""
     )
-    finding = f"{hidden!r} is not allowed" if hidden else ""
+    finding = f"{hidden_character!r} is not allowed" if hidden_character else ""
     if len(text) > LONGEST_REASON:
         finding = f"it is longer than {LONGEST_REASON} characters"
     if finding:

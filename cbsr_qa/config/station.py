@@ -258,12 +258,14 @@ class StationFile(FileModel[Station]):
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
     def _emulation_problems(self) -> Iterator[Problem]:
-        emulated = [name for name, table in self.instruments.items() if table.options.get("address") == EMULATED]
+        emulated_roles = [
+            name for name, table in self.instruments.items() if table.options.get("address") == EMULATED
+        ]
         if self.emulation is None:
-            for name in emulated:
+            for name in emulated_roles:
                 finding = f"is {EMULATED!r}, but the station has no [emulation] table to say in which scene"
                 yield Problem(("instruments", name, "address"), finding)
-        elif not emulated:
+        elif not emulated_roles:
             yield Problem(("emulation",), f"is given, but no instrument has address = {EMULATED!r}")
 
     def to_domain(self) -> Station:

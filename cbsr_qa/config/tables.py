@@ -87,12 +87,12 @@ def validate(model: type[FileModel[T]], document: Document, plugins: Plugins | N
     ConfigError
         Listing every problem of the file with line, value found and allowed values.
     """
-    infinite = [Problem(path, "is not a finite number") for path in find_not_finite(document.data)]
+    infinite_problems = [Problem(path, "is not a finite number") for path in find_not_finite(document.data)]
     parsed, problems = check(model, document.data)
     problems += () if plugins is None else model.plugin_problems(document.data, plugins)
     problems = [
-        *infinite,
-        *(p for p in problems if all(p.path != infinite_problem.path for infinite_problem in infinite)),
+        *infinite_problems,
+        *(p for p in problems if all(p.path != infinite_problem.path for infinite_problem in infinite_problems)),
     ]
     if problems or parsed is None:
         raise refusal(document, problems)
@@ -106,9 +106,9 @@ def refusal(document: Document, problems: list[Problem]) -> ConfigError:
     """Return the error that lists the first problems of a file, each with its line."""
     shown_part = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
     lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{shown_part}:"]
-    placed = [(line_of(document.text, problem.path), problem) for problem in problems]
+    located_problems = [(line_of(document.text, problem.path), problem) for problem in problems]
     file = Path(document.label).name
-    for line, problem in sorted(placed, key=lambda each: each[0] or 0)[:MOST_LISTED]:
+    for line, problem in sorted(located_problems, key=lambda each: each[0] or 0)[:MOST_LISTED]:
         place = f"{file} line {line}: " if line else ""
         lines.append(f"  {place}{problem}")
     pronoun = "it" if len(problems) == 1 else "them"
