@@ -65,18 +65,20 @@ def analyse(
         reconstruction=reconstruction,
         options=plugin_options(option or ()),
     )
-    analysed = [analyse_file(path, request, tell=announce) for path in files]
-    for file in analysed:
+    analysed_files = [analyse_file(path, request, tell=announce) for path in files]
+    for file in analysed_files:
         if file.error is not None:
             is_named = file.error.reason.startswith("--") or file.file.name in file.error.reason
             note(f"cbsr-qa: {'' if is_named else f'{file.file.name}: '}{file.error}")
     if as_json:
-        emit_json(json_document(analysed[0] if len(analysed) == 1 else AnalysedFiles(tuple(analysed))))
+        emit_json(
+            json_document(analysed_files[0] if len(analysed_files) == 1 else AnalysedFiles(tuple(analysed_files)))
+        )
     else:
-        for file in analysed:
+        for file in analysed_files:
             if file.error is None:
                 show(analyse_outcome(file, imaged=reconstruction is not None or bool(option)))
-    return max(file.exit_code for file in analysed)
+    return max(file.exit_code for file in analysed_files)
 
 
 def _reference(text: str, first: Path) -> tuple[Path, str | None]:

@@ -1,4 +1,4 @@
-"""How a command is declared, in any file of this package or of ``studies``; no other file lists it.
+"""Declaration of commands, in any file of this package or of ``studies``; no other file lists them.
 
 Its help shows what is meant (``SERIAL``, ``YYYY-MM-DD``), not types of Python.
 """
@@ -140,25 +140,25 @@ def _import_all() -> None:
 def _spread(run: Callable[..., Any]) -> Callable[..., Any]:
     """Return a command with a parameter for each field of the dataclasses among its parameters."""
     hints = get_type_hints(run, include_extras=True)
-    shared: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    if not shared:
+    dataclass_by_name: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    if not dataclass_by_name:
         return run
-    spread: list[Parameter] = []
+    spread_parameters: list[Parameter] = []
     for parameter in signature(run).parameters.values():
-        spread += (
-            _options_of(shared[parameter.name])
-            if parameter.name in shared
+        spread_parameters += (
+            _options_of(dataclass_by_name[parameter.name])
+            if parameter.name in dataclass_by_name
             else [parameter.replace(kind=Parameter.KEYWORD_ONLY)]
         )
 
     @wraps(run)
     def whole(**given: Any) -> Any:
-        for name, kind in shared.items():
+        for name, kind in dataclass_by_name.items():
             given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
         return run(**given)
 
-    whole.__annotations__ = {parameter.name: parameter.annotation for parameter in spread}
-    vars(whole)["__signature__"] = Signature(spread)
+    whole.__annotations__ = {parameter.name: parameter.annotation for parameter in spread_parameters}
+    vars(whole)["__signature__"] = Signature(spread_parameters)
     return whole
 
 

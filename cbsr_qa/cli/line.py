@@ -189,23 +189,23 @@ class _Line:
 
         threading.Thread(target=read, name="run", daemon=True).start()
         threading.Thread(target=self._follow, args=(process,), name="prompts", daemon=True).start()
-        ignored, has_input = self._wait(process, serial)
+        ignored_scans, has_input = self._wait(process, serial)
         document = "".join(printed)
         _show(serial, document)
         if '"run"' in document:
             self._serials.append(serial)
-        for scan in ignored:
+        for scan in ignored_scans:
             note(f"{scan!r} was scanned during the run and is ignored: scan it again")
         return has_input
 
     def _wait(self, process: "subprocess.Popen[str]", serial: str) -> tuple[list[str], bool]:
         """Wait for the end of a run; return what was scanned meanwhile, and whether there is more input."""
-        ignored, has_input, prompt = list[str](), True, ""
+        ignored_scans, has_input, prompt = list[str](), True, ""
         while True:
             kind, text = self._heard.get()
             match kind:
                 case "ended":
-                    return ignored, has_input
+                    return ignored_scans, has_input
                 case "end":
                     has_input = False
                 case "signal":
@@ -220,7 +220,7 @@ class _Line:
                 case _ if prompt:
                     self._answer(prompt, text)
                 case _ if text:
-                    ignored.append(text)
+                    ignored_scans.append(text)
                     note(f"{text!r} is ignored: the run of {serial} is under way")
 
     def _follow(self, process: "subprocess.Popen[str]") -> None:

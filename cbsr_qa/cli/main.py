@@ -41,9 +41,9 @@ def _supervise_command(command: Command) -> Callable[..., Any]:
     @wraps(command.run)
     def run_command(*arguments: Any, **options: Any) -> Any:
         _asked_for_json.append(bool(options.get("as_json")))
-        judging = command.words == "run" and not options["dry_run"]
+        judges = command.words == "run" and not options["dry_run"]
         # Click parses the command line here, before any plugin code runs.
-        if _supervising and (code := supervise(judges=judging, live=command.live, reads=command.reads)) is not None:
+        if _supervising and (code := supervise(judges=judges, live=command.live, reads=command.reads)) is not None:
             return code
         claim_stdout()
         with Redelivery():  # of the process that carries out the command: the child

@@ -171,9 +171,9 @@ def _escape_unprintable(text: str) -> str:
 def _discard_the_rest(stream: TextIO) -> None:
     """Discard the buffer and further output: the interpreter would fail to flush it at exit."""
     with suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        null_device = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_device, stream.fileno())
+        os.close(null_device)
 
 
 #: Longest line with a PIN [characters]; a longer one is no PIN.

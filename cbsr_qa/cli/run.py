@@ -128,13 +128,13 @@ def _check_given(context: typer.Context, *, resuming: bool) -> None:
     """Refuse options that cannot change when a run is resumed, and a new run without required ones."""
     given_options = list_given_options(context)
     if resuming:
-        extra = [name for name in context.params if name in given_options and name not in _WITH_RESUME]
-        if extra:
+        extra_options = [name for name in context.params if name in given_options and name not in _WITH_RESUME]
+        if extra_options:
             context.fail(
-                f"a run is resumed with the options it began with: {option_names(extra)} cannot be given with"
+                f"a run is resumed with the options it began with: {option_names(extra_options)} cannot be given with"
                 " --resume (--operator, --database, --json, --station and --override can)"
             )
         return
-    missing = [name for name in _NEEDED if name not in given_options]
-    if missing:
-        context.fail(f"Missing option '--{missing[0]}'. To resume a run, give --resume RUN instead.")
+    missing_options = [name for name in _NEEDED if name not in given_options]
+    if missing_options:
+        context.fail(f"Missing option '--{missing_options[0]}'. To resume a run, give --resume RUN instead.")

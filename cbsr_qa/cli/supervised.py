@@ -166,9 +166,9 @@ def _end_with_parent(alive: int) -> None:
     with suppress(OSError):
         os.read(alive, 1)
     note("cbsr-qa: the process that watches over this one has gone: this one stops")
-    heard = signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
-    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    os.kill(os.getpid(), signal.SIGTERM if heard or ignored else signal.SIGINT)
+    hears_sigterm = signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+    ignores_sigint = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    os.kill(os.getpid(), signal.SIGTERM if hears_sigterm or ignores_sigint else signal.SIGINT)
 
 
 class _Parent:
@@ -194,18 +194,20 @@ class _Parent:
 
     def wait(self) -> int:
         """Return the status the child ended with."""
-        woken, wakes = os.pipe()
-        for end in (woken, wakes, self._report, self._echo):
+        wake_reader, wake_writer = os.pipe()
+        for end in (wake_reader, wake_writer, self._report, self._echo):
             os.set_blocking(end, False)
-        waker = signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
-        heard = [n for n in _HANDED_ON if signal.getsignal(n) is not signal.SIG_IGN]
-        previous_handlers = {number: signal.signal(number, lambda *_: None) for number in (*heard, signal.SIGCHLD)}
+        waker = signal.set_wakeup_fd(wake_writer, warn_on_full_buffer=False)
+        heard_signals = [n for n in _HANDED_ON if signal.getsignal(n) is not signal.SIG_IGN]
+        previous_handlers = {
+            number: signal.signal(number, lambda *_: None) for number in (*heard_signals, signal.SIGCHLD)
+        }
         try:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
             while (status := self._poll_child()) is None:
-                select.select([woken, *[self._report] * self._reads], [], [])
+                select.select([wake_reader, *[self._report] * self._reads], [], [])
                 self._read_report()
-                self._hand_on({*(_read(woken) or b"")} & {*heard})
+                self._hand_on({*(_read(wake_reader) or b"")} & {*heard_signals})
             self._read_report()
             if self._loads is not None:
                 self._loads.join()
@@ -214,8 +216,8 @@ class _Parent:
             for number, handler in previous_handlers.items():
                 signal.signal(number, handler)
             signal.set_wakeup_fd(waker)
-            os.close(woken)
-            os.close(wakes)
+            os.close(wake_reader)
+            os.close(wake_writer)
 
     def _poll_child(self) -> int | None:
         """Return the child's status once it has ended; stop and continue with it (Ctrl-Z)."""
@@ -301,13 +303,13 @@ def _cut_off(status: int, code: int | None) -> str:
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         return f"was killed by {next((s.name for s in signal.Signals if s == number), f'signal {number}')}"
-    ended = os.WEXITSTATUS(status)
+    actual = os.WEXITSTATUS(status)
     if code is None:
         return (
-            f"ended without a report, with exit code {ended}: a plugin may have ended it (os._exit) or closed files"
+            f"ended without a report, with exit code {actual}: a plugin may have ended it (os._exit) or closed files"
             " that are not its own"
         )
-    return "" if code == ended else f"reported exit code {code} and ended with exit code {ended}"
+    return "" if code == actual else f"reported exit code {code} and ended with exit code {actual}"
 
 
 def _explain_unconfirmed(run: str | None, database: str | None) -> str:
