@@ -39,7 +39,7 @@ _FILTERS: Final = frozenset({1, 2, 3})
 
 
 def archive_root(engine: Engine) -> Path | None:
-    """Return the folder that places of archives start at: of a SQLite file, else as CBSR_QA_ARCHIVE says, or None."""
+    """Return the root folder of archives: that of the SQLite file, else that of CBSR_QA_ARCHIVE, else None."""
     database = sqlite_file(engine.url)
     return _environment_folder() if database is None else database.resolve().parent
 
@@ -145,7 +145,7 @@ def archive_bytes(file: Path, most_bytes: int) -> bytes:
 
 
 class Archives:
-    """Archives of runs, of which the latest stays open: what is read in parts is read from its file once."""
+    """Archives of runs. The latest stays open, so that a run read in parts is read from its file once."""
 
     def __init__(self) -> None:
         self._run = ""
@@ -176,7 +176,7 @@ def with_arrays(connection: Connection, rows: Sequence[Any], archives: Archives 
     """
     archived_run = next((row.run for row in rows if not row.voltages), None)
     archive = None if archived_run is None else (archives or Archives()).find(connection, archived_run)
-    for row in rows:  # one that lacks its arrays without an archive is refused by its digest
+    for row in rows:  # without an archive, a row that lacks its arrays is refused by its digest
         yield row if row.voltages or archive is None else with_cells(row, archive.cells(row.phase, row.block))
 
 
@@ -267,7 +267,7 @@ class Archive:
                     self._add(int(name.removeprefix("phase-")), group)
 
     def read_all(self) -> None:
-        """Read every chunk, and the largest block of all as it is read later."""
+        """Read every chunk, and the largest block in the way it is read later."""
         longest = max(self._places, key=lambda place: _frames(self._places[place][1]), default=None)
         if longest is not None:
             self.cells(*longest)
@@ -312,7 +312,7 @@ def _frames(part: slice) -> int:
 
 
 def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
-    """Yield what a group holds itself: HDF5 would open other files for links, and load libraries for filters."""
+    """Yield the members that a group holds itself: HDF5 opens other files for links, and libraries for filters."""
     for name in group:
         item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
         is_content = item is not None

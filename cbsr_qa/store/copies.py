@@ -54,9 +54,8 @@ def copy_database(engine: Engine, to: Path, count: Count = lambda what, done, of
             translate_errors(engine.url),
             closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=ro", uri=True)) as source_connection,
         ):
-            source_connection.execute(
-                "BEGIN"
-            )  # one state of the database: others write on, and do not begin the copy again
+            # One state of the database: others write on, and do not begin the copy again.
+            source_connection.execute("BEGIN")
             source_connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
             with (
                 translate_errors(URL.create("sqlite", database=str(to))),
@@ -102,7 +101,7 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
     with _temporary(target) as partial:
         count("copying", 0, 1)
         _copy(backup, partial)
-        if (log := backup.with_name(f"{backup.name}-wal")).exists():  # of a copy made with cp while it was in use
+        if (log := backup.with_name(f"{backup.name}-wal")).exists():  # a copy made with cp during use has one
             _copy(log, partial.with_name(f"{partial.name}-wal"))
         count("verifying", 0, 1)
         version = _restorable(partial, backup)
@@ -196,7 +195,7 @@ def _check_version(engine: Engine, version: SchemaVersion) -> None:
 
 @contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
-    """Name a file beside ``path`` for now; whatever is there at the end is removed."""
+    """Yield a temporary file beside ``path``; whatever is left of it at the end is removed."""
     partial = path.parent / f".{secrets.token_hex(8)}.partial"
     try:
         with partial.open("xb"):

@@ -76,7 +76,7 @@ _Word = TypeVar("_Word", bound=StrEnum)
 
 
 class OddCellError(StoreError):
-    """A cell holds what its column cannot: one row cannot be read, others can."""
+    """A cell holds a value that its column cannot; this row cannot be read, others can."""
 
 
 def read_word(words: type[_Word], value: Any, column: str, row: str) -> _Word:
@@ -138,7 +138,7 @@ def translate_errors(url: URL) -> Iterator[None]:
     except StatementError as error:
         if isinstance(error, DBAPIError) and error.orig is not None:
             raise _driver_error(url, error.orig) from error
-        # A value that a column type refuses.
+        # A column type refuses a value.
         raise StoreError(f"{name_database(url)}: {_first_line(str(error.orig))}") from error
     except SQLAlchemyError as error:
         raise StoreError(f"{name_database(url)}: {_first_line(str(error))}") from error
@@ -221,14 +221,14 @@ def foreign_cell(
 
 
 def raw_cell(connection: Connection, column: Column[Any]) -> Any:
-    """Select a column as it is stored; of PostgreSQL moments and JSON as text, which its driver turns into values."""
+    """Select a column as it is stored; moments and JSON of PostgreSQL as text, before its driver converts them."""
     if connection.dialect.name == "postgresql" and isinstance(_plain_type(column), (DateTime, JSON)):
         return cast(column, Text).label(column.name)
     return type_coerce(column, NullType()).label(column.name)
 
 
 def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], Any]:
-    """Return what turns a cell of :func:`raw_cell` into a value; it raises one of :data:`FOREIGN_VALUE`."""
+    """Return the function that turns a cell of :func:`raw_cell` into a value; it raises :data:`FOREIGN_VALUE`."""
     kind = _plain_type(column)
     if connection.dialect.name == "postgresql":  # which checks types itself
         if isinstance(kind, JSON):

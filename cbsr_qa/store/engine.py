@@ -136,11 +136,11 @@ def _check_regular(file: Path, url: URL) -> None:
                 remedy="name the file of a database",
             ) from error
         except OSError:
-            continue  # SQLite says so, or makes it
+            continue  # SQLite reports the error, or creates the file
 
 
 def _disable_compiler(connection: Any, record: object) -> None:
-    """Switch the compiler of queries off, which takes a second where a plan looks costly, and saves none here."""
+    """Switch off the compiler of queries: it takes a second for plans that look costly, and saves no time here."""
     with connection.cursor() as cursor:
         cursor.execute("SET jit = off")
     connection.commit()
@@ -150,7 +150,7 @@ def _disable_compiler(connection: Any, record: object) -> None:
 def reading(engine: Engine) -> Iterator[Connection]:
     """Open a read transaction on one snapshot; StoreError for database errors and for cells of the wrong type."""
     with translate_errors(engine.url), engine.connect() as connection:
-        if connection.dialect.name == "postgresql":  # what others commit meanwhile is not seen, as in SQLite
+        if connection.dialect.name == "postgresql":  # as in SQLite, commits of others meanwhile are not seen
             connection.execution_options(isolation_level="REPEATABLE READ")
         with connection.begin(), _foreign_cells_named(connection):
             yield connection
@@ -266,7 +266,7 @@ def _remember_file(path: Path, _: object, record: Any) -> None:
 
 def _which_file(path: Path) -> tuple[int, int] | None:
     try:
-        status = os.stat(path)  # noqa: PTH116 - of every transaction; Path.stat takes twice as long
+        status = os.stat(path)  # noqa: PTH116 - called in every transaction; Path.stat takes twice as long
     except OSError:
         return None
     return status.st_dev, status.st_ino

@@ -91,7 +91,9 @@ def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLi
 
 def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
     row = one.values
-    simulated = () if one.altered else tuple(map(str, row["simulated"]))  # of an altered run it may be anything
+    simulated = (
+        () if one.altered else tuple(map(str, row["simulated"]))
+    )  # the value of an altered run may be anything
     material_table = None if one.altered else row["setting"].get("material")
     material = str(material_table.get("name", "")) if isinstance(material_table, dict) else ""
     return RunLine(
@@ -116,7 +118,7 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
 
 
 def _link_content(line: RunLine, one: StoredVerdict) -> Known | None:
-    """Return what the link of a run's measured values covers besides them; None for one without link or result."""
+    """Return the other content that the link of a run's values covers; None for a run without link or result."""
     if not one.analysis or not one.chain.chained:
         return None
     return line.run, one.analysis, facts(line, one.analysis, str(one.outcome), one.software)
@@ -125,7 +127,7 @@ def _link_content(line: RunLine, one: StoredVerdict) -> Known | None:
 def _values(
     connection: Connection, chosen: Conditions, places: dict[str, int], known: list[Known | None]
 ) -> tuple[tuple[ValueKind, ...], tuple[Any, ...]]:
-    """Kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
+    """Return the kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
     query = figures_query()
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
@@ -140,7 +142,7 @@ def _values(
 
 
 def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKind, int]) -> tuple[int, int]:
-    """Kind and state for joined words and limits; new kinds are added."""
+    """Return kind and state for joined words and limits; new kinds are added to ``kinds``."""
     joined, lower, upper = saying
     parts = joined.split(BETWEEN)
     if len(parts) != len(JOINED):

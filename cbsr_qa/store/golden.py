@@ -1,4 +1,4 @@
-"""Runs of golden sensors that checked a station: lists leave them out, if the check is one to believe.
+"""Runs of golden sensors that checked a station: lists leave them out if the check is sound.
 
 A row in ``station_checks`` must not hide a failed run. So its station and its time must fit those of the run, and
 its rows must match its seal, which is signed where the run is. Checks whose seal was removed count for one recipe
@@ -25,13 +25,13 @@ _LONGEST: Final = timedelta(days=1)
 
 
 def golden_runs() -> Select[Any]:
-    """Query the runs that checks name as those of their golden sensors, believed or not."""
+    """Return the query of all runs that checks name as those of their golden sensors, sound or not."""
     golden_run = StationCheckRow.golden_run
     return select(type_coerce(golden_run, NullType())).where(golden_run.is_not(None))
 
 
 def find_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
-    """Return the runs, of some, that a check to believe names as that of its golden sensor."""
+    """Return those of some runs that a sound check names as the run of its golden sensor."""
     if not runs:
         return set()
     checks = _read_checks(connection, runs)
@@ -40,12 +40,12 @@ def find_golden_runs(connection: Connection, runs: Collection[str]) -> set[str]:
 
 
 def find_doubtful_checks(connection: Connection) -> dict[str, str]:
-    """Return why checks that name a run of a golden sensor are not believed, by check; the others are absent."""
+    """Return the problems of the checks that name a golden run and are not sound, by check."""
     return _problems(connection, _read_checks(connection))
 
 
 def _read_checks(connection: Connection, runs: Collection[str] | None = None) -> list[Row[Any]]:
-    """Return the checks that name some runs (None: any run), each with what is compared of that run."""
+    """Return the checks that name some runs (None: any run), with the columns of the run to compare."""
     c, r = StationCheckRow, RunRow
     columns = c.check_id, c.golden_run, c.station, c.seal, r.station.label("tested_at"), r.recipe, r.chain
     plain: list[Any] = [type_coerce(column, NullType()).label(column.key) for column in columns]
@@ -63,7 +63,7 @@ def _problems(connection: Connection, named: Sequence[Row[Any]]) -> dict[str, st
 
 
 def _unlike_run(row: Row[Any]) -> str:
-    """Say what of a check does not fit the run that it names; empty where all does."""
+    """Return in words how a check does not fit the run that it names; empty if it fits."""
     made_at, begun_at = time_of_id(str(row.check_id)), time_of_id(str(row.golden_run))
     beginning = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
     if row.station != row.tested_at:

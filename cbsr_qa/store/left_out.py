@@ -1,4 +1,4 @@
-"""Runs that a selection leaves out, though they may belong to it: altered ones, and those hidden as golden sensors'.
+"""Runs that a selection misses although they may belong to it: altered ones, and those hidden as golden runs.
 
 A selection reads columns of runs that anybody who can write the database can change. So the rows of the runs that it
 leaves out are compared with their links too: one that does not match is listed whatever the selection says.

@@ -65,8 +65,8 @@ class RunLists:
     def read_runs(self, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
         """Return the selected runs in the order they were made in; those that were altered are marked.
 
-        An altered run is also returned where the selection leaves it out, as what selects may be what was altered.
-        What is shown of a run is compared with the links of its rows, not the whole chain: see docs/explanation.
+        An altered run is returned even if the selection excludes it, as the selecting columns may have been altered.
+        The rows of a run are compared with their links, not with the whole chain: see docs/explanation.
 
         Raises
         ------
@@ -146,7 +146,7 @@ def _read_measurements(connection: Connection, runs: Sequence[str]) -> MeasuredR
 
 
 def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
-    """Return what is wrong with runs, not altered by their links, whose measurements hold unknown words."""
+    """Return the problems of runs whose measurements hold unknown words; runs already altered are skipped."""
     problem_by_run: dict[str, str] = {}
     for column, allowed_words in _WORDS.items():
         if set(rows.columns[column]) <= allowed_words:
@@ -163,7 +163,9 @@ def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
 def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
     earlier, of_checks = _earlier(connection, names)
     runs: list[ListedRun] = []
-    for page in verdict_pages(connection, names):  # not all at once: garbage is looked for among what is kept
+    for page in verdict_pages(
+        connection, names
+    ):  # not all at once: garbage collection slows down with the number of objects
         verdicts = {verdict.run: verdict for verdict in page if verdict.outcome is Outcome.FAIL}
         failed: dict[str, dict[MetricKey, None]] = {}
         altered: dict[str, str] = {}
@@ -218,7 +220,7 @@ def _find_failures(
 ) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
     """Return the metrics outside their limits, by analysis, and what is wrong with runs that were altered.
 
-    Only of runs that failed, as one such metric decides.
+    Only failed runs are passed in: one metric outside its limits decides that.
     """
     if not runs:
         return {}, {}
@@ -238,7 +240,7 @@ def _mark_problem(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, Non
 
 
 def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, int], set[str]]:
-    """Return how many finished runs of the sensor and recipe are before each run, and the runs of golden sensors."""
+    """Return the number of earlier finished runs of its sensor and recipe for each run, and the golden runs."""
     r, s = RunRow, RunStateRow
     has_finished = exists().where(s.run == r.run, s.end == str(EndReason.FINISHED))
     # A cell of another type must not stop this: the run is marked where its row is read.

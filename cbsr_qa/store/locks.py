@@ -20,7 +20,7 @@ from cbsr_qa.store.damage import name_database, translate_errors
 from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.system.files import FileLock, HeldError, holder
 
-_NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
+_NAME_LENGTH: Final = 63  # longest name of an application in PostgreSQL
 
 #: Longest wait for another program that creates tables, and the part of it that is silent [s].
 SCHEMA_WAIT_S: Final = 60.0
@@ -135,7 +135,7 @@ def writer_of(engine: Engine, run: str) -> str:
 
 
 class Claims:
-    """What processes that use one database have claimed; a claim ends with its process."""
+    """Claims of processes that use one database; a claim ends with its process."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -145,7 +145,7 @@ class Claims:
         return writing_alone(self._engine, run, this_process(operator))
 
     def claim_sensor(self, serial: str, recipe: str, operator: str = "") -> AbstractContextManager[str]:
-        """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""
+        """Claim a sensor for a run of a recipe while entered; yields the process that tests it already, or ''."""
         return _claim(self._engine, "sensor", f"{serial}/{recipe}", this_process(operator))
 
     def name_writer(self, run: str) -> str:

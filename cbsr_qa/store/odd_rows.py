@@ -34,7 +34,7 @@ class OddRow:
 
 @dataclass(frozen=True, slots=True)
 class RowsApart:
-    """Rows of one table in the order of their keys, as the columns have them, and those that cannot be read."""
+    """Rows of one table in the order of their keys: those that can be read, and those that cannot."""
 
     rows: tuple[dict[str, Any], ...]
     odd: tuple[OddRow, ...]
@@ -77,7 +77,7 @@ def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnEl
 
 @contextmanager
 def keep_odd_text(connection: Connection) -> Iterator[None]:
-    """Have text that is not UTF-8 come as bytes, which no column of text holds; only SQLite stores such text."""
+    """Read text that is not UTF-8 as bytes, which a text column refuses; only SQLite stores such text."""
     if connection.dialect.name != "sqlite":
         yield
         return

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, text
 
 
 class Kind(StrEnum):
-    """What is announced."""
+    """Kind of an announced item."""
 
     RUN = "run"
     STATION_CHECK = "station check"
@@ -17,7 +17,7 @@ class Kind(StrEnum):
 
 
 class EntryState(StrEnum):
-    """What becomes of an announcement."""
+    """State of an announcement."""
 
     WAITING = "waiting"
     QUARANTINED = "quarantined"  #: it was refused, and is not sent until somebody says so

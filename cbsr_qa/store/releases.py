@@ -40,7 +40,7 @@ class Releases:
             announce(connection, Kind.RELEASE, [release.release])
 
     def read_latest(self, kind: str, sha256: str) -> Release | None:
-        """Return what was last said about a file of this content; None if nothing was.
+        """Return the latest release or withdrawal of this content; None without one.
 
         A release that cannot be read does not count: the state before it stays. Any other row that cannot be read
         withdraws the release.
@@ -65,7 +65,7 @@ class Releases:
         return tuple(sorted(releases, key=lambda one: one.release))
 
     def name_unread(self, kind: str = "", sha256: str = "") -> tuple[str, ...]:
-        """Return in words which rows of releases cannot be read: of a content, or all."""
+        """Return in words the rows of releases that cannot be read: those of one content, or all."""
         row = ReleaseRow
         of_content = (row.sha256 == sha256, row.kind == kind) if sha256 else ()
         with reading(self._engine) as connection:
@@ -73,7 +73,7 @@ class Releases:
 
 
 def _list_said(found: RowsApart) -> list[Release]:
-    """Return what rows say; one that cannot be read and is no release withdraws its content."""
+    """Return releases and withdrawals; an unreadable row that is no release counts as a withdrawal."""
     withdrawing_rows = (
         odd for odd in found.odd if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}
     )

@@ -106,7 +106,7 @@ class Repository:
 
     @property
     def key_id(self) -> str | None:
-        """Names the key that signs new links; None if none is set."""
+        """Identifier of the key that signs new links; None if none is set."""
         key = self._engine.get_execution_options().get(KEY_OPTION)
         return None if key is None else str(key.key_id)
 
@@ -124,7 +124,7 @@ class Repository:
         why: str = "",
         gate: Sequence[GateAnswer] = (),
     ) -> Journal:
-        """Return what stores the events of one run, new or resumed; the parameters are those of the journal."""
+        """Return the journal that stores the events of one run, new or resumed; it takes the same parameters."""
         return Journal(
             self._engine,
             configuration=configuration,
@@ -210,9 +210,9 @@ class Repository:
                 connection.close()
 
     def read_backlog(self) -> Backlog:
-        """Return how much waits for the central database, and how long."""
+        """Return the number of items that wait for the central database, and since when."""
         return backlog(self._engine)
 
     def name_unread_entries(self) -> tuple[str, ...]:
-        """Return in words which rows of the outbox cannot be read; what they announce is not sent."""
+        """Return in words the rows of the outbox that cannot be read; their items are not sent."""
         return name_unread(self._engine)

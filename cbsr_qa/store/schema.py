@@ -82,7 +82,7 @@ def read_version(engine: Engine) -> SchemaVersion:
 
 
 def _refuse_dangling(engine: Engine, file: Path) -> None:
-    """Refuse a link to nothing: SQLite would make a database where it leads, perhaps below a disk that is missing."""
+    """Refuse a link to a missing file: SQLite would make a database there, perhaps in place of a missing disk."""
     if file.is_symlink():
         target = os.path.realpath(file)
         problem = "leads back to itself" if Path(target).is_symlink() else f"leads to {target}, which does not exist"
@@ -113,9 +113,8 @@ def upgrade(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Sch
     with changing_schema(engine, tell):
         use_write_ahead_log(engine)
         with writing(engine) as connection:
-            version_before = _upgradable(
-                engine, _read_version(connection)
-            )  # again: another program may have been faster
+            # Read again: another program may have been faster.
+            version_before = _upgradable(engine, _read_version(connection))
             if version_before.revision is None:
                 _create(connection)
             elif version_before.revision != HEAD:
@@ -222,7 +221,7 @@ def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
         yield
     finally:
         for above in created_folders:
-            with suppress(OSError):  # it was not created, or holds files of others
+            with suppress(OSError):  # the folder was not created, or holds files of others
                 above.rmdir()
 
 

@@ -23,7 +23,7 @@ CheckRows = Iterable[tuple[type[Base], Mapping[str, Any]]]
 
 
 def new_seal(connection: Connection, check: str, rows: CheckRows) -> str:
-    """Return what column ``station_checks.seal`` holds: ``sha256:DIGEST``, or ``KEY:DIGEST:SIGNATURE``."""
+    """Return the value of column ``station_checks.seal``: ``sha256:DIGEST``, or ``KEY:DIGEST:SIGNATURE``."""
     digest, key = _digest(rows), signing_key(connection)
     return f"{_PLAIN}:{digest}" if key is None else f"{key.key_id}:{digest}:{key.sign(check, digest)}"
 
@@ -77,7 +77,7 @@ def _digest(rows: CheckRows) -> str:
 
 
 def _digest_checks(connection: Connection, checks: Sequence[str]) -> dict[str, str]:
-    """Return the digest of the rows of each check; empty for one of which a cell cannot be read."""
+    """Return the digest of the rows of each check; empty for a check with an unreadable cell."""
     rows: dict[str, list[tuple[type[Base], Mapping[str, Any]]]] = {check: [] for check in checks}
     try:
         for kind in _TABLES:

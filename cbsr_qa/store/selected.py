@@ -23,7 +23,7 @@ _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
 
 
 def naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], _T]) -> _T:
-    """Read; if that fails, name the first run that cannot be read."""
+    """Call ``read``; if it fails, raise an error that names the first unreadable run."""
     try:
         return read(connection, chosen)
     except _UNREADABLE as error:
@@ -61,7 +61,7 @@ def _first_unreadable(
 
 
 def conditions(selection: RunSelection) -> Conditions:
-    """Return what a selection means for rows of ``runs``."""
+    """Return a selection as conditions on rows of ``runs``."""
     chosen: Conditions = [RunRow.serial.in_(selection.serials)] if selection.serials else []
     chosen += [column.in_(names) for column, names in zip(_BY_NAME, _names(selection), strict=True) if names]
     if selection.since is not None:

@@ -95,9 +95,8 @@ class Soundness:
         )
         with reading(self._engine) as connection:
             with keep_odd_text(connection):
-                serials = [
-                    one for one in connection.scalars(untested_query) if isinstance(one, str)
-                ]  # others are odd rows
+                # Serials that are no text are odd rows, which find_odd_rows names.
+                serials = [one for one in connection.scalars(untested_query) if isinstance(one, str)]
             for serial in serials:
                 yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
             for row in connection.execute(swapped_query.order_by(CalibrationRow.calibration)):
@@ -136,7 +135,7 @@ class Soundness:
         return chain
 
     def find_seal_problems(self) -> Iterator[str]:
-        """Yield which checks of stations do not match their seals, or the run they name as their golden sensor's."""
+        """Yield problems of station checks that do not match their seal, or the golden run that they name."""
         row = StationCheckRow
         with reading(self._engine) as connection:
             seals: dict[str, str | None] = dict(
@@ -149,7 +148,7 @@ class Soundness:
             yield f"{doubted[check]}: the run is listed all the same"
 
     def find_ring_problems(self) -> Iterator[str]:
-        """Yield which frames of reference rings, taken by checks of stations, are not what was stored."""
+        """Yield problems of the frames of reference rings that are not as the station checks stored them."""
         with reading(self._engine) as connection:
             checks = list(
                 connection.scalars(select(StationCheckFramesRow.check_id).order_by(StationCheckFramesRow.check_id))

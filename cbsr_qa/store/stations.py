@@ -154,7 +154,7 @@ def _check(connection: Connection, row: Mapping[str, Any]) -> StationCheck:
 
 
 def _mark_altered(problem: str) -> CheckResult:
-    """Return what an altered check shows in place of its lines, also to who asks for the golden sensor."""
+    """Return the result that an altered check shows in place of its lines, also of its golden sensor."""
     return CheckResult(
         "what is stored of this check",
         CheckOutcome.FAILED,

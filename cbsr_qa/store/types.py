@@ -77,7 +77,7 @@ class IdSource:
 
 
 def first_id(moment: datetime) -> str:
-    """Return what sorts before every identifier that was made at a moment or later."""
+    """Return a text that sorts before every identifier made at a moment or later."""
     digits = f"{max(int(moment.timestamp() * 1000), 0):012x}"
     return f"{digits[:8]}-{digits[8:]}"
 
@@ -91,7 +91,7 @@ def time_of_id(identifier: str) -> datetime | None:
 
 
 def _parts(identifier: str) -> tuple[int, int] | None:
-    """Millisecond and counter of an identifier; None if it is not of version 7."""
+    """Return millisecond and counter of an identifier; None if it is not of version 7."""
     try:
         number = UUID(identifier)
     except ValueError:
@@ -195,13 +195,13 @@ def _inflate(data: bytes, size: int) -> bytes:
 
 
 def _numbers(cells: Sequence[bytes], width: int) -> NDArray[Any]:
-    """Return (cells, n) numbers, of which each cell has the first bytes of all first."""
+    """Return an array (cells, n) of numbers; each cell stores the first bytes of all numbers first."""
     significance = np.frombuffer(b"".join(cells), dtype=np.uint8).reshape(len(cells), width, -1)
     return np.ascontiguousarray(significance.transpose(0, 2, 1)).view(f"<u{width}")[..., 0]
 
 
 def digest(header: str, parts: Iterable[bytes]) -> str:
-    """SHA-256 over a description (unit, shape, current…) and the bytes it describes, hexadecimal."""
+    """Return the SHA-256 over a description (unit, shape, current…) and the bytes it describes, hexadecimal."""
     total = hashlib.sha256(header.encode())
     for part in parts:
         total.update(len(part).to_bytes(8, "little"))

@@ -58,7 +58,7 @@ def problem_of(connection: Connection, run: str, error: Exception) -> str:
 
 
 def readable_values(connection: Connection, run: str) -> dict[str, Any]:
-    """Return what can be shown of the row of a run; something of the right type stands for cells that cannot."""
+    """Return the row of a run as far as it can be shown; a value of the right type replaces each odd cell."""
     table = Base.metadata.tables[RunRow.__tablename__]
     columns = list_covered(table)
     query = select(*(raw_cell(connection, column) for column in columns)).where(RunRow.run == run)

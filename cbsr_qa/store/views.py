@@ -108,5 +108,5 @@ def drop_views(connection: Connection) -> None:
 
 
 def views_missing(connection: Connection) -> bool:
-    """Whether a view does not exist: a later version of the program took the database back to this one's schema."""
+    """Whether a view is missing, as after a later version took the database back to this schema."""
     return not set(VIEWS) <= set(inspect(connection).get_view_names())
