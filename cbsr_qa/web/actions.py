@@ -1,4 +1,4 @@
-"""What an operator may ask for: check a sensor, start, resume, pause, continue, stop, answer.
+"""Actions of an operator: check a sensor, start, resume, pause, continue, stop, answer.
 
 Every text of a form is checked by the rules of the command line before anything is done with it.
 """
@@ -56,7 +56,7 @@ class Actions:
         start_form = StartForm.from_form(watch.served, form)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
         gate = ["gate", self._pages.gate(station, start_form, view)]
-        # What was interrupted stays on the page, with its warning, until it is resumed or another run begins.
+        # An interrupted run stays on the page, with its warning, until it is resumed or another run begins.
         is_interrupted = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
         return _json_answer(parts=[gate] if is_interrupted else [gate, ["verdict", ""]])
 
@@ -103,7 +103,7 @@ class Actions:
 
     async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:
         watch = self._line.stations[station]
-        async with self._beginning[station]:  # of two who start at once, the second is refused
+        async with self._beginning[station]:  # if two people start at once, the second is refused
             if watch.busy:
                 raise RefusedError(text("station.busy"))
             watch.started = await run_in_threadpool(start_run, station, arguments, serial, pin)

@@ -1,4 +1,4 @@
-"""The application: which address answers with what."""
+"""The web application: its addresses, and the answers to requests."""
 
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -96,7 +96,7 @@ class Site:
         self._static = {name: folder.joinpath(name).read_bytes() for name in _STATIC}
 
     def guard_page(self, endpoint: Endpoint) -> Endpoint:
-        """Return an endpoint that asks who may not look to sign in; a token in the address signs in."""
+        """Return an endpoint for viewers; others are asked to sign in, and a token in the address signs in."""
 
         async def endpoint_for_viewers(request: Request) -> Response:
             if "token" in request.query_params:

@@ -1,4 +1,4 @@
-"""The page's end of the control channel of a run: what it says is kept, and what a viewer asks is passed on."""
+"""The page's end of the control channel of a run: it keeps the run's state and passes on requests of viewers."""
 
 import asyncio
 import json
@@ -52,7 +52,7 @@ class ChannelClient:
             await asyncio.sleep(_AGAIN_S)
 
     async def ask(self, do: str, **what: Any) -> str:
-        """Ask the run for something; return why it refuses, empty if it does it."""
+        """Send a request to the run; return its reason to refuse, empty if it obeys."""
         if self._writer is None:
             return text("control.no_run")
         number = next(self._numbers)

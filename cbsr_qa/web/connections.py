@@ -1,4 +1,4 @@
-"""Connections to the server: every head of a request is timed, and who has not shown the token waits for a turn.
+"""Connections to the server: every head of a request is timed, and clients without the token wait for a turn.
 
 A client that shows the token is read at once, and waits for no turn (:mod:`cbsr_qa.web.turns`), so that an emergency
 stop is answered before the requests of clients without it. How soon that is under load is measured by
@@ -36,7 +36,7 @@ MOST_CONNECTIONS: Final = MOST_NEW + PLACES[Right.LOOK] + MOST_VIEWERS + _MOST_C
 
 
 class HeldFlow(FlowControl):
-    """The flow of a connection from which nothing is taken while it is held, whoever asks for more."""
+    """Flow control of a connection that can be held: then nothing is read, even if the server asks for more."""
 
     holds = False
 
@@ -90,7 +90,7 @@ class Connection(H11Protocol):
             self._limit_unread()
 
     def _limit_unread(self) -> None:
-        """Leave to the system what a client sends beyond the largest head."""
+        """Stop reading beyond the largest head; the rest waits in the system's buffer."""
         self._flow.holds = len(self._unread) > MOST_HEAD
         if self._flow.holds:
             self._flow.read_paused = True
@@ -130,7 +130,7 @@ class Connection(H11Protocol):
             self._stop_waiting()
 
     def handle_events(self) -> None:
-        """Have a request answered; without the token, one that follows another waits for its turn."""
+        """Answer a request; without the token, a request that follows another waits for its turn."""
         if self._has_turn or self._has_shown_token:
             super().handle_events()
         else:

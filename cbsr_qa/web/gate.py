@@ -1,4 +1,4 @@
-"""What the gate says of a sensor before its run, as the page shows it."""
+"""Answers of the gate on a sensor before its run, as the page shows them."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Who may ask for what: checks of every request before a page sees it, and headers of every answer.
+"""Rights of clients: checks of every request before a page sees it, and headers of every answer.
 
 A browser shows its right by a cookie that a link with the token has set, a program by the token itself
 (``Authorization: Bearer``). A cookie counts for a change only from a page of this server (Origin), so that no page of
@@ -64,7 +64,7 @@ _HEADERS: Final = {
 
 
 class Right(IntEnum):
-    """What a request may do."""
+    """Right of a request."""
 
     NONE = 0
     LOOK = 1
@@ -73,7 +73,7 @@ class Right(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Names the server is reached by, and who may look.
+    """Names of the server, and the secrets that give rights.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Access:
 
     @property
     def cookie_value(self) -> str:
-        """A digest: who reads the cookie does not learn the token."""
+        """A digest, so that a reader of the cookie does not learn the token."""
         return hmac.new(self.cookie_key.encode(), f"cbsr-qa cookie {self.token}".encode(), hashlib.sha256).hexdigest()
 
     def set_cookie(self) -> str:
@@ -229,13 +229,13 @@ class Guard:
 
 
 def client_of(scope: Scope) -> str:
-    """Return whose request it is, as far as guesses are concerned."""
+    """Return the client of a request, for counting its guesses."""
     client = scope.get("client")
     return client_network(client[0]) if client else ""
 
 
 def _headers(scope: Scope) -> dict[bytes, bytes]:
-    """Return the headers; of one that is repeated where it must not be, nothing."""
+    """Return the headers; the value is empty if a header is repeated that must not be."""
     value_by_name: dict[bytes, bytes] = {}
     for name, value in scope["headers"]:
         value_by_name[name] = (

@@ -1,4 +1,4 @@
-"""Wrong tokens and PINs: whoever gives several has to wait before the next one is looked at."""
+"""Wrong tokens and PINs: after several, a client has to wait before the next one is compared."""
 
 import hashlib
 import hmac
@@ -23,7 +23,7 @@ _MOST_GUESSES: Final = 64
 
 
 class TooManyGuessesError(Exception):
-    """A guess that is not looked at yet. ``wait_s``: whole seconds until the next one is."""
+    """A guess that is not compared yet. ``wait_s``: whole seconds until the next one is."""
 
     def __init__(self, wait_s: float) -> None:
         self.wait_s = max(1, math.ceil(wait_s))
@@ -55,7 +55,7 @@ class Guesses:
         self._key = secrets.token_bytes(32)  # a PIN is not kept in memory
 
     def admit(self, guesser: Hashable, guess: str) -> None:
-        """Count a guess before it is looked at. TooManyGuessesError if it has to wait: then it is not counted."""
+        """Count a guess before it is compared. TooManyGuessesError if it has to wait: then it is not counted."""
         now_s = self._clock()
         record = self._guessers.setdefault(guesser, _Guesser())
         self._guessers.move_to_end(guesser)
@@ -81,7 +81,7 @@ class Guesses:
 
 
 def client_network(address: str) -> str:
-    """Return what counts as one client: an IPv4 address, or the /64 network that an IPv6 address belongs to."""
+    """Return the name of one client: an IPv4 address, or the /64 network of an IPv6 address."""
     try:
         parsed = ip_address(address)
     except ValueError:

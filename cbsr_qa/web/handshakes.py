@@ -56,9 +56,11 @@ class Reception:
         self._listening, self._number = listening, listening.fileno()
         self._factory, self._context = protocol_factory, context
         self._loop = asyncio.get_running_loop()
-        self._waiting: dict[socket.socket, float] = {}  # since when [s]; the oldest first
-        self._greeted: deque[socket.socket] = deque()  # hello is whole
-        self._handshakes: dict[asyncio.Task[None], tuple[socket.socket, float]] = {}  # since when [s]
+        self._waiting: dict[socket.socket, float] = {}  # connection → time of arrival [s], the oldest first
+        self._greeted: deque[socket.socket] = deque()  # connections with a complete hello
+        self._handshakes: dict[
+            asyncio.Task[None], tuple[socket.socket, float]
+        ] = {}  # task → connection and start [s]
         self._begins: asyncio.Handle | None = None
         self._again: asyncio.TimerHandle | None = None
         soft_limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
@@ -69,7 +71,7 @@ class Reception:
         self._sweep_later = self._loop.call_later(_SWEEP_S, self._sweep)
 
     def close(self) -> None:
-        """Accept no more, and leave all that wait."""
+        """Accept no more connections, and close all that wait."""
         self._sweep_later.cancel()
         if self._again is not None:
             self._again.cancel()
@@ -115,7 +117,7 @@ class Reception:
             self._wait_for(connection, _HEADER)
 
     def _wait_for(self, connection: socket.socket, count: int) -> None:
-        """Look at a connection once so many bytes are there, or its end."""
+        """Look at a connection once this number of bytes has arrived, or its end."""
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, count)
         self._loop.add_reader(connection, self._look_at, connection, count)
 
@@ -139,7 +141,7 @@ class Reception:
                 self._begins = self._loop.call_soon(self._begin)
 
     def _begin(self) -> None:
-        """Begin the handshakes that are due, the first come first."""
+        """Begin the handshakes that are due, in the order of arrival."""
         self._begins = None
         for _ in range(min(_BEGUN_AT_ONCE, len(self._greeted))):
             if len(self._handshakes) >= _MOST_HANDSHAKES:
@@ -173,7 +175,7 @@ class Reception:
         connection.close()
 
     def _sweep(self) -> None:
-        """Leave those that have not said hello in time."""
+        """Close the connections whose hello is late."""
         late_s = self._loop.time() - HEAD_S
         for connection in [one for one, since_s in self._waiting.items() if since_s < late_s]:
             self._leave(connection)
@@ -184,7 +186,7 @@ class ServerLoop(asyncio.SelectorEventLoop):
     """An event loop whose servers receive connections of TLS through a :class:`Reception`."""
 
     async def create_server(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
-        """Return a server; of TLS on a given socket, a reception."""
+        """Return a server; for TLS, a :class:`Reception` on the given socket."""
         if not options.get("ssl"):
             return await super().create_server(protocol_factory, *args, **options)
         listening = options["sock"]
@@ -193,7 +195,7 @@ class ServerLoop(asyncio.SelectorEventLoop):
 
 
 class ListeningSocket(socket.socket):
-    """A socket that lets many connections wait, whatever is asked for when it listens, and little of each."""
+    """A socket with a long queue of connections and a small buffer for each, whatever ``listen`` is asked for."""
 
     def listen(self, backlog: int = _BACKLOG) -> None:
         self.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _KEPT)  # its connections inherit it

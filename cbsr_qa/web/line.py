@@ -1,4 +1,4 @@
-"""What all requests share: the stations with their channels, the watching thread, and the pages that are open."""
+"""State that all requests share: the stations with their channels, the watching thread, and the open pages."""
 
 import asyncio
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ class Line:
 
     @property
     def trouble(self) -> str:
-        """Why the store cannot be read; empty if it can."""
+        """Reason why the store cannot be read; empty if it can."""
         return self._watcher.trouble
 
     def runs_in_progress(self) -> frozenset[str]:

@@ -245,7 +245,7 @@ def _forget(trace: deque[tuple[float, float]]) -> None:
 
 
 def thin_trace(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[tuple[float, float], ...]:
-    """Return a trace of at most this many points: of each stretch its lowest and its highest, in order."""
+    """Return a trace of at most ``most`` points: the lowest and the highest of each stretch, in order."""
     points = list(trace)
     if len(points) <= most:
         return tuple(points)

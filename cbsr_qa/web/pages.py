@@ -100,7 +100,7 @@ def kind_of_result(run: ListedRun, in_progress: frozenset[str]) -> str:
 
 
 def reason_words(snapshot: Snapshot) -> str:
-    """Return why the latest run ended as it did: of a run that was cut off the cause, else of the verdict."""
+    """Return the cause of the latest run's end if it was cut off, else the reason of its verdict."""
     look = snapshot.look
     if look is None:
         return ""
@@ -110,14 +110,14 @@ def reason_words(snapshot: Snapshot) -> str:
 
 
 def describe_decision(run: RunLook | ListedRun) -> str:
-    """Return what decided the verdict that counts."""
+    """Return the reason of the verdict that counts: that of its override, if it has one."""
     if run.decision is None:
         return run.reason
     return text("outcome.overridden", by=run.decision.operator, why=run.decision.why)
 
 
 def minutes_left(snapshot: Snapshot) -> str:
-    """Return the time left in words, that changes once a minute; empty while a run waits or is at its end."""
+    """Return the time left in words, to the minute; empty while a run waits or concludes."""
     if snapshot.mode in (Mode.PAUSED, Mode.ASKING, Mode.CONCLUDING):
         return ""
     ends_at = None if snapshot.control is None else snapshot.control.ends_at
@@ -128,7 +128,7 @@ def minutes_left(snapshot: Snapshot) -> str:
 
 
 def step_words(snapshot: Snapshot) -> str:
-    """Return what the run is doing."""
+    """Return the press and the step of the run in words."""
     control = snapshot.control
     if control is None:
         return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
@@ -266,7 +266,7 @@ class Pages:
         )
 
     def gate(self, station: str, wanted: StartForm, view: GateView) -> str:
-        """Render what is said of a sensor before its run."""
+        """Render the answers of the gate on a sensor before its run."""
         return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
     def overview_parts(self) -> list[Part]:
@@ -283,7 +283,7 @@ class Pages:
         return cached[1]
 
     def station_parts(self, name: str) -> list[Part]:
-        """Return the parts of a station's page, the one that holds others first."""
+        """Return the parts of a station's page; the part that contains others comes first."""
         snapshot, trouble = self._line.stations[name].snapshot, self._line.trouble
         cached = self._rendered.get(name)
         if cached is None or cached[0] is not snapshot or cached[1] != trouble:
@@ -319,7 +319,7 @@ class Pages:
 
 
 def _layout(snapshot: Snapshot | None) -> str:
-    """Return what the layout of a station's page depends on: a field in use must not be replaced."""
+    """Return a text that changes with the layout of a station's page: a field in use must not be replaced."""
     if snapshot is None:
         return ""
     if snapshot.mode.live:

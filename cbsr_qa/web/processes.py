@@ -41,11 +41,11 @@ class Started:
 
     @property
     def ended(self) -> int | None:
-        """Exit code once it has ended; None also for a process of before."""
+        """Exit code once it has ended; None before, and for a process of an earlier server."""
         return None if self.process is None else self.process.poll()
 
     def describe_refusal(self) -> str:
-        """Return why it has ended without a run; empty if it has not, as far as is known."""
+        """Return why the process ended without a run; empty if it did not, as far as is known."""
         if self.process is not None and not self.ended:
             return ""
         try:
@@ -53,7 +53,7 @@ class Started:
         except OSError as error:
             return "" if self.process is None else str(error)
         start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), None)
-        if start is None and self.process is None:  # it was not refused, or has not been yet
+        if start is None and self.process is None:  # the run was not refused so far
             return ""
         log_lines = off_command_line("\n".join(lines[start:])).splitlines()
         shown_lines = log_lines[-_SHOWN_LINES:] if start is None else log_lines[:_SHOWN_LINES]
@@ -61,7 +61,7 @@ class Started:
 
 
 def last_start(station: str) -> Started | None:
-    """Return the run of a station that a page started last, before this process did; None without one."""
+    """Return the last run of a station that an earlier server started; None without one."""
     logs = sorted((var_folder() / "control" / "logs" / station).glob("*.log"))
     if not logs:
         return None
@@ -110,7 +110,7 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
 
 
 def _own_unit(unit: str) -> list[str]:
-    """Return what starts a program as a unit of its own, if this process belongs to a unit of systemd."""
+    """Return the command that starts a program as its own unit of systemd; empty if this process is in none."""
     scope = _scope()
     return [*scope, f"--unit={unit}"] if scope else []
 

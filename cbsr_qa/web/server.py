@@ -39,7 +39,7 @@ _MOST_FILES: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class ServeRequest:
-    """What to serve, and where; see the options of ``cbsr-qa serve``."""
+    """Stations to serve, and address of the page; see the options of ``cbsr-qa serve``."""
 
     stations: Sequence[str]
     recipes: Sequence[str] = ()
@@ -97,7 +97,7 @@ def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
 
 
 class _Server(uvicorn.Server):
-    """Ends in order when a signal asks for it, which is how it is meant to end."""
+    """Server that ends in order on a signal, which is its normal end."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -169,10 +169,10 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
 
 
 def _why(error: Exception) -> str:
-    """Return what is wrong with a file in words, without its name and without numbers of errors."""
+    """Return the problem of a file in words, without its name and without error numbers."""
     if isinstance(error, UnicodeError):
         return "it holds other characters than ASCII"
-    reason = getattr(error, "reason", None)  # of OpenSSL, in capitals
+    reason = getattr(error, "reason", None)  # OpenSSL states it in capitals
     if isinstance(reason, str):
         return reason.replace("_", " ").lower()
     if isinstance(error, ssl.SSLError):
@@ -190,7 +190,7 @@ def _token(request: ServeRequest) -> str:
 
 
 def _cookie_key() -> str:
-    """Return what cookies are made with, besides the token. It is kept: a browser stays signed in over a restart."""
+    """Return the secret of cookies besides the token. It is kept: a browser stays signed in over a restart."""
     file = _make_secret("serve.cookie-key")
     key = _read_secret(file, "the key of cookies")
     if len(key) < _SHORTEST:

@@ -1,4 +1,4 @@
-"""What the views of a shift and of a sensor show."""
+"""Content of the views of a shift and of a sensor."""
 
 from base64 import b64encode
 from collections.abc import Iterator
@@ -54,8 +54,8 @@ class StationChartsView:
 
 
 def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any]:
-    """Return what the shift view shows: today's runs of the served stations."""
-    from cbsr_qa.app.shift.summary import local_day, shift_summary  # with all of statistics behind it
+    """Return the content of the shift view: today's runs of the served stations."""
+    from cbsr_qa.app.shift.summary import local_day, shift_summary  # imports all of statistics
 
     since, until = local_day()
     selection = RunSelection(stations=stations, from_moment=since, before_moment=until, checks=False)
@@ -82,7 +82,7 @@ def _charts(database: str | None, station: str, recipe: str, golden: str) -> Sta
     except CbsrError as error:
         return StationChartsView(station, recipe, golden, None, error.reason, (), 0)
     outcome = charts_outcome(charts)
-    sections = outcome.sections[-len(charts.charts) :]  # one of each chart, after those of all
+    sections = outcome.sections[-len(charts.charts) :]  # the sections of single charts come last
     drawn = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MOST_DRAWN]
     pictures = tuple(picture for chart, section in drawn for picture in _pictures(chart, section))
     undrawn = len(charts.charts) - len(drawn)
@@ -105,7 +105,7 @@ def _pictures(chart: "MetricChart", section: Section) -> Iterator[ChartPicture]:
 
 
 def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
-    """Return what the view of a sensor shows."""
+    """Return the content of the view of a sensor."""
     from cbsr_qa.app.shift.lists import sensor_runs
 
     validate_serial(serial)

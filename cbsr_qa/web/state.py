@@ -1,4 +1,4 @@
-"""What a station is doing, put together from the run's channel, the station's lock and the store."""
+"""State of a station, put together from the run's channel, the station's lock and the store."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from cbsr_qa.web.live_run import LiveView
 
 
 class Mode(StrEnum):
-    """What a station is doing."""
+    """Activity of a station."""
 
     READY = "ready"  #: nothing runs, and nothing has run
     STARTING = "starting"  #: a process was started, and has not answered yet
@@ -46,7 +46,7 @@ class Prompt:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """What a run says of itself on its channel; see docs/decisions/0041.
+    """State of a run by its channel; see docs/decisions/0041.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Control:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """All that pages show of a station at one time.
+    """Content of the pages on a station at one time.
 
     Parameters
     ----------

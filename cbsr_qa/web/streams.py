@@ -1,4 +1,4 @@
-"""Server-sent events of an open page: what has changed since it was last told, never more than one answer behind."""
+"""Server-sent events of an open page: changes since the last event, never more than one answer behind."""
 
 import asyncio
 import json
@@ -51,7 +51,7 @@ def _fresh(parts: list[Part], sent: dict[str, str]) -> list[Part]:
 
 
 class EventStream(StreamingResponse):
-    """The stream of a page. It counts from the start."""
+    """The stream of a page, which counts as a viewer from the start."""
 
     media_type = "text/event-stream"
 

@@ -26,7 +26,7 @@ def text(key: str, **names: Any) -> str:
 
 
 def refusal_words(error: CbsrError) -> str:
-    """Return what is wrong and what to do about it, in words of a page."""
+    """Return the reason of an error and its remedy, in words of a page."""
     remedy = off_command_line(error.remedy)
     if not remedy.startswith("cbsr-qa"):
         remedy = remedy[:1].upper() + remedy[1:]

@@ -66,7 +66,7 @@ class Turns:
         self._soon = False
 
     def queue(self, connection: WaitingConnection) -> None:
-        """Have a connection read from when it is its turn."""
+        """Queue a connection, to be read from when it is its turn."""
         self._queue.append(connection)
         if len(self._queue) == 1:
             asyncio.get_running_loop().call_soon(self._give_turns)
@@ -79,7 +79,7 @@ class Turns:
             event_loop.call_soon(self._give_turns)
 
     def look_after(self, connections: Iterable[WaitingConnection]) -> None:
-        """See to it that there is a look at places soon, after a connection was opened."""
+        """Schedule a look at the places after a connection was opened."""
         loop = asyncio.get_running_loop()
         open_connections = list(connections)
         if self._look is None:
@@ -98,7 +98,7 @@ class Turns:
         )
 
     def _make_room(self, held: Iterable[WaitingConnection]) -> None:
-        """Close the oldest connections of the client that has most, until those that may not control have room."""
+        """Close the oldest connections of the clients with most, until those without control fit their places."""
         self._soon = False
         for right, places in PLACES.items():
             peers = [one for one in held if one.right == right]

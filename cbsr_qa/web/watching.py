@@ -80,7 +80,7 @@ class StationWatch:
 
     @property
     def _followed(self) -> bool:
-        """Whether the run that its channel tells of is the one that was read."""
+        """Whether the run of the channel is the run that was read from the store."""
         control, look = self.channel.control, self.look
         return control is not None and look is not None and control.run == look.run
 
@@ -89,7 +89,7 @@ class StationWatch:
         self._due = True
 
     def look_soon(self, store: Repository) -> None:
-        """Have a look soon if what was written is of the run in progress."""
+        """Have a look soon if the run in progress has written something."""
         if self._due or self.live is None:
             self._due = self._due or self.busy
             return
@@ -129,7 +129,7 @@ class StationWatch:
         return True
 
     def _read(self, store: Repository, now_s: float) -> str:
-        """Read the latest run and check; return what went wrong."""
+        """Read the latest run and the latest station check; return the problem, empty without one."""
         try:
             if not self._followed or now_s >= self._look_s:
                 self.look, self._look_s = store.live.find_latest(self.served.name), now_s + _END_S
@@ -141,7 +141,7 @@ class StationWatch:
         return ""
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
-        """Read what the run in progress has stored; return what went wrong."""
+        """Read the data that the run in progress has stored; return the problem, empty without one."""
         if self.look is None or not mode.live:
             self.live = None
             return ""
@@ -154,7 +154,7 @@ class StationWatch:
         return ""
 
     def _words(self, error: Exception) -> str:
-        """Return a failure in words; one that is new is logged."""
+        """Return a failure in words; a new one is logged."""
         is_own_error = isinstance(error, CbsrError)
         words = error.reason if isinstance(error, CbsrError) else text("trouble.unforeseen", error=repr(error)[:200])
         if words != self._said:
@@ -225,7 +225,7 @@ class Watcher(threading.Thread):
                 return
             except CbsrError as error:
                 self._say(refusal_words(error))
-            except Exception as error:  # noqa: BLE001 - pages would stay as they are without a word
+            except Exception as error:  # noqa: BLE001 - otherwise pages would freeze without a message
                 self._say(text("trouble.unforeseen", error=repr(error)[:200]), error)
             self._woken.wait(_AGAIN_S)
             self._woken.clear()
@@ -245,7 +245,7 @@ class Watcher(threading.Thread):
                 failures = [watch.failure for watch in self._stations if watch.failure is not None]
                 if len(failures) < len(self._stations):
                     self._say("")
-                elif fresh:  # not one run, but the store
+                elif fresh:  # every station failed: the store is the cause
                     raise failures[0]
 
     def _say(self, trouble: str, error: Exception | None = None) -> None:
