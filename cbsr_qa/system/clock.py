@@ -115,7 +115,7 @@ class VirtualClock:
         return slept_s
 
     def _keep_pace(self, slept_s: float) -> None:
-        """Wait until this much station time has passed; a computer that was too slow may catch up a little."""
+        """Wait until this much station time has passed; a slow computer may catch up a little."""
         if self.speed is not None:
             self._due = max(self._due, time.monotonic() - _CATCH_UP_S) + slept_s / self.speed
             time.sleep(max(self._due - time.monotonic(), 0.0))
@@ -146,7 +146,7 @@ class Stages:
         self._spent: dict[str, float] = {}
 
     def announce(self, name: str) -> None:
-        """Name what begins, without timing it."""
+        """Announce a stage without timing it."""
         self._listener(name)
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""Copies of this process, which code of a plugin forks and lets come back: they end where they come back.
+"""Copies of this process that a plugin's code forks: a copy that returns from that code ends there.
 
 A copy holds what the process holds: the database, the station's lock, the instruments. It must neither store nor
 print, and what it would clean up is not its own.
@@ -16,7 +16,7 @@ COPY_ENDED: Final = 70
 
 @contextmanager
 def come_back_once() -> Iterator[None]:
-    """Call code of a plugin in the body; a copy of this process that comes back out of it ends, without clean-up."""
+    """Call a plugin's code in the body; a forked copy of this process that returns from it ends without clean-up."""
     process = os.getpid()
     try:
         yield
@@ -43,5 +43,5 @@ def end_copies_of_threads() -> None:
 def _end_with_thread() -> None:
     thread: Any = threading.current_thread()
     if not isinstance(thread, threading._MainThread):  # type: ignore[attr-defined]
-        # What a thread calls last, and when its function raises; there is no public way.
+        # The last calls of a thread, and the call after its function raised; there is no public way.
         thread._delete = thread._invoke_excepthook = lambda *_: os._exit(COPY_ENDED)

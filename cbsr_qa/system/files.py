@@ -19,7 +19,7 @@ if sys.platform == "win32":  # untested
     import msvcrt
 
     def _lock(file: int) -> None:
-        os.lseek(file, _FAR, os.SEEK_SET)  # beyond what is written in it, which others may read
+        os.lseek(file, _FAR, os.SEEK_SET)  # beyond the text in it, which others may read
         msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
 
     def _unlock(file: int) -> None:
@@ -37,8 +37,8 @@ else:
 
 
 _FAR: Final = 1 << 20
-_LONGEST: Final = 4096  # of the holder's description in a file [bytes]
-_TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
+_LONGEST: Final = 4096  # longest description of a holder in a file [bytes]
+_TRIES: Final = 1000  # attempts to lock a file that others remove; some file systems never find it
 #: Longest time for which a holder may have no name in its file: it is about to write it, or removes the file [s].
 _NAMELESS_S: Final = 0.1
 
@@ -56,7 +56,7 @@ _held: Final[set[int]] = set()
 
 
 def _close_in_copy() -> None:
-    """Close a forked copy's descriptors of locks, which would hold them on after this process is killed."""
+    """Close a forked copy's descriptors of locks: it would keep them locked after this process is killed."""
     for file in _held:
         with suppress(OSError):
             os.close(file)
@@ -180,7 +180,7 @@ def _open_or_create(path: Path, *, shared: bool) -> int:
     except FileExistsError:
         return os.open(path, os.O_RDWR | _SAFE)
     if shared:
-        os.chmod(file, 0o666)  # noqa: PTH101 - of the descriptor: the path may be another's file by now
+        os.chmod(file, 0o666)  # noqa: PTH101 - by descriptor: the path may be another's file by now
     return file
 
 
@@ -207,7 +207,7 @@ def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: s
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        if isinstance(error, FileExistsError):  # a folder was to be made there
+        if isinstance(error, FileExistsError):  # a file is in the place of a folder
             reason = f"{error.filename} is a file, not a folder"
         if isinstance(error, PermissionError):
             remedy = remedy or "allow writing there, or name another file"

@@ -38,7 +38,7 @@ _KERNEL: Final = frozenset(
 
 
 class UnfitFileError(OSError):
-    """A file that is not opened for what it is, or for its size; ``strerror`` says it without the name."""
+    """A file of an unfit kind or size, which is not opened; ``strerror`` states the reason without the name."""
 
 
 def open_foreign(path: Path, most_bytes: int = LARGEST_FILE) -> BufferedReader:
@@ -86,7 +86,7 @@ def check_status(path: Path, status: os.stat_result) -> None:
 
 @cache
 def _is_of_kernel(device: int) -> bool:
-    """Whether files of a device are made up by the kernel: reading one may wait for ever, or show memory."""
+    """Whether the kernel makes up the files of a device: reading one may wait for ever, or show memory."""
     number = f"{os.major(device)}:{os.minor(device)}"
     try:
         mounts = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape")

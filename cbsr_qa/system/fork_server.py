@@ -1,4 +1,4 @@
-"""A process that forks children for this one, and has nothing open that they could share.
+"""A process that forks children for this one; it has nothing open that they could share.
 
 It has a single thread, and no database, device or lock. A command that reads files begins it by a fork before it
 opens anything (:func:`begin_fork_server`); elsewhere it is a new interpreter, begun when a child is first asked for.
@@ -35,7 +35,7 @@ _starting: Final = threading.Lock()
 
 
 class ForkServer:
-    """The server of this process, as it is seen from here.
+    """End of the fork server in the process that began it.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def _close_server() -> None:
 
 def serve_forks(descriptor: int) -> None:
     """Fork children as they are asked for at a socket, until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the keyboard; the other process decides
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the other one decides
     children: set[int] = set()
     with socket.socket(fileno=descriptor) as requests:
         while True:
@@ -172,7 +172,7 @@ def serve_forks(descriptor: int) -> None:
                 requests.send(_NUMBER.pack(_end_child(child)))
                 continue
             for module in content.decode().split():
-                with suppress(Exception):  # the child says it
+                with suppress(Exception):  # the child reports the error
                     import_module(module)
             child = _fork_child(*files)
             if child > 0:
@@ -213,5 +213,5 @@ def _fork_child(content: int, outgoing: int) -> int:
 def _working_folder() -> str:
     try:
         return str(Path.cwd())
-    except FileNotFoundError:  # it was removed: paths relative to it name nothing
+    except FileNotFoundError:  # it was removed, and paths relative to it name nothing
         return "/"

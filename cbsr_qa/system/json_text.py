@@ -1,4 +1,4 @@
-"""JSON that others wrote, read without tolerance: what two programs could read differently is refused."""
+"""JSON that others wrote, read without tolerance: ambiguous text is refused."""
 
 import json
 import math

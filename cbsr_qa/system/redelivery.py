@@ -1,4 +1,4 @@
-"""Signals whose exception Python drops, raised again.
+"""Repetition of signals whose exception Python drops.
 
 Python prints and drops what a signal's handler raises while a weak reference's callback or a ``__del__`` runs
 (``sys.unraisablehook``); HDF5's handles and pools of connections have many of those. Without this a Ctrl-C is lost.
@@ -52,7 +52,7 @@ class Redelivery:
                 raise KeyboardInterrupt
 
     def _hear(self, lost: "sys.UnraisableHookArgs") -> None:
-        if os.getpid() != self._process:  # a copy that a plugin forked is silent: what is lost there is nobody's
+        if os.getpid() != self._process:  # a copy that a plugin forked stays silent
             return
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             self._before(lost)

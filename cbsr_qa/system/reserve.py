@@ -13,7 +13,7 @@ class MemoryReserve:
 
     def __init__(self) -> None:
         self._set_aside: mmap.mmap | None = None
-        with suppress(OSError, ValueError, MemoryError):  # less is left than that: nothing can be set aside
+        with suppress(OSError, ValueError, MemoryError):  # less memory is left: nothing can be set aside
             self._set_aside = mmap.mmap(-1, _BYTES)
 
     def give_back(self) -> None:

@@ -1,4 +1,4 @@
-"""Secrets that a variable of the environment states, or the file that it names."""
+"""Secrets in environment variables, or in the files that these name."""
 
 import os
 from collections.abc import Mapping

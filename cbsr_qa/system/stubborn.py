@@ -1,4 +1,4 @@
-"""The end of a process whose code, a plugin's, catches whatever tells it to stop."""
+"""Forced end of a process when a plugin's code catches every request to stop."""
 
 import os
 import signal
@@ -13,7 +13,7 @@ _watched: list[int] = []
 
 
 def be_watched() -> None:
-    """State that another process waits for this one, and says how it ended."""
+    """Note that another process waits for this one, and reports how it ended."""
     _watched[:] = [os.getpid()]
 
 

@@ -109,14 +109,14 @@ class Limits:
     def from_size(
         cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES
     ) -> "Limits":
-        """Limits for a file size; larger files may take more of both."""
+        """Return the limits for a file size; larger files may take more time and memory."""
         half_of_memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half_of_memory)
         return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes, open_files)
 
 
 def largest_content(size_bytes: int) -> int:
-    """Bytes a file of this size may unpack to, eight per number: measured numbers hardly compress, fakes do."""
+    """Return the largest content of a file, eight bytes per number: measured numbers hardly compress, fakes do."""
     return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
 
 
@@ -169,7 +169,7 @@ def read_untrusted(
         try:
             received = _parts_of(pipe, deadline, limits)
         finally:
-            status = server.end(child)  # it has sent all, or has stopped
+            status = server.end(child)  # the child has sent all, or has stopped
     if received is None:
         is_late = time.monotonic() >= deadline
         remedy = _BUSY if is_late else _TOO_MUCH if _ran_too_long(status) else _COPY
@@ -200,7 +200,7 @@ def _size(path: Path, refusal: type[RefusedError]) -> int:
 
 
 def _pickle_reader(read: Callable[[], Any]) -> tuple[bytes, list[str]]:
-    """Pickle what a child calls; also return the modules of this package that it needs."""
+    """Pickle the function that a child calls; also return the modules of this package that it needs."""
     content = io.BytesIO()
     pickler = _ReaderPickler(content, protocol=5)
     pickler.dump(read)
@@ -208,7 +208,7 @@ def _pickle_reader(read: Callable[[], Any]) -> tuple[bytes, list[str]]:
 
 
 class _ReaderPickler(pickle.Pickler):
-    """Lists modules of this package that what it pickles comes from. Others change: each child imports them."""
+    """Pickler that lists the modules of this package that its content comes from. A child imports the others."""
 
     def __init__(self, file: io.BytesIO, protocol: int) -> None:
         super().__init__(file, protocol)
@@ -222,11 +222,11 @@ class _ReaderPickler(pickle.Pickler):
 
 
 def _send_result(outgoing: int, *, pickled: bytes, limits: Limits) -> None:
-    """Read in the child, and send what was read."""
+    """Read in the child, and send the result."""
     for codec in _CODECS:
         codecs.lookup(codec)
     try:
-        reader: Callable[[], Any] = pickle.loads(pickled)  # imports what has to be imported
+        reader: Callable[[], Any] = pickle.loads(pickled)  # imports the modules it needs
     except Exception as error:  # noqa: BLE001 - the parent says it
         reader = partial(_raise, error)
     outgoing = _confine(outgoing, limits)
@@ -237,7 +237,7 @@ def _send_result(outgoing: int, *, pickled: bytes, limits: Limits) -> None:
 
 
 def _confine(outgoing: int, limits: Limits) -> int:
-    """Release in the child what reading does not need; return the pipe's new descriptor."""
+    """Release all that reading does not need in the child; return the pipe's new descriptor."""
     import resource
 
     faulthandler.disable()
@@ -303,7 +303,7 @@ def _encode_failure(error: Exception) -> tuple[Any, ...]:
 
 
 def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
-    """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
+    """Return all parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left_bytes = limits.memory_bytes
     while length := _receive(pipe, _LENGTH.size, deadline):
@@ -319,7 +319,7 @@ def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearra
 
 
 def _receive(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
-    """Read so many bytes; empty at the end of the stream, None on timeout or if it ends within them."""
+    """Read ``count`` bytes; empty at the end of the stream, None on timeout or if it ends within them."""
     data = bytearray(count)
     view, received = memoryview(data), 0
     while received < count:
@@ -379,7 +379,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
 
 
 def _restore_error(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
-    """The error a child raised; a plugin's own type becomes its base in this package."""
+    """Return the error a child raised; a plugin's own type becomes its base in this package."""
     error_type, reason = getattr(errors, kind, RefusedError), shorten(reason)
     if error_type is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
@@ -387,7 +387,7 @@ def _restore_error(kind: str, reason: str, remedy: str, problems: tuple[Any, ...
 
 
 class _Plain(pickle.Unpickler):
-    """Unpickles plain data only: a child taken over by a file cannot make its parent call anything else."""
+    """Unpickler of plain data only: a child taken over by a file cannot make its parent call anything else."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _NUMPY:

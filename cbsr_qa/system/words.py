@@ -28,7 +28,7 @@ def printable(text: str) -> str:
 
 
 def quote_value(value: object) -> str:
-    """Return a value as a refusal shows it; whole numbers may have thousands of digits."""
+    """Return a value as text for a refusal; whole numbers may have thousands of digits."""
     if isinstance(value, str):
         return echo(value)
     if isinstance(value, Mapping):
