@@ -178,7 +178,7 @@ class Bench:
         return self._tell_all([*((mounted.name, mounted.instrument.close) for mounted in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
-        end_copy(self._process)  # whatever brought it here: the instruments are not its own
+        end_copy(self._process)  # a forked copy ends here: the instruments are not its own
         return stop_all(actions, deadline_s=self._stop_within_s)
 
 
@@ -211,7 +211,7 @@ def open_bench(
 
 
 def _urgency(mounted: Mounted) -> int:
-    """Rank in which instruments are made safe; one that hangs delays the next."""
+    """Return the rank in which an instrument is made safe; one that hangs delays the next."""
     ranks = [_FIRST_SAFE.index(role) for role in mounted.spec.provides if role in _FIRST_SAFE]
     return min(ranks, default=len(_FIRST_SAFE))
 
@@ -255,7 +255,7 @@ def _recognise(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
 
 
 def _names(expected: str, found: str) -> bool:
-    """Whether all words of one follow each other in the other: "2634B" names a "Model 2634B"."""
+    """Whether all words of ``expected`` follow each other in ``found``: "2634B" names a "Model 2634B"."""
     expected_words, found_words = (re.findall(r"[^\s,;]+", text.casefold()) for text in (expected, found))
     return bool(expected_words) and any(
         found_words[start : start + len(expected_words)] == expected_words for start in range(len(found_words))
@@ -263,7 +263,7 @@ def _names(expected: str, found: str) -> bool:
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
-    """Address in the station file, as a note to the identity."""
+    """Return the address in the station file as a note to the identity; empty without one."""
     address = spec.options.get("address")
     return () if address is None else (("address", str(address)),)
 

@@ -123,7 +123,7 @@ class MemoryJournal:
         self._events.append(event)
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
-        """Return the run as loaded from the database, without its sessions."""
+        """Return the run as it is loaded from the database, but without its sessions."""
         end_s_by_phase = {event.phase: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
         started_events = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, end_s_by_phase.get(event.index, ended.time_s)) for event in started_events)

@@ -268,7 +268,7 @@ class _Execution:
         self._left_s -= planned_s
 
     def _pause(self, phase: DryPhase, place: int) -> None:
-        """Wait before a step; then take the frames before it again, so that a press has recent ones for reference."""
+        """Wait before a step; then take the frames before it again, so that a press has recent reference frames."""
         if not self._performer.pause(phase.scheduled.steps[place], self._desk):
             return
         repeated_steps = list(_frames_before(phase, place))
@@ -278,7 +278,10 @@ class _Execution:
 
 
 def _frames_before(phase: DryPhase, place: int) -> list[tuple[ScheduledStep, float]]:
-    """Return the steps with the head up right before one, and their durations, without mere rests: it has rested."""
+    """Return the steps with the head up right before a step, and their durations, without mere rests.
+
+    The pause was a rest already.
+    """
     steps = []
     for number in reversed(range(place)):
         step = phase.scheduled.steps[number]

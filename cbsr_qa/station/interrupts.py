@@ -161,7 +161,7 @@ class Interrupts:
         if self._masked:
             return
         if self._redelivery.was_dropped():
-            self._raise()  # the earlier exception was swallowed
+            self._raise()  # Python dropped the earlier exception
         if self.urgent_by:
             return
         name = signal.Signals(number).name
@@ -174,7 +174,7 @@ class Interrupts:
         while not (self._masked or self.urgent_by):
             try:
                 asker, at_once = self._asked.popleft()
-            except IndexError:  # also if a signal's handler took the last one just now
+            except IndexError:  # empty, also if a signal's handler has just taken the last one
                 return
             if at_once:
                 self._first = asker if self._first is None else self._first

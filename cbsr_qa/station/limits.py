@@ -32,7 +32,7 @@ class Violation:
 
 
 def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
-    """Yield violations of a place: out of the head's range, or the head not entirely on the sheet."""
+    """Yield violations of a place: it is out of the head's range, or the head is not entirely on the sheet."""
     radius_mm = math.hypot(x_mm, y_mm)
     if not radius_mm <= plan.safety.travel_radius_mm:
         yield Violation(
@@ -148,7 +148,7 @@ class Limits:
         self._temperature_time_s = started_s
         self._down_since_s: float | None = None
         usable = plan.sensor_type.pattern.usable()
-        # On a strip with two pins every reading touches the driven ones, and counts.
+        # On a strip with two pins every reading uses the driven pins, so that all count.
         self._counted = usable if usable.any() else np.ones_like(usable)
 
     def check_load(self, load: Load) -> None:

@@ -61,7 +61,7 @@ class LoadLog:
         self.times_s.append(now_s)
 
     def lose_track(self) -> None:
-        """The way up was not one movement, so the time the head left the sheet is unknown."""
+        """Drop the time the head left the sheet: the way up was not one movement, so it is unknown."""
         self.lift_off_s = None
 
     def finish(self, now_s: float) -> LoadRecord | None:
@@ -265,7 +265,7 @@ class Performer:
         with self.spent.on(Activity.TRAVEL, self._clock):
             move = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
             self._move(move, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
-        self._interrupts.poll()  # what comes next goes down
+        self._interrupts.poll()  # the next step goes down
 
     def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
         """Move with the head up; before a retry the head is lifted."""
@@ -310,7 +310,7 @@ class Performer:
         block = self._attempt(partial(source.acquire, 1), f"{source_name}: a frame", source.frame_period_s)
         self._check_frame(block, self._clock.now() - before_s)
         self._documents.emit(FramesTaken(self._at.phase, block))
-        self._limits.check_frame(block, source_name)  # after the journal has it: it is the evidence
+        self._limits.check_frame(block, source_name)  # after the journal has stored it as evidence
         self._look()
 
     def _check_frame(self, block: FrameBlock, took_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The plan of a run and its schedule: what the dry run has checked is what moves."""
+"""The plan of a run and its schedule; only steps that the dry run has checked move the bench."""
 
 import math
 import os
@@ -282,7 +282,7 @@ def _skip_finished(numbered: tuple[ScheduledStep, ...], first_open: int, loads: 
             load_index, released = load_index + 1, False
         if isinstance(step, Home | FindSurface) or load_index >= first_open:
             yield scheduled
-        elif first_open == loads:  # nothing is pressed any more: only what comes after the last load
+        elif first_open == loads:  # all loads are done: only the steps after the last one remain
             if load_index == loads - 1 and scheduled.load is None:
                 yield scheduled
         elif load_index == -1:

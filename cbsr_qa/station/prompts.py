@@ -68,7 +68,7 @@ class OperatorPrompt(Generic[A]):
     def _await_answer(self, question: Question) -> tuple[A, str]:
         if self._desk is not None and self._desk.answers:
             answer = self._desk.ask(question)
-            return cast(A, answer.text), answer.by  # people's answers are text wherever they give them
+            return cast(A, answer.text), answer.by  # answers of people are always text
         assert self._ask is not None  # never called without an operator
         if self._desk is not None:
             self._desk.show(question)

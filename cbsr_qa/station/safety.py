@@ -37,7 +37,7 @@ class State(StrEnum):
 
     @property
     def in_words(self) -> str:
-        """What the head was doing, for the sentence that says where a run ended."""
+        """Activity of the head, for the sentence that says where a run ended."""
         return _IN_WORDS.get(self, f"bench {self.value}")
 
 
@@ -170,7 +170,7 @@ class Watch:
         self._asked_s = self._looked_s = run.clock.now()
 
     def is_due(self) -> bool:
-        """Whether the next check is due, of a run that waits in short steps."""
+        """Whether the next check is due; asked by a run that waits in short steps."""
         return self._clock.now() - self._looked_s >= WATCH_S - _SOON_S or (
             bool(self._alive) and self._silent_s() >= self._safety.heartbeat_s - _SOON_S
         )
@@ -204,7 +204,7 @@ class Watch:
         if len(block):
             self._drained_s[number] = float(block.time_s[-1])
             self._documents.emit(SamplesTaken(phase, block))
-            self._limits.check_samples(block, sampler_name)  # after the journal has it: it is the evidence
+            self._limits.check_samples(block, sampler_name)  # after the journal has stored it as evidence
 
     def _ask_all(self) -> None:
         for instrument in self._alive:

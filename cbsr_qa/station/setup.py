@@ -170,7 +170,7 @@ def _emulation(
     if station.emulated_scene is None:
         return None
     for spec in station.instruments:
-        plugins.factory(Kind.INSTRUMENT, spec.driver)  # a name that is misspelt is not one without an emulator
+        plugins.factory(Kind.INSTRUMENT, spec.driver)  # a misspelt name is not a driver without an emulator
     if station.clock != "virtual" or not isinstance(clock, WatchedClock):
         raise ConfigError(
             f"station {station.name!r} emulates instruments on a real clock",

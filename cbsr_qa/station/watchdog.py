@@ -108,7 +108,7 @@ class Watchdog:
                 yield
         except BrokenInto as broken:
             raise broken.error from None
-        except CbsrError:  # what a driver made of it
+        except CbsrError:  # a driver has translated the error
             self._raise_late()
             raise
         finally:
