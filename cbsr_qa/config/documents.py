@@ -48,7 +48,7 @@ class DocumentKind(Enum):
 
     @property
     def folder(self) -> str:
-        """Where shipped files of this kind are, below ``cbsr_qa._stations``."""
+        """Folder of the shipped files of this kind, below ``cbsr_qa._stations``."""
         return self.value[1]
 
     @property
@@ -78,12 +78,12 @@ class Document:
 
     @property
     def folder(self) -> Path | None:
-        """Folder in which this file's references are looked for first."""
+        """Folder that is searched first for this file's references."""
         return None if self.path is None else self.path.parent
 
 
 def list_shipped(kind: DocumentKind) -> tuple[str, ...]:
-    """Names of the shipped files of one kind, sorted."""
+    """Return the names of the shipped files of one kind, sorted."""
     folder = files("cbsr_qa._stations").joinpath(kind.folder)
     if not folder.is_dir():
         return ()
@@ -114,7 +114,7 @@ def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | 
 
 
 def reference_path(name: str, near: Path | None) -> Path | None:
-    """Path of a reference next to the user's file that states it; None if it does not exist."""
+    """Return the path of a reference next to the user's file that states it; None if it does not exist."""
     if near is None:
         return None
     for candidate in (near / name, near / f"{name}.toml"):

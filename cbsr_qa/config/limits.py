@@ -43,7 +43,7 @@ class LimitTable(Table):
         return self.measurement, self.phase, self.qualifier
 
     def problems(self, index: int, phases: Sequence[str] | None) -> Iterator[Problem]:
-        """Yield what does not fit together within the table; the phases of a recipe are None where none is known."""
+        """Yield contradictions within the table; ``phases`` of the recipe are None where they are unknown."""
         path = ("limits", index)
         if self.lower is None and self.upper is None:
             yield Problem(path, f"({self.measurement}) has neither lower nor upper; give one of them")
@@ -105,7 +105,7 @@ class LimitsVersionTable(Table):
     limits_sha256: Digest = ""
 
     def to_domain(self) -> LimitsVersion:
-        """Return the version; a seal that does not fit was refused before."""
+        """Return the version; a wrong seal was refused earlier."""
         return fill_from_object(LimitsVersion, self, sealed=bool(self.limits_sha256))
 
 

@@ -39,7 +39,7 @@ def with_mesh(document: Document) -> Document:
     name = sheet.get("mesh") if isinstance(sheet, Mapping) else None
     if not isinstance(name, str):
         return document
-    from cbsr_qa.eit.mesh.files import read_mesh  # with all of scipy behind it
+    from cbsr_qa.eit.mesh.files import read_mesh  # imports all of scipy
 
     try:
         mesh = read_mesh((document.folder or Path()) / name)
@@ -77,7 +77,7 @@ class Loaded(Generic[T]):
 
     @property
     def folder(self) -> Path | None:
-        """Folder in which references are looked for first; pass it on as ``near``."""
+        """Folder that is searched first for references; pass it on as ``near``."""
         return self.document.folder
 
 
@@ -139,7 +139,7 @@ def load_pressed_type(source: Source) -> tuple[Loaded[SensorType], bool]:
 
 
 def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Electrodes of a sheet of unknown size: small ones at its rim."""
+    """Return the electrodes of a sheet of unknown size: small ones at its rim."""
     count = electrodes.get("count")
     width_mm = UNIT_MM * min(0.03, 1 / count) if isinstance(count, int) and count > 0 else 0.03 * UNIT_MM
     is_arc = electrodes.get("kind") == "arc"

@@ -1,4 +1,4 @@
-"""Where a run writes: one folder, and nowhere else."""
+"""The one folder that a run writes to."""
 
 import errno
 import os

@@ -77,7 +77,7 @@ def _off_the_sheet(plan: ScenePlan, sensor_type: SensorType) -> Iterator[Problem
 
 
 def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
-    """Loads that begin before their head can be there; every head waits over the centre at first."""
+    """Yield loads that begin before their head can be there; every head waits over the centre at first."""
     latest_by_head: dict[int, _Timed] = {}
     for press in sorted(timed, key=lambda each: each[1].start_s):
         index, load, times = press
@@ -110,7 +110,7 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
 
 
 def _meeting_heads(head: Indenter, timed: list[_Timed]) -> Iterator[Problem]:
-    """Presses of two heads that are below the hover height at the same time and would collide."""
+    """Yield presses of two heads that are below the hover height at the same time and would collide."""
     presses_below: list[_Timed] = []
     for press in sorted(timed, key=lambda each: each[2].leaves_s):
         index, load, times = press

@@ -41,7 +41,7 @@ Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 
 def _mesh(value: object) -> Mesh:
-    """The content of a mesh file, by which the loader replaces its name."""
+    """Return the mesh from the content of its file, which the loader puts in place of the file's name."""
     if not isinstance(value, Mapping):
         raise ValueError("it must be the name of a mesh file")
     try:
@@ -112,7 +112,7 @@ class PatternTable(Table):
     measure: RuleOrPairs = "adjacent"
 
     def pairs(self, kind: str, electrode_count: int) -> Pairs:
-        """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
+        """Return the drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
         stated: str | list[list[int]] = getattr(self, kind)
         if isinstance(stated, str):
             return list_pairs(stated, electrode_count)

@@ -161,7 +161,7 @@ class CalibrationsTable(Table):
     signing_key: Annotated[str, Field(min_length=1)]
 
     def problems(self) -> Iterator[Problem]:
-        """The path is a full one: a run is resumed from what is stored, wherever its station file was."""
+        """The path must be a full one: a run is resumed from the database, wherever its station file was."""
         if not Path(self.signing_key).is_absolute() or "\0" in self.signing_key:
             yield Problem(("calibrations", "signing_key"), "is not a full path", "give one that begins with /")
 

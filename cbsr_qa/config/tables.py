@@ -48,7 +48,7 @@ class FileModel(CheckedTable, Generic[T]):
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
-        """Yield the plugins that a file names, as far as it is readable."""
+        """Yield the plugins that a file names; unreadable parts are skipped."""
         yield from ()
 
     @classmethod

@@ -39,7 +39,7 @@ def line_of(text: str, path: KeyPath) -> int | None:
 
 @lru_cache(maxsize=1)  # a file with a thousand problems is scanned once
 def _first_lines(text: str) -> dict[KeyPath, int]:
-    """First line of every key, and of every table by its contents."""
+    """Return the first line of every key, and of every table with content."""
     line_by_path: dict[KeyPath, int] = {}
     for line, place in _places(text):
         for length in range(1, len(place) + 1):
@@ -126,7 +126,7 @@ def toml_document(document: Mapping[str, Any], comments: Sequence[str] = ()) -> 
 
 
 def one_line(text: str) -> str:
-    """Replace what would end a comment."""
+    """Return text for a comment: a space replaces every character that would end it."""
     return "".join(character if character.isprintable() else " " for character in text)
 
 
@@ -160,5 +160,5 @@ def _key(key: str) -> str:
 
 
 def _text(text: str) -> str:
-    """Quote text: as in JSON, but for one control character."""
+    """Quote text as JSON does, except for one control character."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
