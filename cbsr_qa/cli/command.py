@@ -26,7 +26,15 @@ _WORDS: Final = {bool: "", str: "TEXT", int: "N", float: "NUMBER", Path: "FILE",
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: its words after ``cbsr-qa``, its function, whether it prints while it runs, and what reads files."""
+    """A command.
+
+    Parameters
+    ----------
+    words : words after ``cbsr-qa``.
+    run : function of the command.
+    live : whether it prints while it runs.
+    reads : module that reads files of unknown origin; empty without one.
+    """
 
     words: str
     run: Callable[..., Any]
@@ -35,7 +43,7 @@ class Command:
 
     @property
     def group(self) -> str:
-        """First of two words, else empty."""
+        """First of two words; empty for a command of one word."""
         return self.words.rpartition(" ")[0]
 
     @property

@@ -114,7 +114,7 @@ class _Line:
 
     @contextmanager
     def signals_heard(self) -> Iterator[None]:
-        """Hear signals as what comes next, after scans that were typed before."""
+        """Queue signals like scans while entered, so that earlier scans come first."""
 
         def hear(number: int, frame: FrameType | None) -> None:
             self._heard.put(("signal", signal.Signals(number).name))

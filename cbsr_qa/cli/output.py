@@ -59,7 +59,7 @@ _PLAIN: Final = "\x1b[0m"
 
 
 def say(text: str = "") -> None:
-    """Print text on stdout, without ``--json``."""
+    """Print text on stdout; for commands without ``--json``."""
     _print(text)
 
 
@@ -119,7 +119,7 @@ def claim_stdout(stream: TextIO | None = None) -> None:
 
 
 def live_output() -> Callable[[bytes], None] | None:
-    """Return what writes to stdout at once, past all buffers; OSError if nobody reads. None if there is no stdout."""
+    """Return a function that writes to stdout past all buffers, and raises OSError if nobody reads; None without."""
     stream = _stream()
     if stream is None:
         return None
@@ -163,7 +163,7 @@ def _print(text: str) -> None:
 
 
 def _escape_unprintable(text: str) -> str:
-    """Escape what stdout cannot encode, as stderr does."""
+    """Escape the characters that stdout cannot encode, as stderr does."""
     encoding = getattr(_stream(), "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 

@@ -148,7 +148,7 @@ def check_plugin(
 
 
 def _path(folder: Path) -> str:
-    """Return a folder as pip takes it, which would look for a bare name on the net."""
+    """Return a folder in the form for pip, which would look for a bare name on the net."""
     return str(folder) if folder.is_absolute() else f"./{folder}"
 
 

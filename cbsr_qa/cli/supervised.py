@@ -242,7 +242,7 @@ class _Parent:
         self._unheard(unheard)  # so that its echo does not answer the next one
 
     def _unheard(self, numbers: set[int]) -> set[int]:
-        """Wait for the echoes of signals; return those without."""
+        """Wait for the echoes of signals; return the signals without an echo."""
         unheard, until_s = set(numbers), time.monotonic() + _ECHO_S
         while unheard and (wait_s := until_s - time.monotonic()) > 0:
             if select.select([self._echo], [], [], wait_s)[0]:
@@ -254,7 +254,7 @@ class _Parent:
 
 
 def _read(end: int) -> bytes | None:
-    """Return what is in a pipe; None if it is empty, no bytes if it was closed."""
+    """Return the content of a pipe; None if it is empty, no bytes if it was closed."""
     try:
         return os.read(end, 1 << 16)
     except BlockingIOError:
@@ -321,7 +321,13 @@ def _explain_unconfirmed(run: str | None, database: str | None) -> str:
 
 
 class _Held(NamedTuple):
-    """What a database holds of a run, as far as it can be read: the run, its result, a pass; and that in words."""
+    """Content of a database on a run, as far as it can be read.
+
+    Parameters
+    ----------
+    words : content in words.
+    stored, result, passed : whether the run, its result, and a pass are stored.
+    """
 
     words: str
     stored: bool = True
