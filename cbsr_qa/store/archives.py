@@ -1,6 +1,7 @@
 """Files that hold the frames of archived runs: one HDF5 file a run, found from the database and checked when read.
 
-The rows of its blocks stay, with shape, times and digest, which the chain covers; only their arrays are in the file.
+The rows of its blocks stay in the database, with shape, times and digest, which the chain covers. Only their arrays
+are in the file.
 """
 
 import hashlib
@@ -240,7 +241,7 @@ def _sync_folder(folder: Path) -> None:
 def open_archive(data: bytes, file: Path) -> "Archive":
     """Open the content of an archive's file; arrays are read when they are asked for.
 
-    All of it is read once in a limited child process before: a database may name a file of anybody's.
+    Before that, a limited child process reads all of it once: a database may name anybody's file.
 
     StoreError if the data are no archive, or cannot be read within the limits.
     """

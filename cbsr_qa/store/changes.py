@@ -46,9 +46,9 @@ class Changes:
         self._wall = wall
 
     def find_altered(self) -> dict[str, str]:
-        """Return what is wrong with what people changed or decided, by run: notes of files, overrides and adoptions.
+        """Return the problems of records of people's changes and decisions, by run: files, overrides, adoptions.
 
-        Runs that have only links of such records are looked at too: their rows may have been removed.
+        Runs that have only links of such records are checked too: their rows may have been removed.
         """
         kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
         names = [kind.__tablename__ for kind in kinds[:3]]
@@ -71,7 +71,7 @@ class Changes:
     def read_history(self, record: RunRecord) -> ChangeHistory:
         """Return the changes of a run's files since its sensor type last passed its recipe, including its own.
 
-        Changes noted with other runs are left out, and named, where these were altered.
+        Changes noted with altered runs are left out, and named.
         """
         row, identity = ConfigurationChangeRow, record.identity
         named_files = list_files(identity, record.material.name)
@@ -104,7 +104,7 @@ class Changes:
     def list_overrides(self, run: str | None = None, *, without: Collection[str] = ()) -> tuple[VerdictOverride, ...]:
         """Return the overrides of one run's verdicts, or of all but some, oldest first.
 
-        StoreError if the run was altered; of all runs, :meth:`find_altered` says which not to believe.
+        StoreError if the run was altered. Without ``run``, :meth:`find_altered` names altered runs.
         """
         row = VerdictOverrideRow
         query = select(*row.__table__.columns, AnalysisRow.outcome.label("verdict")).join(

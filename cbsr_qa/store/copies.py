@@ -230,7 +230,7 @@ def _name(partial: Path, to: Path) -> None:
 def _hold_unused(database: Path) -> Iterator[None]:
     """Hold all locks of a SQLite file: nobody reads or writes it, and nobody begins to.
 
-    The file's own locks say so even if its content is damaged.
+    The locks work even if the content of the file is damaged.
 
     Raises
     ------

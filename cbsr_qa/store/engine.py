@@ -173,7 +173,7 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
 
 @contextmanager
 def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Iterator[Connection]:
-    """One write transaction: committed at the end, rolled back on any error.
+    """Open a write transaction: committed at the end, rolled back on any error.
 
     Parameters
     ----------

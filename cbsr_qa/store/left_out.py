@@ -28,7 +28,7 @@ _ANY: Final = RunSelection()
 
 
 def with_left_out(connection: Connection, selection: RunSelection, selected: Collection[str]) -> list[str]:
-    """Return selected runs together with those that the selection must not leave out, in the order of their names.
+    """Return the selected runs and those that the selection must not leave out, in the order of their names.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
 def find_altered_outside(
     connection: Connection, within: Conditions, known: Collection[str], latest: int | None = None
 ) -> dict[str, str]:
-    """Return what is wrong with the rows in ``runs`` of those that do not match their links, by run.
+    """Return the problems of the rows of ``runs`` that do not match their links, by run.
 
     Parameters
     ----------

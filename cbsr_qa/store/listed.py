@@ -42,7 +42,7 @@ def _names(connection: Connection, selection: RunSelection) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredRuns:
-    """What runs measured: the measurements of their latest analyses, by run and number.
+    """Measurements of the latest analyses of runs, by run and number.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def _run(
 def _find_failures(
     connection: Connection, verdicts: Mapping[str, StoredVerdict], runs: Sequence[str]
 ) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
-    """Return the metrics outside their limits, by analysis, and what is wrong with runs that were altered.
+    """Return the metrics outside their limits by analysis, and the problems of altered runs.
 
     Only failed runs are passed in: one metric outside its limits decides that.
     """

@@ -36,8 +36,8 @@ def this_process(operator: str) -> str:
 def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     """Hold the right to write a run; it is released when the process ends, even if killed.
 
-    On SQLite a locked file beside the database, on PostgreSQL an advisory lock on a connection for locks. A database
-    in memory has only one process. The next process to lock removes files of killed ones.
+    On SQLite this is a locked file beside the database, on PostgreSQL an advisory lock on a connection for locks. A
+    database in memory has only one process. The next process to lock removes the files of killed ones.
 
     Raises
     ------

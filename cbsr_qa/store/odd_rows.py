@@ -1,6 +1,6 @@
-"""Rows read cell by cell: one with a cell that its column cannot hold is passed over and named, the others are read.
+"""Rows read cell by cell: a row with a cell that its column cannot hold is skipped and named; others are read.
 
-One such row would end any query that meets it. SQLite keeps bytes in a column of text, and PostgreSQL has moments
+One such row would stop any query that reads it. SQLite keeps bytes in a column of text, and PostgreSQL has moments
 that no calendar has (``infinity``); anybody who may add rows can store one.
 """
 

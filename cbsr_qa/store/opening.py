@@ -103,7 +103,7 @@ def _engine(url: str, *, durable: bool = True) -> Engine:
 
 @cache
 def _engine_of_server(url: URL, process: int) -> Engine:
-    """Return the engine of a server, one a process: it keeps what it asked the server, and statements it compiled.
+    """Return the engine of a server, one a process: it keeps the server's settings and compiled statements.
 
     A run opens its database several times; its connections are closed each time.
     """

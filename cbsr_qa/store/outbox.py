@@ -47,7 +47,7 @@ def announce(connection: Connection, kind: Kind, items: Iterable[str], version: 
 
 
 def note_confirmed(connection: Connection, kind: Kind, confirmed: Mapping[str, int]) -> None:
-    """Have items wait that the centre confirmed, and of which nothing waits, to be compared with what it has.
+    """Queue items that the centre has confirmed, to be compared with its content; they must not be queued yet.
 
     Parameters
     ----------

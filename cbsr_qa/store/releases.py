@@ -53,7 +53,7 @@ class Releases:
     def read_all(self) -> tuple[Release, ...]:
         """Return all releases and withdrawals in the order they were made in.
 
-        A release that cannot be read is left out; a withdrawal is there all the same.
+        An unreadable release is left out; any other unreadable row counts as a withdrawal.
 
         Raises
         ------

@@ -44,7 +44,7 @@ _CLOCKS_DIFFER: Final = timedelta(minutes=1)
 class Repository:
     """An open database. Made by :func:`open_store`; use it as a context manager, or close it.
 
-    What is stored is asked for by its noun, as in ``repository.runs.load(run)``.
+    Its attributes give access to the stored data, as in ``repository.runs.load(run)``.
 
     Parameters
     ----------

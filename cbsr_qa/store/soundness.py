@@ -35,9 +35,9 @@ class Soundness:
         self._engine = engine
 
     def find_file_problems(self) -> Iterator[str]:
-        """Yield what is wrong with a SQLite file as a whole: its pages, and rows that refer to rows that are missing.
+        """Yield the problems of a SQLite file as a whole: damaged pages, and rows that refer to missing rows.
 
-        A PostgreSQL server keeps both itself.
+        A PostgreSQL server takes care of both itself.
         """
         if sqlite_file(self._engine.url) is None:
             return
@@ -52,10 +52,10 @@ class Soundness:
                 yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
 
     def find_order_problems(self) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
-        """Return the runs that are missing between others, and in words what explains a gap or a doubled place.
+        """Return the runs that are missing between others, and explanations of gaps and doubled places.
 
-        A run that this database refused when it was sent here is explained, and so are runs that a copy of a database
-        went on with.
+        Explained are runs that this database refused when they were sent here, and runs that a copy of a database
+        continued.
         """
         with reading(self._engine) as connection:
             gaps = begun.gaps(connection)
@@ -67,7 +67,7 @@ class Soundness:
             return tuple(gap for gap in gaps if not gap.refused), (*explanations, *begun.forks(connection))
 
     def find_odd_rows(self) -> Iterator[str]:
-        """Yield which rows outside of runs hold what their columns cannot, and are passed over.
+        """Yield the problems of rows outside of runs that hold an odd cell; other reads skip them.
 
         Rows of runs are read with their runs, and frames of reference rings with their checks.
         """
@@ -79,10 +79,10 @@ class Soundness:
             yield from begun.name_odd_rows(connection)
 
     def find_misplaced_rows(self) -> Iterator[str]:
-        """Yield which rows, none of which a link contradicts, do not go together with others.
+        """Yield rows that contradict other rows, although no link contradicts them.
 
         They are sensors that no run tested as their rows say, calibrations of another sensor than their run's, and
-        runs that have no chain, or are not signed, though earlier ones of their station have or are.
+        runs without a chain or signature although earlier runs of their station have one.
         """
         of_sensor = RunRow.serial == SensorRow.serial
         same_kind = RunRow.batch == SensorRow.batch, RunRow.sensor_type == SensorRow.sensor_type

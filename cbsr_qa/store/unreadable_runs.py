@@ -1,4 +1,4 @@
-"""Runs of which a cell cannot be read are set apart, so that the others of a list are read all the same."""
+"""Runs with an unreadable cell are set apart, so that the other runs of a list are read."""
 
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
@@ -25,7 +25,7 @@ def read_apart(
     read: Callable[[Sequence[str]], _T],
     instead: Callable[[str, str], _T],
 ) -> Iterator[_T]:
-    """Read runs at once; where that fails, halve them until those that cannot be read are alone.
+    """Read a batch of runs; if that fails, halve it until each unreadable run is alone.
 
     Parameters
     ----------

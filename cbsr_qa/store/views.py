@@ -1,9 +1,9 @@
-"""Read-only views for people who query the database themselves: what holds now of runs, measurements, calibrations.
+"""Read-only views for people who query the database: the current state of runs, measurements and calibrations.
 
 They are no part of a schema version: they are dropped before a migration, which may change the tables below them, and
 created again at the latest version. The program itself reads tables.
 
-A view compares nothing with the chains of the runs: it says so in the database, where people look at it.
+A view compares nothing with the chains of the runs; a remark on it in the database says so.
 """
 
 from typing import Final
