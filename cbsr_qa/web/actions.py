@@ -90,7 +90,7 @@ class Actions:
         return _json_answer(words=text("station.resumed"))
 
     async def count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
-        """Return whose PIN this is a guess of. TooManyGuessesError if it is not compared yet.
+        """Count a PIN as a guess; return whose it is (station, operator). TooManyGuessesError if it has to wait.
 
         Only guesses at operators who have a PIN count: made-up names would push those out of memory.
         """

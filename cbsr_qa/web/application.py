@@ -168,10 +168,10 @@ class Site:
         return HTMLResponse(self._pages.page("sensor", control=_controls(request), **view))
 
     async def _run_in_thread(self, request: Request, make: Callable[..., T], *arguments: object) -> T:
-        """Return what a function returns that would keep the others waiting.
+        """Call a slow function in a thread, and return its result.
 
-        Those who may only look have a thread of their own, so that they take none of those who control, and little of
-        the computer. HTTPException if too many of them wait for it.
+        Viewers who may only look share one thread, so that they take none from those who control, and little of the
+        computer. HTTPException if too many of them wait for it.
         """
         if _controls(request):
             return await to_thread.run_sync(make, *arguments)

@@ -75,7 +75,7 @@ def has_pin(served: ServedStation, operator: str) -> bool:
 def check_pin(served: ServedStation, operator: str, pin: str) -> None:
     """Check the PIN of whoever resumes a run by the station file as it is now, as the run's process does again.
 
-    RefusedError if the gate asks for one, and this is not it.
+    RefusedError if the gate asks for a PIN, and this one is wrong.
     """
     gate = load_station(served.source).value.gate
     if asks_pin(gate, operator) and not is_pin_of(gate, operator, pin):

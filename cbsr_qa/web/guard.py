@@ -123,7 +123,7 @@ class Access:
     def is_shown_in(self, data: bytes) -> bool:
         """Whether the beginning of a request shows the token or its cookie, so that it is read first.
 
-        It gives no right: :class:`Guard` says what the request may do.
+        This gives no right: :class:`Guard` decides on the right of the request.
         """
         right_values = (self.token.encode(), self.cookie_value.encode())
         lower = data.lower()

@@ -39,7 +39,7 @@ class _Guesser:
 
 
 class Guesses:
-    """What each address or operator has guessed. A guess counts as wrong until :meth:`accept` says otherwise.
+    """Guesses of each address or operator. A guess counts as wrong until :meth:`accept` is called.
 
     So guesses that are checked at the same time count too. The same guess again does not count, as it tells nothing
     new: a page that keeps sending an outdated token locks nobody out.

@@ -52,7 +52,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveView:
-    """What a page shows of a run in progress.
+    """Content of a page on a run in progress.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class LiveRun:
             self._judge_places(self._preview, tail)
 
     def view(self, pressed: str) -> LiveView:
-        """Return what to show.
+        """Return the content of the page.
 
         Parameters
         ----------
