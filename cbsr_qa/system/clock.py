@@ -1,8 +1,8 @@
 """Real and virtual clocks. No other module sleeps or reads the time.
 
 Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
-precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at
-whatever time of a run it happens (decision 0019).
+precision for two and a half centuries, so that results from differences of times are the same, bit for bit, at
+any time of a run (decision 0019).
 """
 
 import math

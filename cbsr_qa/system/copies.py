@@ -1,7 +1,7 @@
 """Copies of this process that a plugin's code forks: a copy that returns from that code ends there.
 
 A copy holds what the process holds: the database, the station's lock, the instruments. It must neither store nor
-print, and what it would clean up is not its own.
+print, and it must not clean up either: nothing there is its own.
 """
 
 import os
@@ -33,8 +33,8 @@ def end_copy(process: int) -> None:
 def end_copies_of_threads() -> None:
     """From now on, a copy of this process that a thread forks ends, silently, where the thread's function returns.
 
-    Such a copy comes back to nobody: Python would print a traceback, or crash, while it ends the thread. A copy that
-    goes on in the function, as a worker does, is left alone.
+    Such a copy has no caller to return to: Python would print a traceback, or crash, while it ends the thread. A copy
+    that stays in the function, as a worker does, continues.
     """
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=_end_with_thread)

@@ -239,9 +239,9 @@ def csv_text(rows: Iterable[Iterable[str | float | None]], *, line_end: str = "\
 
     RFC 4180 wants lines that end with CR and LF; those of our tables of numbers end with LF.
 
-    An apostrophe goes before text that begins with ``= + - @``, a tab or a carriage return: spreadsheets would work
-    it out as a formula (OWASP, CSV injection). Numbers stay as they are. Halves of characters, which names of files
-    may hold, are escaped.
+    An apostrophe goes before text that begins with ``= + - @``, a tab or a carriage return: spreadsheets would
+    evaluate it as a formula (OWASP, CSV injection). Numbers stay as they are. Halves of characters, which names of
+    files may hold, are escaped.
     """
     text = io.StringIO()
     csv.writer(text, lineterminator=line_end).writerows(map(_cell, row) for row in rows)

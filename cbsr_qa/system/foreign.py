@@ -1,8 +1,8 @@
 """The one way to open a file that this program did not write itself: a regular file, and not too large a one.
 
-Opening a named pipe waits for its writer, a device may have no end, and a link may lead to either. What is asked of a
-name may be another file by the time it is opened, so the open file itself is asked. ``tests/test_opening.py`` refuses
-any other way of opening in the program.
+Opening a named pipe waits for its writer, a device may have no end, and a link may lead to either. A name may stand
+for another file by the time it is opened, so the open file itself is checked. ``tests/test_opening.py`` refuses any
+other way of opening in the program.
 """
 
 import errno

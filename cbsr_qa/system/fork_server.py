@@ -2,8 +2,8 @@
 
 It has a single thread, and no database, device or lock. A command that reads files begins it by a fork before it
 opens anything (:func:`begin_fork_server`); elsewhere it is a new interpreter, begun when a child is first asked for.
-What children need is imported there once, so that a child takes milliseconds. It ends with the process that began it.
-Only on Linux.
+It imports the modules of the children once, so that a child takes milliseconds. It ends with the process that began
+it. Only on Linux.
 """
 
 import atexit
@@ -35,7 +35,7 @@ _starting: Final = threading.Lock()
 
 
 class ForkServer:
-    """End of the fork server in the process that began it.
+    """The fork server as its parent process uses it.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ _LATER_S: Final = 0.02
 class Redelivery:
     """While entered, in the main thread, a dropped ``KeyboardInterrupt`` makes its signal come again.
 
-    The handlers stay whose they are. One that raises only once asks :meth:`was_dropped` whether it must again.
+    The handlers are not replaced. A handler that raises only once asks :meth:`was_dropped` whether to raise again.
     """
 
     def __init__(self) -> None:

@@ -18,9 +18,9 @@ def be_watched() -> None:
 
 
 def end_later(after_s: float) -> Callable[[], None]:
-    """Kill this process after a time, if another one says how it ended; returns what prevents that.
+    """Kill this process after a time if another one waits for it; return a function that prevents it.
 
-    Nothing happens in a process that is somebody's own, as a notebook's.
+    Nothing happens in a process without a watcher, such as a notebook's.
     """
     if os.getpid() not in _watched:
         return lambda: None

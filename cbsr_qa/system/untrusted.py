@@ -1,12 +1,12 @@
 """Reading of untrusted files in a child process, so that a crash, hang or memory bomb cannot harm the parent.
 
-Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So what
-reads a file is called in a child, whose memory, time and open files are limited; its result comes back as
+Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So the
+reader of a file is called in a child, whose memory, time and open files are limited; its result comes back as
 plain data: dataclasses and enumerations of :mod:`cbsr_qa.domain`, numpy arrays, numbers and texts, and nothing else.
-A child that dies is a refusal that names the file. It is forked by a process
-that has nothing else open (:mod:`cbsr_qa.system.fork_server`), not by this one.
+If a child dies, the file is refused by name. Children are forked by a process that
+has nothing else open (:mod:`cbsr_qa.system.fork_server`), not by this one.
 
-Only on Linux. Elsewhere the function is called directly, and the bounds that readers put on sizes are all there is:
+Only on Linux. Elsewhere the function is called directly, and only the bounds that readers put on sizes protect:
 Windows cannot fork, and on macOS a fork of a process with the system's libraries is not safe.
 """
 
