@@ -66,9 +66,9 @@ def stop_all(
 ) -> tuple[str, ...]:
     """Call every action in its own thread; a slow one delays the next by at most the patience.
 
-    Quick ones are called one after the other, in order, so that a simulated bench does the same each time. The
-    waiting is in real time also on a virtual clock: a thread that hangs does so in real time. Returns descriptions of
-    those that raised or missed the deadline. ``actions``: (who, what to call).
+    Quick actions run one after the other, in order, so that a simulated bench does the same each time. Waiting is in
+    real time also on a virtual clock: a thread that hangs does so in real time. Returns descriptions of the actions
+    that raised or missed the deadline. ``actions``: pairs (who, what to call).
     """
     clock = RealClock()
     calls = [_Call(name, action) for name, action in actions]

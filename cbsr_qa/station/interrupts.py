@@ -48,10 +48,10 @@ class Interrupts:
     """While entered, signals end the run at a safe moment.
 
     The first signal is only remembered: :meth:`poll` raises it where the run may end, after every document and within
-    :meth:`idle`. The second raises anywhere, also in a delivery or a hanging driver, and sets :attr:`urgent`. Both do
-    so only within :meth:`listen`; outside, and after :meth:`mask`, nothing is raised: the bench is being made safe,
-    which must not leave the head down. Handlers installed by the application identify the sender; without one the
-    signal raises :class:`Stopped`. A signal inherited as ignored (SIGHUP under nohup, SIGINT in a script's
+    :meth:`idle`. The second raises anywhere, also in a delivery or a hanging driver, and sets :attr:`urgent_by`. Both
+    do so only within :meth:`listen`; outside, and after :meth:`mask`, nothing is raised: the bench is being made
+    safe, which must not leave the head down. Handlers installed by the application identify the sender; without one
+    the signal raises :class:`Stopped`. A signal inherited as ignored (SIGHUP under nohup, SIGINT in a script's
     background) stays ignored. Outside the main thread nothing is installed, because Python delivers no signals there.
 
     Parameters

@@ -15,7 +15,7 @@ _LEAST: Final = 5
 
 
 class NoiseSoFar:
-    """A subscriber that knows the noise of the frames a run has counted off with the head up.
+    """A subscriber that computes the noise of frames in steps :class:`AcquireFrames` with the head up.
 
     Variances are pooled over steps, each about its own mean: a drift between steps is no noise. Frames during a
     rest after a press are left out, since the sheet still recovers in them.

@@ -99,9 +99,9 @@ class RunProgress:
             self._announced = True
             self._say(f"{self._name()}: {duration(event.remaining_s)} of station time left")
         if isinstance(event.step, Release):  # the head is still down: its force is that of the hold
-            now = self._status.now()
-            if now.load is not None:
-                self._say(f"{', '.join(self._figures(now))}, {duration(event.remaining_s)} left")
+            activity = self._status.now()
+            if activity.load is not None:
+                self._say(f"{', '.join(self._figures(activity))}, {duration(event.remaining_s)} left")
         elif time.monotonic() - self._said_s >= _QUIET_S:
             self._say(f"{self._live()}, {duration(event.remaining_s)} left")
 
@@ -114,9 +114,9 @@ class RunProgress:
 
     def _live(self) -> str:
         """Return press, place, force, noise and step as one line."""
-        now = self._status.now()
-        figures = self._figures(now)
-        return f"{', '.join(figures)}: {now.step}" if figures else now.step
+        activity = self._status.now()
+        figures = self._figures(activity)
+        return f"{', '.join(figures)}: {activity.step}" if figures else activity.step
 
     def _figures(self, now: Activity) -> list[str]:
         load, force_N, percent = now.load, now.force_N, self._noise.percent

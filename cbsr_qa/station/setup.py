@@ -138,7 +138,7 @@ def opener(
     ask: Callable[[str], str] | None = None,
     emulated: "Callable[[Emulation], None]" = lambda emulation: None,
 ) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
-    """Start the station's emulators; parameters and errors as for :func:`open_station`.
+    """Start the station's emulators; see :func:`open_station` for parameters and errors.
 
     Returns a function that opens one instrument, and actions once all of them are closed.
     """

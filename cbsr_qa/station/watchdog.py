@@ -38,8 +38,8 @@ class _Call:
 class Watchdog:
     """A thread that ends calls that take too long. It uses real time on every clock, as real calls hang.
 
-    It watches from when it is entered to :meth:`end`: calls to instruments one by one, and between them whatever else
-    the run does, a journal that waits for its disk or a listener for a terminal that has been stopped.
+    It watches from its entry to :meth:`end`: each call to an instrument, and the run's other work in between, such as
+    a journal that waits for its disk, or a listener for a terminal that has been stopped.
 
     Parameters
     ----------
