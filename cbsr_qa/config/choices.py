@@ -51,7 +51,7 @@ def read_choice(kind: Kind, table: Any, path: KeyPath, key: str, known: Sequence
 
 
 def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem]]:
-    """Check the options of a plugin, and make it where that takes no more than options.
+    """Check the options of a plugin, and make the plugin if it needs nothing else.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
 def check_measured(
     limits: Iterator[tuple[int, Mapping[str, Any]]], measured: Mapping[str, str], *, all_known: bool
 ) -> Iterator[Problem]:
-    """Yield limits of what nothing measures, or in another unit than it is measured in.
+    """Yield limits on quantities that nothing measures, or in another unit than theirs.
 
     Parameters
     ----------

@@ -157,7 +157,7 @@ def _whole(limit: dict[str, Any]) -> dict[str, Any]:
 
 
 def with_limits(document: Document) -> Document:
-    """Put the limits and the version of ``recipe.limits_from``, looked for next to the recipe, behind its own limits.
+    """Append the limits of the file ``recipe.limits_from``, next to the recipe, to its own limits; add the version.
 
     Raises
     ------

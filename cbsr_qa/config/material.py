@@ -51,7 +51,7 @@ class MeasuredKernelTable(Table):
             yield Problem((*where, "start_s"), finding)
 
     def _covariance_problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield why these numbers are not a covariance: some combination would have a negative variance."""
+        """Yield a problem if these numbers are no covariance: some combination would have a negative variance."""
         covariance = np.array(self.covariance)
         diagonal = np.diag(covariance)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -118,18 +118,18 @@ class StrainTable(Table):
 
 
 def _covariance_problems(line: StressTable | StrainTable, where: KeyPath) -> Iterator[Problem]:
-    """Yield why slope and intercept cannot have the covariance that is stated: a variance would be negative."""
+    """Yield a problem if slope and intercept cannot have the stated covariance: a variance would be negative."""
     if line.covariance is None:
         return
     slope = line.slope_per_kPa if isinstance(line, StressTable) else line.slope
     if slope.stderr is None or line.intercept.stderr is None:
-        what = "is stated without the standard errors of slope and intercept; state both or leave it out"
-        yield Problem((*where, "covariance"), what)
+        finding = "is stated without the standard errors of slope and intercept; state both or leave it out"
+        yield Problem((*where, "covariance"), finding)
         return
-    most = slope.stderr * line.intercept.stderr
-    if abs(line.covariance) > most * (1 + _ROUNDING):
-        what = f"is {line.covariance:g}; the product of the standard errors, {most:g}, is its largest size"
-        yield Problem((*where, "covariance"), what)
+    largest = slope.stderr * line.intercept.stderr
+    if abs(line.covariance) > largest * (1 + _ROUNDING):
+        finding = f"is {line.covariance:g}; the product of the standard errors, {largest:g}, is its largest size"
+        yield Problem((*where, "covariance"), finding)
 
 
 class RelaxationTable(Table):

@@ -14,10 +14,10 @@ def var_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def database_url(option: str | None = None, environment: Mapping[str, str] = os.environ) -> str:
-    """URL of the database: the option, else ``CBSR_QA_DATABASE``, else SQLite at ``var/cbsr-qa.db``.
+    """Return the URL of the database: the option, else ``CBSR_QA_DATABASE``, else SQLite at ``var/cbsr-qa.db``.
 
-    A plain path instead of a URL means a SQLite file there. ConfigError if the option is empty, as of a variable of a
-    shell that is not set: the default could be another line's.
+    A plain path instead of a URL means a SQLite file there. ConfigError if the option is empty, as when a shell
+    variable is not set: the default could be another line's.
     """
     if option is not None and not option.strip():
         raise ConfigError("--database is empty", remedy="name a file or URL, or leave the option out for the default")
