@@ -1,6 +1,6 @@
 """Declaration of commands, in any file of this package or of ``studies``; no other file lists them.
 
-Its help shows what is meant (``SERIAL``, ``YYYY-MM-DD``), not types of Python.
+The help shows the meaning of a value (``SERIAL``, ``YYYY-MM-DD``), not its Python type.
 """
 
 from collections.abc import Callable, Iterator

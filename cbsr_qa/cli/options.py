@@ -61,7 +61,7 @@ _REMEDY = "give KEY=VALUE, e.g. noise_figure=0.5, choose=gcv or 'target_diameter
 
 
 def plugin_options(given: Sequence[str]) -> dict[str, Any]:
-    """Parse options as in the tables of a recipe.
+    """Parse options by the rules of a recipe's tables.
 
     Parameters
     ----------

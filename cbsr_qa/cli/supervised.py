@@ -159,9 +159,9 @@ def _name_what_runs() -> None:
 
 
 def _end_with_parent(alive: int) -> None:
-    """Stop once the parent has gone: as by SIGTERM, which a run hears and ends in order.
+    """Stop this process once the parent has gone, by SIGTERM: a run handles it and ends in order.
 
-    Where nothing hears it yet, as by Ctrl-C: it closes what is open, while SIGTERM would kill.
+    Without a handler yet, stop as by Ctrl-C, which closes open files, while SIGTERM would kill.
     """
     with suppress(OSError):
         os.read(alive, 1)
