@@ -29,8 +29,8 @@ BUSY_TIMEOUT_MS = 10_000
 #: Time a writer waits before it reports the wait [ms].
 _PATIENCE_MS = 1_000
 
-#: Size of the log at which it is merged into the file where commits do not wait for the disk [pages of 4 KB]: merging
-#: does wait, and SQLite's 1000 pages are full every 90 frames.
+#: Size of the log at which it is merged into the file, if commits do not wait for the disk [pages of 4 KB]. Merging
+#: waits for the disk, and SQLite's default of 1000 pages is full every 90 frames.
 _LOG_PAGES = 10_000
 
 #: Suffixes of a SQLite file's journal, log and index of the log.

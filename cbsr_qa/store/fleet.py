@@ -176,5 +176,5 @@ def _places(connection: Connection, runs: Sequence[RunLine]) -> dict[str, tuple[
     places_by_label: dict[str, set[tuple[float, float]]] = {}
     for label, x_mm, y_mm in connection.execute(query):
         places_by_label.setdefault(label, set()).add((x_mm, y_mm))
-    # Random loads are elsewhere in every run: their labels are not places.
+    # Random loads are in another place in every run: their labels do not name places.
     return {label: places.pop() for label, places in places_by_label.items() if len(places) == 1}

@@ -1,7 +1,7 @@
 """Runs of golden sensors that checked a station: lists leave them out if the check is sound.
 
 A row in ``station_checks`` must not hide a failed run. So its station and its time must fit those of the run, and
-its rows must match its seal, which is signed where the run is. Checks whose seal was removed count for one recipe
+its rows must match its seal, which is signed if the run is signed. Checks whose seal was removed count for one recipe
 only.
 """
 

@@ -167,7 +167,7 @@ def _lock_file(database: Path, name: str) -> Path:
 
 def _file_lock(engine: Engine, database: Path, name: str, who: str) -> Callable[[], None] | str:
     for file in database.parent.glob(f"{glob.escape(database.name)}-*.lock"):
-        holder(file)  # removes it if it is unlocked
+        holder(file)  # removes the file if it is unlocked
     try:
         return FileLock(_lock_file(database, name), who.encode(errors="replace")).release
     except HeldError as error:
@@ -223,7 +223,7 @@ class _ServerLocks:
     def _release(self, connection: Connection, number: int) -> None:
         with self._alone:
             if self._connection is not connection or os.getpid() != self._process:
-                return  # it was lost, or this is a forked copy of the process that holds it
+                return  # the lock was lost, or this is a forked copy of the process that holds it
             del self._held[number]
             with suppress(SQLAlchemyError):
                 connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})

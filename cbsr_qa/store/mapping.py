@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def convert_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
-    """Return a dataclass of the columns that have the names of its fields; ``others`` go first.
+    """Return a dataclass of the columns that have the names of its fields; ``others`` take precedence.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def convert_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
 
 
 def row_of(table: Any, source: object, /, **others: Any) -> dict[str, Any]:
-    """Return the columns of a table that ``source`` has as attributes; ``others`` go first."""
+    """Return the columns of a table that ``source`` has as attributes; ``others`` take precedence."""
     names = [column.name for column in table.__table__.columns]
     columns = {name: _plain(getattr(source, name)) for name in names if name not in others and hasattr(source, name)}
     return columns | others

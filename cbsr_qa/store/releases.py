@@ -81,7 +81,7 @@ def _list_said(found: RowsApart) -> list[Release]:
 
 
 def _release(cells: Mapping[str, Any]) -> Release:
-    # An unknown word is no release.
+    # An unknown word counts as a withdrawal.
     action: Literal["released", "withdrawn"] = "released" if cells["outcome"] == "released" else "withdrawn"
     renamed_cells = {"release": cells["release_id"], "by": cells["operator"], "at": cells["noted_at"]}
     return fill_from_mapping(Release, {**cells, **renamed_cells}, action=action)

@@ -170,7 +170,7 @@ class Repository:
             highest_ids = connection.execute(
                 select(*(select(func.max(one)).scalar_subquery() for one in columns))
             ).one()
-        # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
+        # Only identifiers with a time count, sorted as text: databases edited by hand may hold others.
         return max((one for one in highest_ids if one is not None and time_of_id(one) is not None), default="")
 
     def count_rows(self) -> dict[str, int]:

@@ -73,7 +73,7 @@ def conditions(selection: RunSelection) -> Conditions:
     chosen += [RunRow.run > selection.after] if selection.after else []
     chosen += [RunRow.run <= selection.up_to] if selection.up_to else []
     if not selection.checks:
-        chosen.append(RunRow.run.not_in(golden_runs()))  # left_out.py adds those whose checks are not believed
+        chosen.append(RunRow.run.not_in(golden_runs()))  # left_out.py adds runs whose checks are not sound
     if selection.latest is not None:
         latest = select(RunRow.run).where(*chosen).order_by(RunRow.run.desc()).limit(selection.latest)
         chosen.append(RunRow.run.in_(latest))

@@ -82,7 +82,7 @@ class StationChecks:
         table = StationCheckRow
         with reading(self._engine) as connection:
             for check in _read_checks(connection, [table.station == station], [table.check_id.desc()]):
-                # One that was altered may have measured a golden sensor.
+                # An altered check may have measured a golden sensor.
                 if check.golden_run is not None or check.altered:
                     return check
         return None

@@ -56,7 +56,7 @@ JOIN measurements AS m
     ON m.analysis = a.analysis
 """
 
-#: Condition on a calibration to be one: a row added without a link, or to a run of another sensor, is none.
+#: Condition on a valid calibration: a row added without a link, or to a run of another sensor, is not valid.
 #: A run whose chain was removed has no links, and any row of its sensor counts.
 _ISSUED: Final = f"""{{run}}.run = {{row}}.run AND {{run}}.serial = {{row}}.serial AND (
         {{run}}.chain IS NULL OR EXISTS (
