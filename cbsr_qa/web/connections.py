@@ -1,8 +1,8 @@
 """Connections to the server: every head of a request is timed, and clients without the token wait for a turn.
 
 A client that shows the token is read at once, and waits for no turn (:mod:`cbsr_qa.web.turns`), so that an emergency
-stop is answered before the requests of clients without it. How soon that is under load is measured by
-``benchmarks/emergency_stops.py``; see ``docs/how-to/run-a-line.md``.
+stop is answered before the requests of clients without it. The benchmark
+``benchmarks/emergency_stops.py`` measures the delay under load; see ``docs/how-to/run-a-line.md``.
 """
 
 import asyncio
@@ -46,7 +46,7 @@ class HeldFlow(FlowControl):
 
 
 class Connection(H11Protocol):
-    """A connection that is closed if its next head is late, if it is not read from, or if others need its place."""
+    """A connection; it is closed if its next head is late, if its client reads nothing, or if its place is needed."""
 
     def __init__(self, turns: Turns, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)

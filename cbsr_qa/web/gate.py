@@ -68,12 +68,12 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:
-    """Whether the gate asks an operator for a PIN, by the station file as it is now; RefusedError if it is wrong."""
+    """Whether the gate asks an operator for a PIN, by the current station file; RefusedError if the file is wrong."""
     return asks_pin(load_station(served.source).value.gate, operator)
 
 
 def check_pin(served: ServedStation, operator: str, pin: str) -> None:
-    """Check the PIN of whoever resumes a run by the station file as it is now, as the run's process does again.
+    """Check the PIN of an operator who resumes a run, by the current station file; the run's process checks again.
 
     RefusedError if the gate asks for a PIN, and this one is wrong.
     """

@@ -79,7 +79,7 @@ class Access:
     ----------
     hosts : allowed values of ``Host``, with the port.
     scheme : ``"http"`` or ``"https"``.
-    token : secret of at least 16 characters; whoever shows it may control.
+    token : secret of at least 16 characters; a client that shows it may control.
     anyone_may_look : whether pages are shown without the token.
     port : port of the server; part of the cookie's name, as the ports of a computer share cookies.
     cookie_key : secret; without it, a guess of the token gives no cookie to try.
@@ -152,7 +152,7 @@ class RefusedRequestError(Exception):
 
 
 class Guard:
-    """The outermost application: refuses what it must, and passes the rest on with its right."""
+    """The outermost application: refuses bad requests, and passes the others on with their right."""
 
     def __init__(self, inner: App, access: Access) -> None:
         self._inner, self._access = inner, access

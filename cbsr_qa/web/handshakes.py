@@ -1,6 +1,6 @@
-"""Connections before TLS is agreed on: nothing is computed for one until its client has said hello in full.
+"""Connections before TLS is agreed on: nothing is computed for a connection until its hello is complete.
 
-A hello that is not complete costs the server an open file and little else, so that many of them keep nobody waiting.
+An incomplete hello costs the server an open file and little else, so that many of them delay no other client.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ _SWEEP_S: Final = 1.0
 
 
 class Reception:
-    """Accepts connections at a socket that listens, and hands those on whose client said hello. A server of asyncio.
+    """A server of asyncio that accepts connections, and passes them on once the client's hello is complete.
 
     Parameters
     ----------

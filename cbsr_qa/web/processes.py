@@ -1,4 +1,4 @@
-"""Processes of runs: each in a session of its own with its own log, so that stopping the page never stops a run."""
+"""Processes of runs, each with its own session and log, so that stopping the page never stops a run."""
 
 import os
 import shutil

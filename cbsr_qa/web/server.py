@@ -199,7 +199,7 @@ def _cookie_key() -> str:
 
 
 def _make_secret(name: str) -> Path:
-    """Return the file of a secret that only this user may read; it is made if there is none."""
+    """Return the file of a secret that only this user may read; it is made if it is missing."""
     file = writable_folder(var_folder() / "control") / name
     if not file.exists():
         file.touch(mode=0o600)
@@ -221,7 +221,7 @@ def _listening(host: str, port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
-        listening.listen()  # whoever opens the address as soon as it is told waits for the server
+        listening.listen()  # clients that open the address at once wait for the server
     except (OSError, OverflowError) as error:
         listening.close()
         reason = getattr(error, "strerror", None) or str(error)
