@@ -72,7 +72,7 @@ class FileLock:
 
     The kernel keeps the lock, and no process that this one starts or forks has it, so the file of a killed process
     blocks no one: the next holder takes it over and removes it. A file that belongs to another user may stay where
-    only its owner may remove it. HeldError if it is held, by somebody who wrote a name or has held it for
+    only its owner may remove it. HeldError if it is held by a process that wrote a name or has held it for
     :data:`_NAMELESS_S`; OSError if the file cannot be made, or ``who`` not be written in it. ``path``: path of the
     file; its folder exists.
     """

@@ -100,7 +100,7 @@ class ForkServer:
 
 
 def obtain_fork_server() -> ForkServer:
-    """Return the server of this process; begins a new interpreter if there is none, or it has died."""
+    """Return the server of this process; start a new interpreter if it has no server, or its server has died."""
     with _starting:
         server = _servers.get(os.getpid())
         if server is not None and server.has_ended():

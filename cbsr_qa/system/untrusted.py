@@ -3,7 +3,7 @@
 Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So the
 reader of a file is called in a child, whose memory, time and open files are limited; its result comes back as
 plain data: dataclasses and enumerations of :mod:`cbsr_qa.domain`, numpy arrays, numbers and texts, and nothing else.
-If a child dies, the file is refused by name. Children are forked by a process that
+If a child dies, the file is refused, and the message names it. Children are forked by a process that
 has nothing else open (:mod:`cbsr_qa.system.fork_server`), not by this one.
 
 Only on Linux. Elsewhere the function is called directly, and only the bounds that readers put on sizes protect:
@@ -138,7 +138,7 @@ def read_untrusted(
     Parameters
     ----------
     path : path of the file; the limits depend on its size, and refusals name it.
-    read : function that reads the file, and raises a clear error if there is none. While it has the file open, it
+    read : function that reads the file, and raises a clear error if it is missing. While it has the file open, it
         can open no other, and it can write none. It is pickled: a function of a module, or a ``functools.partial``.
     refusal : type of the error raised where the child dies.
     seconds_per_mb : processor time for each megabyte, in addition to that of any file [s/MB].
