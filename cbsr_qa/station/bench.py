@@ -217,7 +217,7 @@ def _urgency(mounted: Mounted) -> int:
 
 
 def _works_through_others(mounted: Mounted) -> bool:
-    """Whether an instrument has no address of its own: it is as real as the instruments it is linked to."""
+    """Whether an instrument has no own address: it is as real as the instruments it is linked to."""
     return isinstance(mounted.instrument, Linked) and "address" not in mounted.spec.options
 
 

@@ -58,7 +58,7 @@ class Documents:
             self._tell(event)
 
     def finish(self, event: RunEnded) -> RunEnded:
-        """Deliver the last event; the bench is already safe, and nothing raises any more.
+        """Deliver the last event; the bench is already safe, and no error is raised.
 
         Returns the document as delivered: broken by the journal, if the journal could not store it.
         """

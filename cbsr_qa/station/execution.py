@@ -202,7 +202,7 @@ class _Execution:
             with interrupts.listen():
                 self._desk.open(_Brakes(interrupts, self._watchdog))
                 self._through_or_back(identity)
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
+        except BaseException as error:  # noqa: BLE001 - after any error the head comes up
             self._reserve.give_back()
             interrupts.mask()
             self._end = ending(error, self.describe_place(), at_once=interrupts.urgent_by, before=self._end)

@@ -162,7 +162,7 @@ class Performer:
                 self._lift()
 
     def pause(self, before: ScheduledStep, desk: ControlDesk) -> bool:
-        """Wait with the head up until somebody continues the run; limits are watched. False if nobody wants it now.
+        """Wait with the head up until somebody continues the run; limits are watched. False if no pause is requested.
 
         The rest of the last load ends here for its record: a run that is killed in a pause does not repeat it.
         """
