@@ -35,7 +35,7 @@ class Choice:
 
 
 def tables(data: Any, key: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    """Yield the tables of an array of tables, whatever else is in it."""
+    """Yield the tables of an array of tables with their index; other items are skipped."""
     content = data.get(key) if isinstance(data, Mapping) else None
     for index, table in enumerate(content if isinstance(content, list) else ()):
         if isinstance(table, Mapping):
@@ -43,7 +43,7 @@ def tables(data: Any, key: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
 
 
 def read_choice(kind: Kind, table: Any, path: KeyPath, key: str, known: Sequence[str] = ()) -> Iterator[Choice]:
-    """Yield the plugin that a table names under a key; its options are the keys that are not the table's own."""
+    """Yield the plugin that a table names under a key; its options are the keys outside ``known``."""
     name = table.get(key) if isinstance(table, Mapping) else None
     if isinstance(name, str):
         options = {k: value for k, value in table.items() if k not in (key, *known)}

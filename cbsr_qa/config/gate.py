@@ -15,7 +15,7 @@ from cbsr_qa.system.pins import pin_hash_readable
 Policy = Literal["refuse", "warn", "off"]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 #: Key of the list of operators. The list is left out of the stored configuration of a run: a station measures the
-#: same whoever works at it, and the hashes of PINs stay out of the database.
+#: same with any operator, and the hashes of PINs stay out of the database.
 OPERATORS: Final = "operators"
 
 

@@ -123,7 +123,7 @@ _OUTLINE = ("sensor_type", "outline_mm")
 _POSITIONS = ("electrodes", "positions_mm")
 #: Keys that place a ring; a list of positions needs none of them.
 _RING_KEYS = ("count", "ring_radius_mm", "first_angle_deg", "direction")
-#: Keys that describe an outline; a mesh has one of its own.
+#: Keys that describe an outline; a mesh brings its own.
 _OUTLINE_KEYS = ("radius_mm", "outline_mm", "corner_radius_mm")
 
 

@@ -63,7 +63,7 @@ class FileModel(CheckedTable, Generic[T]):
 
 
 def as_domain(kind: type[D], table: BaseModel, **others: Any) -> D:
-    """Return a domain object of a table's keys; ``others`` go first, and ``x_percent`` is the fraction ``x``."""
+    """Return a domain object of a table; ``others`` take precedence, and ``x_percent`` becomes the fraction ``x``."""
     values = {name: getattr(table, name) for name in type(table).model_fields}
     percent = {name.removesuffix(_PERCENT): value for name, value in values.items() if name.endswith(_PERCENT)}
     return fill_from_mapping(kind, {name: _fraction(value) for name, value in percent.items()} | values, **others)
