@@ -1,4 +1,4 @@
-"""``cbsr-qa line``: one sensor after the other from a scanner, each in a run of its own."""
+"""``cbsr-qa line``: one sensor after the other from a scanner, each in a separate run."""
 
 import json
 import os
@@ -230,7 +230,7 @@ class _Line:
         shown_number = ""
         while process.poll() is None:
             with suppress(RefusedError, OSError), RunChannel.connect(self.station) as channel:
-                # The run leads a session of its own; another process may use the station.
+                # The run leads its own session; another process may use the station.
                 is_own_run = os.getsid(channel.hello["pid"]) == process.pid
                 for prompt in _prompts(channel) if is_own_run else ():
                     number = "" if prompt is None else str(prompt["prompt"])

@@ -248,7 +248,7 @@ class Counting:
         print(f"{name} …", file=self._stream, flush=True)
 
     def count(self, done: int, of: int) -> None:
-        """Report progress of the stage."""
+        """Show the progress of the stage."""
         if self._bar is None and self._stream.isatty():
             self._bar = _Bar(self._what, self._stream)
         if self._bar is not None:

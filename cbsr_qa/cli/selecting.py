@@ -17,7 +17,7 @@ Checks = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Selecting:
-    """The options that they share."""
+    """Options that commands on many runs share."""
 
     today: Annotated[
         bool, typer.Option("--today", help="Runs that began today, by this computer's local time; not with --since.")
@@ -38,7 +38,7 @@ class Selecting:
     ] = ""
 
     def is_given(self) -> bool:
-        """Whether one of them was given."""
+        """Whether one of these options was given."""
         return any(asdict(self).values())
 
     def request(self, *, latest: int | None, checks: bool = False) -> "ListRequest":
