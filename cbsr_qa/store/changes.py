@@ -147,9 +147,8 @@ def _find_altered_page(connection: Connection, kinds: Sequence[type[Base]], runs
     records_of_kinds = [read_rows(connection, kind, runs) for kind in kinds]
     for records in records_of_kinds:
         for word in records.columns.get("outcome", ()):
-            read_word(
-                Outcome, word, f"{records.table.name}.outcome", f"run {runs[0]}"
-            )  # the run is named once it is alone in its batch
+            # The error names the run once it is alone in its batch.
+            read_word(Outcome, word, f"{records.table.name}.outcome", f"run {runs[0]}")
     return find_altered(connection, chains, records_of_kinds, ended=True)
 
 

@@ -91,9 +91,8 @@ def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLi
 
 def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
     row = one.values
-    simulated = (
-        () if one.altered else tuple(map(str, row["simulated"]))
-    )  # the value of an altered run may be anything
+    # The value of an altered run may be anything.
+    simulated = () if one.altered else tuple(map(str, row["simulated"]))
     material_table = None if one.altered else row["setting"].get("material")
     material = str(material_table.get("name", "")) if isinstance(material_table, dict) else ""
     return RunLine(

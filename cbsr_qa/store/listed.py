@@ -163,9 +163,8 @@ def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
 def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
     earlier, of_checks = _earlier(connection, names)
     runs: list[ListedRun] = []
-    for page in verdict_pages(
-        connection, names
-    ):  # not all at once: garbage collection slows down with the number of objects
+    # Not all at once: garbage collection slows down with the number of objects.
+    for page in verdict_pages(connection, names):
         verdicts = {verdict.run: verdict for verdict in page if verdict.outcome is Outcome.FAIL}
         failed: dict[str, dict[MetricKey, None]] = {}
         altered: dict[str, str] = {}
