@@ -96,26 +96,31 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
     """
     scaled, deviation = _scale_to_unit_rms(errors)
     relative, _ = _scale_to_unit_rms(expected)
-    walk, late = _Walk.over(session.time), session.late
+    walk, recheck_count = _Walk.over(session.time), session.late
     if not certain and walk.score(scaled, relative) <= max(
         replace(walk, at=walk.at[order]).score(scaled, relative) for order in _orders(len(errors))
     ):
         return None
     variances, expected_variances = walk.likely(scaled, relative)
-    found = walk.fit(scaled, relative, variances)
-    since = _evaluate_drift(walk.at[-1] - walk.at, found, relative)
-    for press in range(len(scaled) - late, len(scaled)):
-        others = np.delete(np.arange(len(scaled)), press)
-        less = replace(walk, at=walk.at[others]).fit(scaled[others], relative[others], variances) - found
+    coefficients = walk.fit(scaled, relative, variances)
+    since = _evaluate_drift(walk.at[-1] - walk.at, coefficients, relative)
+    for press in range(len(scaled) - recheck_count, len(scaled)):
+        other_presses = np.delete(np.arange(len(scaled)), press)
+        coefficient_change = (
+            replace(walk, at=walk.at[other_presses]).fit(scaled[other_presses], relative[other_presses], variances)
+            - coefficients
+        )
         since[press] -= _evaluate_drift(
-            walk.at[[press]] - walk.at[: len(scaled) - late].mean(axis=0), less, relative[[press]]
+            walk.at[[press]] - walk.at[: len(scaled) - recheck_count].mean(axis=0),
+            coefficient_change,
+            relative[[press]],
         )[0]
-    further = _evaluate_drift((walk.at[-1] - walk.at[0])[None], found, relative)
+    horizon_drift = _evaluate_drift((walk.at[-1] - walk.at[0])[None], coefficients, relative)
     sessions = session.horizon / float(np.ptp(session.time))
     return Drift(
         deviation * since,
-        deviation * np.sqrt(sessions) * further,
-        late,
+        deviation * np.sqrt(sessions) * horizon_drift,
+        recheck_count,
         session.horizon,
         sessions * expected_variances,
     )
@@ -167,12 +172,12 @@ class _Walk:
         And the means (2,) over all, in squared errors, of which features have one on average.
         """
         problem = self._problem(scaled, relative)
-        tried = [(offset, gain) for offset in _WALKS for gain in _WALKS]
-        solved = [self._solve(problem, variances) for variances in tried]
-        likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solved]).T
+        candidates = [(offset, gain) for offset in _WALKS for gain in _WALKS]
+        solutions = [self._solve(problem, variances) for variances in candidates]
+        likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solutions]).T
         weights = np.exp((likelihoods - likelihoods.max()) / 2)
-        means: Array = (weights / weights.sum() * noise) @ np.array(tried)
-        return tried[int(likelihoods.argmax())], means
+        means: Array = (weights / weights.sum() * noise) @ np.array(candidates)
+        return candidates[int(likelihoods.argmax())], means
 
     def fit(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
         """Coefficients (2, k, m) of offset and gain."""
@@ -184,26 +189,30 @@ class _Walk:
         count = len(scaled)
         basis = np.column_stack([np.ones(count), self.at])
         products = (basis[:, :, None] * basis[:, None, :]).reshape(count, -1)
-        plain, mixed, squared = (
+        offset_moments, mixed_moments, gain_moments = (
             (products.T @ relative**power).T.reshape(-1, *[basis.shape[1]] * 2) for power in range(3)
         )
         gram = np.concatenate(
-            [np.concatenate([plain, mixed], axis=2), np.concatenate([mixed, squared], axis=2)], axis=1
+            [
+                np.concatenate([offset_moments, mixed_moments], axis=2),
+                np.concatenate([mixed_moments, gain_moments], axis=2),
+            ],
+            axis=1,
         )
-        along = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
-        return gram, along, (scaled**2).sum(axis=0)
+        projections = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
+        return gram, projections, (scaled**2).sum(axis=0)
 
     def _solve(
         self, problem: tuple[Array, Array, Array], variances: tuple[float, float]
     ) -> tuple[float, Array, Array]:
         """Twice the logarithm of the likelihood, means (m, 2 k + 2), and each reading's variance of noise (m,)."""
-        gram, along, total = problem
+        gram, projections, total = problem
         root = np.sqrt(np.concatenate([[_COMMON, *(each * self.variances)] for each in variances]))
         precision = np.eye(len(root)) + gram * np.outer(root, root)
-        means = root * np.linalg.solve(precision, (root * along)[:, :, None])[:, :, 0]
-        left = np.maximum(total - (along * means).sum(axis=1), np.finfo(float).tiny)
-        likelihood = -len(self.at) * np.log(left).sum() - np.linalg.slogdet(precision)[1].sum()
-        return float(likelihood), means, left / len(self.at)
+        means = root * np.linalg.solve(precision, (root * projections)[:, :, None])[:, :, 0]
+        residual_squares = np.maximum(total - (projections * means).sum(axis=1), np.finfo(float).tiny)
+        likelihood = -len(self.at) * np.log(residual_squares).sum() - np.linalg.slogdet(precision)[1].sum()
+        return float(likelihood), means, residual_squares / len(self.at)
 
 
 def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) -> tuple[Array, int]:
@@ -228,14 +237,14 @@ def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) ->
 def _late(scaled: Array, orders: Sequence[Indices]) -> int:
     """How many presses at the end are a re-check: they jump more than in random orders, and than any before."""
     count = len(scaled)
-    most = max(int(_LATE_SHARE * count), _FEWEST_LATE)
-    fewest = (1 + _BEFORE) * most
-    if fewest > count - most:
+    largest_count = max(int(_LATE_SHARE * count), _FEWEST_LATE)
+    fewest = (1 + _BEFORE) * largest_count
+    if fewest > count - largest_count:
         return 0
-    jumps = _jumps(scaled, most)
-    ends = np.unique(np.linspace(fewest, count - most, _SHUFFLES).astype(np.int64))
-    others = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
-    if jumps.max() <= max(_jumps(other, most).max() for other in others):
+    jumps = _jumps(scaled, largest_count)
+    ends = np.unique(np.linspace(fewest, count - largest_count, _SHUFFLES).astype(np.int64))
+    references = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
+    if jumps.max() <= max(_jumps(reference, largest_count).max() for reference in references):
         return 0
     return _FEWEST_LATE + int(jumps.argmax())
 

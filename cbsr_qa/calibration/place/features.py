@@ -109,14 +109,14 @@ def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
     -------
     Its symmetries, the identity first.
     """
-    where = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
-    found = [
-        (*became, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
+    index_by_pair = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
+    symmetries = [
+        (*mapping, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
         for mirror in (1, -1)
         for step in range(electrodes)
-        if (became := _became((mirror * pairs + step) % electrodes, where)) is not None
+        if (mapping := _became((mirror * pairs + step) % electrodes, index_by_pair)) is not None
     ]
-    permuted, signs, turns = (np.array(part) for part in zip(*found, strict=True))
+    permuted, signs, turns = (np.array(part) for part in zip(*symmetries, strict=True))
     return PatternTurns(permuted.astype(np.int64), signs.astype(np.float64), turns)
 
 
@@ -124,12 +124,12 @@ def _became(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int
     """Indices and signs of readings in a pattern, or None if one is missing. Either polarity is the same reading."""
     numbers, signs = [], []
     for a, b, c, d in pairs.tolist():
-        same = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]
-        opposite = [where[key] for key in ((b, a, c, d), (a, b, d, c)) if key in where]
-        if not same + opposite:
+        same_polarity = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]
+        reversed_polarity = [where[key] for key in ((b, a, c, d), (a, b, d, c)) if key in where]
+        if not same_polarity + reversed_polarity:
             return None
-        numbers.append((same + opposite)[0])
-        signs.append(1 if same else -1)
+        numbers.append((same_polarity + reversed_polarity)[0])
+        signs.append(1 if same_polarity else -1)
     return (numbers, signs) if len(set(numbers)) == len(numbers) else None
 
 

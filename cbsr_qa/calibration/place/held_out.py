@@ -135,17 +135,17 @@ class PressedSheet:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
         count, blocks = len(self.places_mm), self.blocks()
         places = np.full((count, 2), np.nan)
-        parts = self.presses_for_scales()
-        for learned, located in parts:
+        splits = self.presses_for_scales()
+        for learned, located in splits:
             process, inverse = condition_on_presses(self.likely(learned), self.turns, self.features, self.places_mm)
             predicted = leave_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
             places[located] = predicted[located]
-        if len(parts) > 1:
+        if len(splits) > 1:
             scales = self.likely(evenly(count, _FOR_SCALES))
             process, _ = condition_on_presses(scales, self.turns, self.features, self.places_mm)
-        some = np.flatnonzero(np.isfinite(places[:, 0]))
-        second = (each[some] for each in self._from_templates(learning, blocks, later))
-        return LeftOut(some, places[some], *second), process
+        located_presses = np.flatnonzero(np.isfinite(places[:, 0]))
+        template_estimates = (column[located_presses] for column in self._from_templates(learning, blocks, later))
+        return LeftOut(located_presses, places[located_presses], *template_estimates), process
 
     def misfit_growth(self, learning: TemplateLearning, sessions: float) -> float:
         """Factor by which misfits may have grown so many sessions later; 1 where they do not grow.
@@ -155,41 +155,43 @@ class PressedSheet:
         """
         count = len(self.places_mm)
         presses = np.arange(count)
-        apart, mixed = (
+        separated_misfit, mixed_misfit = (
             float(np.median(self._from_templates(learning, halves)[2]))
             for halves in ([presses[: count // 2], presses[count // 2 :]], [presses[::2], presses[1::2]])
         )
-        return max(1.0, 1 + (4 * sessions + 2 / 3) * (apart / mixed - 1))
+        return max(1.0, 1 + (4 * sessions + 2 / 3) * (separated_misfit / mixed_misfit - 1))
 
     def presses_for_scales(self) -> list[tuple[Indices, Indices]]:
         """Presses for hyperparameters, and presses at other places located with them."""
         count, visits = len(self.places_mm), self.visits
-        firsts = np.unique(visits)
+        visit_numbers = np.unique(visits)
         if count > _MANY * _FOR_SCALES:
-            groups = [firsts[evenly(len(firsts), min(_FOR_SCALES, len(firsts) // 2))]]
+            groups = [visit_numbers[evenly(len(visit_numbers), min(_FOR_SCALES, len(visit_numbers) // 2))]]
         elif count > _FEW:
-            groups = [firsts[::2], firsts[1::2]]
+            groups = [visit_numbers[::2], visit_numbers[1::2]]
         else:
-            groups = [group for group in np.array_split(firsts, _BLOCKS_WITH_SCALES) if len(group)]
-        inside = [np.isin(visits, group) for group in groups]
+            groups = [group for group in np.array_split(visit_numbers, _BLOCKS_WITH_SCALES) if len(group)]
+        group_masks = [np.isin(visits, group) for group in groups]
         if count <= _FEW:
-            return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in inside]
-        learned = [np.flatnonzero(each) for each in inside]
+            return [(np.flatnonzero(~group_mask), np.flatnonzero(group_mask)) for group_mask in group_masks]
+        presses_by_group = [np.flatnonzero(group_mask) for group_mask in group_masks]
         return [
-            (some[evenly(len(some), _FOR_SCALES)], np.flatnonzero(~each))
-            for some, each in zip(learned, inside, strict=True)
+            (group_presses[evenly(len(group_presses), _FOR_SCALES)], np.flatnonzero(~group_mask))
+            for group_presses, group_mask in zip(presses_by_group, group_masks, strict=True)
         ]
 
     def _from_templates(
         self, learning: TemplateLearning, blocks: Sequence[Indices], later: Array | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        found: list[tuple[Array, Array, Array, Array]] = []
+        estimates: list[tuple[Array, Array, Array, Array]] = []
         for block in blocks:
             templates, features = learning.leave_out_block(block, later), self.features[block]
-            found.append((*match(templates, features), likeness(predict_features(templates), features)))
+            estimates.append((*match(templates, features), likeness(predict_features(templates), features)))
         order = np.argsort(np.concatenate(blocks))
-        place, covariance, misfit, like = (np.concatenate(part)[order] for part in zip(*found, strict=True))
-        return place, covariance, misfit, like
+        place, covariance, misfit, press_likeness = (
+            np.concatenate(column)[order] for column in zip(*estimates, strict=True)
+        )
+        return place, covariance, misfit, press_likeness
 
 
 def visits_of(places_mm: Array) -> Indices:
@@ -206,16 +208,16 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
     """
     count, visits = len(out.presses), visits_of(places_mm)[out.presses]
     half_of = np.unique(visits, return_inverse=True)[1] % 2
-    found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
+    found_mm, covered_mask = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
-        located = np.flatnonzero(half_of == half)
+        located_presses = np.flatnonzero(half_of == half)
         mixture = out.select(half_of != half).mixture(places_mm, _LEVELS)
-        apart, ratio = out.select(located).apart(mixture, places_mm)
-        found[located] = places_mm[out.presses[located]] - apart
-        inside[located] = ratio[:, None] <= mixture.quantiles
-    error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
+        offset_mm, ratio = out.select(located_presses).apart(mixture, places_mm)
+        found_mm[located_presses] = places_mm[out.presses[located_presses]] - offset_mm
+        covered_mask[located_presses] = ratio[:, None] <= mixture.quantiles
+    error = np.linalg.norm(places_mm[out.presses] - found_mm, axis=1)
     mean, stderr = mean_by_place(error, visits)
-    return HeldOut(mean, stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
+    return HeldOut(mean, stderr, count, out.presses, found_mm, np.array(_LEVELS), covered_mask.mean(axis=0))
 
 
 def mean_by_place(values: Array, visits: Indices) -> tuple[float, float]:

@@ -41,15 +41,17 @@ def learn_mixture(
     Its quantiles, one per level, come from every press under a mixture of those at other places, so that no place
     judges itself; ``visits`` (n,) has one number per place.
     """
-    parts = first, second, second_covariance, places_mm
+    columns = first, second, second_covariance, places_mm
     ratio, numbers = np.empty(len(places_mm)), np.unique(visits, return_inverse=True)[1]
     for number in range(min(_FOLDS, int(numbers.max()) + 1)):
-        held = numbers % _FOLDS == number
-        share, spread = _fit_mixture(*(part[np.logical_not(held)] for part in parts))
+        held_out_mask = numbers % _FOLDS == number
+        share, spread = _fit_mixture(*(column[np.logical_not(held_out_mask)] for column in columns))
         mixture = PlaceMixture(share, spread, np.zeros(len(LEVELS)))
-        found, covariance = mix_places(mixture, first[held], second[held], second_covariance[held])
-        ratio[held] = mahalanobis(places_mm[held] - found, covariance)
-    share, spread = _fit_mixture(*parts)
+        mixed_mm, covariance = mix_places(
+            mixture, first[held_out_mask], second[held_out_mask], second_covariance[held_out_mask]
+        )
+        ratio[held_out_mask] = mahalanobis(places_mm[held_out_mask] - mixed_mm, covariance)
+    share, spread = _fit_mixture(*columns)
     return PlaceMixture(share, spread, np.array([quantile(ratio, level, visits) for level in levels]))
 
 
@@ -93,13 +95,13 @@ def few_presses_tell(count: int) -> Array:
 
 
 def _share(first: Array, second: Array, places_mm: Array) -> float:
-    apart, error = second - first, places_mm - first
-    size = np.linalg.norm(error - 0.5 * apart, axis=1)
+    difference_mm, error = second - first, places_mm - first
+    size = np.linalg.norm(error - 0.5 * difference_mm, axis=1)
     limit = _LARGE * float(np.median(size))
     weight = 1 / np.maximum(1.0, size / max(limit, np.finfo(float).tiny)) ** 2
-    power = weight * (apart**2).sum(axis=1)
+    power = weight * (difference_mm**2).sum(axis=1)
     prior = _PRIOR_PRESSES * float(np.median(power))
-    share = ((weight[:, None] * apart * error).sum() + prior * _PRIOR_SHARE) / max(
+    share = ((weight[:, None] * difference_mm * error).sum() + prior * _PRIOR_SHARE) / max(
         power.sum() + prior, np.finfo(float).tiny
     )
     return float(np.clip(share, 0.0, 1.0))
@@ -107,18 +109,18 @@ def _share(first: Array, second: Array, places_mm: Array) -> float:
 
 def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
     """Weights (3,) of largest normal likelihood, in logarithms about a weak prior."""
-    parts = np.stack([_covariance(each, apart, second_covariance) for each in np.eye(3)])
+    unit_covariances = np.stack([_covariance(each, apart, second_covariance) for each in np.eye(3)])
     start = np.full(3, np.log(0.3))
     start[1] = np.log(max(float(np.median((error**2).sum(axis=1))), 1e-6) / 4)
 
     def surprise(logs: Array) -> tuple[float, Array]:
         weights = np.exp(logs)
-        inverse, determinant = _invert(np.tensordot(weights, parts, axes=1))
+        inverse, determinant = _invert(np.tensordot(weights, unit_covariances, axes=1))
         turned = np.einsum("nab,nb->na", inverse, error)
         value = np.einsum("na,na->", turned, error) + np.log(determinant).sum()
-        slope = np.einsum("knab,nab->k", parts, inverse - turned[:, :, None] * turned[:, None, :])
-        away = logs - start
-        return float(value + 0.1 * away @ away), weights * slope + 0.2 * away
+        slope = np.einsum("knab,nab->k", unit_covariances, inverse - turned[:, :, None] * turned[:, None, :])
+        deviation = logs - start
+        return float(value + 0.1 * deviation @ deviation), weights * slope + 0.2 * deviation
 
     bounds = Bounds(start - _FURTHEST, start + _FURTHEST)
     return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=bounds).x)

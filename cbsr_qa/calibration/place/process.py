@@ -37,16 +37,16 @@ _NOISE_SHARE: Final = 0.005
 def locate(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array:
     """Expected places (k, 2) of features (k, m), about the centre in the electrodes' axes."""
     scales = process.scales
-    own = np.sqrt(scales.own)
-    near = matern(compute_squared_distances(features * own, process.features * own))
-    places: Array = scales.own_variance * near @ process.weights
-    scale = np.sqrt(scales.turning)
-    learned = process.features * scale
-    step = max(_AT_ONCE // (len(turns) * len(learned)), 1)
+    own_scale = np.sqrt(scales.own)
+    correlation = matern(compute_squared_distances(features * own_scale, process.features * own_scale))
+    places: Array = scales.own_variance * correlation @ process.weights
+    turning_scale = np.sqrt(scales.turning)
+    learned_features = process.features * turning_scale
+    step = max(_AT_ONCE // (len(turns) * len(learned_features)), 1)
     for first in range(0, len(features), step):
-        turned = features[first : first + step, turns.permuted] * (turns.signs * scale)
-        near = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned))
-        by_turn = (near @ process.weights).reshape(-1, len(turns), 2)
+        turned = features[first : first + step, turns.permuted] * (turns.signs * turning_scale)
+        correlation = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned_features))
+        by_turn = (correlation @ process.weights).reshape(-1, len(turns), 2)
         places[first : first + step] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
     return places
 
@@ -210,23 +210,31 @@ class _Likelihood:
     def __call__(self, logs: Array) -> tuple[float, Array]:
         scales = self.scales(logs)
         gradient = np.zeros_like(logs)
-        own = self._features * np.sqrt(scales.own)
-        count, by_orbit = len(own), np.exp(logs[3 + self._readings :])
-        near, near_slope = matern_and_slope(compute_squared_distances(own, own))
-        turned, turned_slope = matern_and_slope(by_orbit @ self._apart)
+        own_features = self._features * np.sqrt(scales.own)
+        count, by_orbit = len(own_features), np.exp(logs[3 + self._readings :])
+        own_correlation, own_slope = matern_and_slope(compute_squared_distances(own_features, own_features))
+        turned_correlation, turned_slope = matern_and_slope(by_orbit @ self._apart)
         try:
-            factor, inverse = _invert(self._covariance(scales, near, turned.reshape(count * count, -1)))
+            factor, inverse = _invert(
+                self._covariance(scales, own_correlation, turned_correlation.reshape(count * count, -1))
+            )
         except np.linalg.LinAlgError:
             return 1e10, gradient
         weights = inverse @ self._y
         value = -0.5 * float(weights @ self._y) - float(np.log(np.diag(factor)).sum())
         slope = 0.5 * (np.outer(weights, weights) - inverse)
         blocks = slope.reshape(count, 2, count, 2)
-        both = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
-        along = (blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)).ravel()
-        gradient[:3] = (both * near).sum(), along @ turned, scales.noise_variance * np.trace(slope)
-        gradient[3 : 3 + self._readings] = scales.own * self._differentiate_by_scale(both * near_slope)
-        gradient[3 + self._readings :] = by_orbit * (self._apart @ (along * turned_slope))
+        own_gradient = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
+        turn_gradient = (
+            blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)
+        ).ravel()
+        gradient[:3] = (
+            (own_gradient * own_correlation).sum(),
+            turn_gradient @ turned_correlation,
+            scales.noise_variance * np.trace(slope),
+        )
+        gradient[3 : 3 + self._readings] = scales.own * self._differentiate_by_scale(own_gradient * own_slope)
+        gradient[3 + self._readings :] = by_orbit * (self._apart @ (turn_gradient * turned_slope))
         prior, prior_slope = self._prior(logs)
         return -(value + prior), -(gradient + prior_slope)
 
@@ -250,15 +258,15 @@ class _Likelihood:
     def _prior(self, logs: Array) -> tuple[float, Array]:
         own, turning = logs[3 : 3 + self._readings], logs[3 + self._readings :]
         gradient = np.zeros_like(logs)
-        about = own - own.mean()
+        deviation = own - own.mean()
         length, scales = own.mean() - self._log_scale, turning - self._log_scale
         variances = logs[:3] - [self._log_variance, self._log_variance, self._log_variance + np.log(_NOISE_SHARE)]
         spread = np.array([_SPREAD_OF_VARIANCE, _SPREAD_OF_VARIANCE, _SPREAD_OF_NOISE])
         gradient[:3] = -variances / spread**2
         gradient[3 : 3 + self._readings] = (
-            -about / _SPREAD_OF_SCALES**2 - length / _SPREAD_OF_LENGTH**2 / self._readings
+            -deviation / _SPREAD_OF_SCALES**2 - length / _SPREAD_OF_LENGTH**2 / self._readings
         )
         gradient[3 + self._readings :] = -scales / _SPREAD_OF_TURNING**2
-        value = (about @ about) / _SPREAD_OF_SCALES**2 + length**2 / _SPREAD_OF_LENGTH**2
+        value = (deviation @ deviation) / _SPREAD_OF_SCALES**2 + length**2 / _SPREAD_OF_LENGTH**2
         value += scales @ scales / _SPREAD_OF_TURNING**2 + ((variances / spread) ** 2).sum()
         return -0.5 * float(value), gradient

@@ -82,27 +82,35 @@ class QuantityEstimator:
 
     def __call__(self, places: Places) -> Quantities:
         """Return the quantity of presses at places."""
-        pressed = (places.flags & _NO_PRESS) == 0
-        unsure = np.broadcast_to(places.unsure, pressed.shape)[pressed]
-        found = self._estimate_presses(places.strength[pressed], places.place_mm[pressed], unsure)
-        values, within_68, within_95 = (
-            _spread_rows(pressed, each, np.nan) for each in (found.values, found.within_68, found.within_95)
+        pressed_mask = (places.flags & _NO_PRESS) == 0
+        log_strength_error = np.broadcast_to(places.unsure, pressed_mask.shape)[pressed_mask]
+        estimates = self._estimate_presses(
+            places.strength[pressed_mask], places.place_mm[pressed_mask], log_strength_error
         )
-        below, above = (_spread_rows(pressed, each, False) for each in (found.below, found.above))
+        values, within_68, within_95 = (
+            _spread_rows(pressed_mask, column, np.nan)
+            for column in (estimates.values, estimates.within_68, estimates.within_95)
+        )
+        below, above = (_spread_rows(pressed_mask, column, False) for column in (estimates.below, estimates.above))
         return Quantities(values, within_68, within_95, below, above)
 
     def _estimate_presses(self, strength: Array, place_mm: Array, unsure: Array) -> Quantities:
         process = self._process
         y, stderr = process.predict(strength, place_mm)
-        least, most = process.y.min(), process.y.max()
-        beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
-        for_lost = process.change(strength, place_mm, unsure)
-        later = process.later(strength, self._learned.drift, self._learned.weak_drift)
-        half = (
-            np.hypot(self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(for_lost, later)) + beyond
+        smallest, largest = process.y.min(), process.y.max()
+        excess = np.maximum(np.maximum(smallest - y, y - largest), 0.0)
+        lost_change = process.change(strength, place_mm, unsure)
+        drift_change = process.later(strength, self._learned.drift, self._learned.weak_drift)
+        half_widths = (
+            np.hypot(
+                self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(lost_change, drift_change)
+            )
+            + excess
         )
-        inner, outer = (process.unscale(np.stack([y - each, y + each], axis=1)) for each in half)
-        return Quantities(process.unscale(y), inner, outer, below=y < least, above=y > most)
+        inner, outer = (
+            process.unscale(np.stack([y - half_width, y + half_width], axis=1)) for half_width in half_widths
+        )
+        return Quantities(process.unscale(y), inner, outer, below=y < smallest, above=y > largest)
 
 
 def learn_quantity(
@@ -125,36 +133,46 @@ def learn_quantity(
     session : when they were made; without it no drift is searched for.
     drifts : whether other features of the presses are known to drift.
     """
-    late = 0 if session is None else session.late
-    some = np.append(evenly(len(values) - late, _KEPT - late), np.arange(len(values) - late, len(values)))
-    values = values[some]
-    visits = np.arange(len(some)) if visits is None else np.unique(visits[some], return_inverse=True)[1]
-    data = _Data(bool((values > 0).all()), centre_mm, strength[some], places_mm[some], values)
+    recheck_count = 0 if session is None else session.late
+    kept_presses = np.append(
+        evenly(len(values) - recheck_count, _KEPT - recheck_count),
+        np.arange(len(values) - recheck_count, len(values)),
+    )
+    values = values[kept_presses]
+    visits = (
+        np.arange(len(kept_presses)) if visits is None else np.unique(visits[kept_presses], return_inverse=True)[1]
+    )
+    data = _Data(bool((values > 0).all()), centre_mm, strength[kept_presses], places_mm[kept_presses], values)
     errors = _errors(data, visits)
     drift = None
     if session is not None:
-        weak = np.median(data.strength) / data.strength
-        drift = find_drift(errors[:, None], weak[:, None], session.select(some), certain=drifts)
-    added = (0.0, 0.0)
+        weakness = np.median(data.strength) / data.strength
+        drift = find_drift(errors[:, None], weakness[:, None], session.select(kept_presses), certain=drifts)
+    later_drift = (0.0, 0.0)
     if drift is not None:
-        added = _estimate_later_drift(drift, errors, weak)
-        process = _Process(_likely_scales(data, np.arange(len(some))), data)
+        later_drift = _estimate_later_drift(drift, errors, weakness)
+        process = _Process(_likely_scales(data, np.arange(len(kept_presses))), data)
         data = replace(data, values=process.unscale(process.y + drift.since[:, 0]))
         errors = _errors(data, visits)
-    scales = _likely_scales(data, np.arange(len(some)))
+    scales = _likely_scales(data, np.arange(len(kept_presses)))
     process = _Process(scales, data)
     stderr = process.leave_out(visits)[1]
-    early = np.arange(len(some) - late)
-    ratio, missed = (
-        (np.abs(errors) / stderr)[early],
-        np.abs(data.values - process.unscale(process.y - errors))[early],
+    main_presses = np.arange(len(kept_presses) - recheck_count)
+    ratio, absolute_error = (
+        (np.abs(errors) / stderr)[main_presses],
+        np.abs(data.values - process.unscale(process.y - errors))[main_presses],
     )
-    half = visits[early] % 2 == 1
-    covered = [
-        np.mean([(ratio[here] <= _quantile(ratio[~here], level)).mean() for here in (half, ~half)])
+    half_mask = visits[main_presses] % 2 == 1
+    coverage = [
+        np.mean(
+            [
+                (ratio[tested_mask] <= _quantile(ratio[~tested_mask], level)).mean()
+                for tested_mask in (half_mask, ~half_mask)
+            ]
+        )
         for level in LEVELS
     ]
-    error, error_stderr = mean_by_place(missed, visits[early])
+    error, error_stderr = mean_by_place(absolute_error, visits[main_presses])
     return LearnedQuantity(
         data.logarithmic,
         scales,
@@ -165,9 +183,9 @@ def learn_quantity(
         quantiles=np.array([_quantile(ratio, level) for level in LEVELS]),
         error=error,
         error_stderr=error_stderr,
-        covered=np.array(covered),
-        drift=added[0],
-        weak_drift=added[1],
+        covered=np.array(coverage),
+        drift=later_drift[0],
+        weak_drift=later_drift[1],
     )
 
 
@@ -288,12 +306,12 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
 
 def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:
     """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
-    some = data.select(presses[evenly(len(presses), _FOR_SCALES)])
+    sample = data.select(presses[evenly(len(presses), _FOR_SCALES)])
     start = np.log(_MEDIANS)
     start[-1] += np.log(np.linalg.norm(data.places_mm - data.centre_mm, axis=1).max())
 
     def surprise(logs: Array) -> float:
-        process = _Process(QuantityScales(*np.exp(logs).tolist()), some)
+        process = _Process(QuantityScales(*np.exp(logs).tolist()), sample)
         return 0.5 * float((((logs - start) / _DEVIATIONS) ** 2).sum()) - process.log_likelihood
 
     bounds = Bounds(start - _FURTHEST * _DEVIATIONS, start + _FURTHEST * _DEVIATIONS)

@@ -112,28 +112,33 @@ class TemplateLearning:
         self._features = features
         self._grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
         self._shared = _Shared(turns, features, places_mm, self._grid, radius_mm * _MARGIN)
-        rest, _ = self._subtract_shared(NO_PRESS)
-        own = smoothness(rest, places_mm, radius_mm)
-        self._ratio = own.ratio
+        residual, _ = self._subtract_shared(NO_PRESS)
+        residual_smoothness = smoothness(residual, places_mm, radius_mm)
+        self._ratio = residual_smoothness.ratio
         self._inverse = np.linalg.inv(
-            _covariance_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest))
+            _covariance_between(places_mm, places_mm, residual_smoothness.length_mm)
+            + residual_smoothness.ratio * np.eye(len(residual))
         )
-        near = _covariance_between(self._grid, places_mm, own.length_mm)
-        self._near = near @ self._inverse
-        self._explained = np.einsum("kn,kn->k", self._near, near)
+        grid_covariance = _covariance_between(self._grid, places_mm, residual_smoothness.length_mm)
+        self._near = grid_covariance @ self._inverse
+        self._explained = np.einsum("kn,kn->k", self._near, grid_covariance)
 
     def leave_out_block(self, block: Indices, later: Array | None = None) -> PlaceTemplates:
         """Templates of all presses but those of a block; ``later`` (n, m): a standard deviation of drift to come."""
-        rest, on_grid = self._subtract_shared(block)
-        weights = self._inverse @ rest
-        near = self._near[:, block]
-        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], near.T]))
-        on_grid += self._near @ rest - near @ taken[:, : rest.shape[1]]
-        explained = self._explained - np.einsum("kb,bk->k", near, taken[:, rest.shape[1] :])
+        residual, on_grid = self._subtract_shared(block)
+        weights = self._inverse @ residual
+        block_weights = self._near[:, block]
+        block_solution = np.linalg.solve(
+            self._inverse[np.ix_(block, block)], np.column_stack([weights[block], block_weights.T])
+        )
+        on_grid += self._near @ residual - block_weights @ block_solution[:, : residual.shape[1]]
+        explained_variance = self._explained - np.einsum(
+            "kb,bk->k", block_weights, block_solution[:, residual.shape[1] :]
+        )
         errors = self._errors(block, weights)
         covariance = _shrunk_covariance(errors) + (0.0 if later is None else later.T @ later / len(later))
         whitening = np.linalg.cholesky(np.linalg.inv(covariance))
-        uncertainty = np.maximum(1 - explained, 0.0) / self._ratio
+        uncertainty = np.maximum(1 - explained_variance, 0.0) / self._ratio
         return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
 
     def leave_out_each(self) -> tuple[Array, Array]:
@@ -151,12 +156,16 @@ class TemplateLearning:
 
     def _errors(self, block: Indices, weights: Array) -> Array:
         """What each press that is not in a block differs by from templates of all others that are not in it."""
-        others = np.setdiff1d(np.arange(len(weights)), block)
-        between = self._inverse[np.ix_(others, block)]
-        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], between.T]))
+        other_presses = np.setdiff1d(np.arange(len(weights)), block)
+        cross_precision = self._inverse[np.ix_(other_presses, block)]
+        block_solution = np.linalg.solve(
+            self._inverse[np.ix_(block, block)], np.column_stack([weights[block], cross_precision.T])
+        )
         readings = weights.shape[1]
-        precision = np.diag(self._inverse)[others] - np.einsum("ab,ba->a", between, taken[:, readings:])
-        errors: Array = (weights[others] - between @ taken[:, :readings]) / precision[:, None]
+        precision = np.diag(self._inverse)[other_presses] - np.einsum(
+            "ab,ba->a", cross_precision, block_solution[:, readings:]
+        )
+        errors: Array = (weights[other_presses] - cross_precision @ block_solution[:, :readings]) / precision[:, None]
         return errors
 
 
@@ -175,8 +184,8 @@ def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
     ----------
     rest, places_mm : (n, m) features without their shared part, and (n, 2).
     """
-    some = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FOR_LENGTHS)).astype(np.int64))
-    rest, places_mm = rest[some], places_mm[some]
+    sample = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FOR_LENGTHS)).astype(np.int64))
+    rest, places_mm = rest[sample], places_mm[sample]
     best = (-np.inf, Smoothness(radius_mm, 1.0))
     for length in radius_mm * np.array(_LENGTHS):
         eigenvalues, vectors = np.linalg.eigh(_covariance_between(places_mm, places_mm, length))
@@ -203,35 +212,40 @@ class _Shared:
     ) -> None:
         nodes = _Nodes(radius_mm)
         orbit = turns.orbits()
-        first = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
-        by = np.zeros(len(orbit), dtype=np.int64)  # the turn that makes the first of an orbit that reading
+        first_readings = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
+        turn_by_reading = np.zeros(
+            len(orbit), dtype=np.int64
+        )  # the turn that makes the first of an orbit that reading
         self._sign = np.empty(len(orbit))
         for number in reversed(range(len(turns))):
-            made = turns.permuted[number][first]
-            by[made], self._sign[made] = number, turns.signs[number][first]
-        self._values = np.stack([turns.forth(features, number)[:, first] for number in range(len(turns))])
+            turned_readings = turns.permuted[number][first_readings]
+            turn_by_reading[turned_readings], self._sign[turned_readings] = (
+                number,
+                turns.signs[number][first_readings],
+            )
+        self._values = np.stack([turns.forth(features, number)[:, first_readings] for number in range(len(turns))])
         self._basis = np.stack([nodes.basis(places_mm @ turn.T) for turn in turns.turns])
         self._sums = self._sum_moments(np.arange(len(places_mm)))
         self._made = [
             (readings, orbit[readings], nodes.basis(places_mm @ turn), nodes.basis(grid_mm @ turn))
             for number, turn in enumerate(turns.turns)
-            if len(readings := np.flatnonzero(by == number))
+            if len(readings := np.flatnonzero(turn_by_reading == number))
         ]
 
     def leave_out_block(self, block: Indices) -> tuple[Array, Array]:
         """Features at the presses (n, m) and on the grid (k, m), learned from all presses but those of a block."""
-        squares, along, basis, total, values = (
+        squares, projections, basis, total, values = (
             of_all - of_block for of_all, of_block in zip(self._sums, self._sum_moments(block), strict=True)
         )
         presses = self._basis.shape[1] - len(block)
         count = presses * len(self._basis)  # each press once in every turn
         mean = values / count
-        weights = _ridge(squares, along - np.outer(basis, mean), total - count * mean**2, count, presses)
-        there, on_grid = (np.empty((len(each), len(self._sign))) for each in self._made[0][2:])
-        for readings, orbit, here, grid in self._made:
-            there[:, readings] = here @ weights[:, orbit] + mean[orbit]
-            on_grid[:, readings] = grid @ weights[:, orbit] + mean[orbit]
-        return there * self._sign, on_grid * self._sign
+        weights = _ridge(squares, projections - np.outer(basis, mean), total - count * mean**2, count, presses)
+        at_presses, on_grid = (np.empty((len(place_basis), len(self._sign))) for place_basis in self._made[0][2:])
+        for readings, orbit, press_basis, grid_basis in self._made:
+            at_presses[:, readings] = press_basis @ weights[:, orbit] + mean[orbit]
+            on_grid[:, readings] = grid_basis @ weights[:, orbit] + mean[orbit]
+        return at_presses * self._sign, on_grid * self._sign
 
     def _sum_moments(self, block: Indices) -> tuple[Array, ...]:
         """Moments of a block's basis functions and values, in every turn."""

@@ -207,8 +207,8 @@ class KernelCurve:
         after the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is N
         = 1 + Σ w e^(−T/τ) and the decay is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
         """
-        count, more = len(unloading.weights), len(loading.weights)
-        size = 2 * (count + more)
+        unloading_count, loading_count = len(unloading.weights), len(loading.weights)
+        size = 2 * (unloading_count + loading_count)
         values = np.concatenate(
             [
                 unloading.weights,
@@ -218,21 +218,30 @@ class KernelCurve:
             ]
         )
         covariance = np.zeros((size, size))
-        covariance[: 2 * count, : 2 * count] = unloading.covariance
-        covariance[2 * count :, 2 * count :] = loading.covariance
+        covariance[: 2 * unloading_count, : 2 * unloading_count] = unloading.covariance
+        covariance[2 * unloading_count :, 2 * unloading_count :] = loading.covariance
 
         def convert_release(of: Array) -> Array:
-            own, log_own, held, log_held = np.split(of, [count, 2 * count, 2 * count + more])
-            left = held * np.exp(-hold_s / np.exp(log_held))
-            return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
+            own_weights, log_own, held_weights, log_held = np.split(
+                of, [unloading_count, 2 * unloading_count, 2 * unloading_count + loading_count]
+            )
+            remaining_weights = held_weights * np.exp(-hold_s / np.exp(log_held))
+            return np.concatenate(
+                [
+                    own_weights / (1 + remaining_weights.sum()),
+                    remaining_weights / (1 + remaining_weights.sum()),
+                    log_own,
+                    log_held,
+                ]
+            )
 
         weights_and_logs, jacobian = (
             convert_release(values),
             _jacobian(convert_release, values, np.sqrt(np.diag(covariance))),
         )
         return cls(
-            weights_and_logs[: count + more],
-            np.exp(weights_and_logs[count + more :]),
+            weights_and_logs[: unloading_count + loading_count],
+            np.exp(weights_and_logs[unloading_count + loading_count :]),
             jacobian @ covariance @ jacobian.T,
             unloading.start_s,
             unloading.window_s,

@@ -113,22 +113,24 @@ def _accept_residue(log_s: float, model: Callable[[float], Array], target: Array
     unit = model(log_s)
     share = float(unit @ target) / float(unit @ unit)
     slope = share * (model(log_s + 0.05) - model(log_s - 0.05)) / 0.1
-    spare = len(target) - 2
-    gain = (float(target @ target) - rest) / 2 / (rest / spare)
+    freedom = len(target) - 2
+    gain = (float(target @ target) - rest) / 2 / (rest / freedom)
     jacobian = np.column_stack([unit, slope])
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / spare, 1.0)
-    clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fdtrc(2, spare, max(gain, 0.0)) <= _SIGNIFICANCE
-    return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / freedom, 1.0)
+    is_clear = (
+        share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fdtrc(2, freedom, max(gain, 0.0)) <= _SIGNIFICANCE
+    )
+    return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if is_clear else None
 
 
 def _unit_residues(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
     """Residue of unit shares of all earlier releases at the samples of each step."""
     carried, before_s = 0.0, steps[0].start_s if steps else 0.0
-    left = []
+    residues = []
     for number, step in enumerate(steps):
         carried *= float(np.exp(-(step.start_s - before_s) / decay_s))
         before_s = step.start_s
         if not step.loading:
             carried += float(changes[number // 2])
-        left.append(carried * np.exp(-step.time_s / decay_s))
-    return left
+        residues.append(carried * np.exp(-step.time_s / decay_s))
+    return residues

@@ -91,13 +91,15 @@ class LoadFitter:
         electrodes, and no stronger than a disc of that clearance can be.
         """
         least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
-        clear = self.model.surroundings.clearance_mm(parameters[:, :2])
-        moved = parameters.copy()
+        clearance_mm = self.model.surroundings.clearance_mm(parameters[:, :2])
+        limited = parameters.copy()
         if square:
-            bound = np.maximum(clear, least) ** 2
-            moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
-        possible = (clear >= least) & (np.abs(moved[:, 2]) <= np.maximum(clear**2, np.abs(moved[:, 3])))
-        return moved, moved[:, 3] != parameters[:, 3], possible
+            bound = np.maximum(clearance_mm, least) ** 2
+            limited[:, 3] = np.clip(limited[:, 3], -bound, bound)
+        possible_mask = (clearance_mm >= least) & (
+            np.abs(limited[:, 2]) <= np.maximum(clearance_mm**2, np.abs(limited[:, 3]))
+        )
+        return limited, limited[:, 3] != parameters[:, 3], possible_mask
 
 
 class _Run:
@@ -117,18 +119,18 @@ class _Run:
         self.steps = np.zeros(count, dtype=np.int64)
 
     def step(self) -> None:
-        which = np.flatnonzero(self.active)
-        move, gain = self._moves(which)
-        aim, cut, placed = self.fitter.limit_sizes(self.at[which] + move, square=self.square)
-        newly = cut & self.free[which, 3]
-        self.free[which[cut], 3] = False
-        self.steps[which] += 1
-        done = (gain < _CLOSE_ENOUGH) & ~newly & placed
-        self._finish(which[done], aim[done], gain[done])
-        self._refuse(which[~placed])
-        going = placed & ~done
-        if going.any():
-            self._try(which[going], aim[going])
+        active_loads = np.flatnonzero(self.active)
+        move, gain = self._moves(active_loads)
+        aim, limited_mask, placed_mask = self.fitter.limit_sizes(self.at[active_loads] + move, square=self.square)
+        newly_limited = limited_mask & self.free[active_loads, 3]
+        self.free[active_loads[limited_mask], 3] = False
+        self.steps[active_loads] += 1
+        done_mask = (gain < _CLOSE_ENOUGH) & ~newly_limited & placed_mask
+        self._finish(active_loads[done_mask], aim[done_mask], gain[done_mask])
+        self._refuse(active_loads[~placed_mask])
+        continuing_mask = placed_mask & ~done_mask
+        if continuing_mask.any():
+            self._try(active_loads[continuing_mask], aim[continuing_mask])
 
     def _moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
@@ -150,15 +152,15 @@ class _Run:
         rows, slopes = self.fitter.rows(aim)
         residual = self.data[which] - rows
         misfit = (residual**2).sum(axis=1)
-        better = misfit < self.misfit[which]
-        good = which[better]
-        self.at[good], self.misfit[good] = aim[better], misfit[better]
-        self.residual[good] = residual[better]
-        slopes = slopes[better]
-        self.information[good] = slopes.swapaxes(1, 2) @ slopes
-        self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
-        self.damping[good] *= _EASIER
-        self._refuse(which[~better])
+        better_mask = misfit < self.misfit[which]
+        improved_loads = which[better_mask]
+        self.at[improved_loads], self.misfit[improved_loads] = aim[better_mask], misfit[better_mask]
+        self.residual[improved_loads] = residual[better_mask]
+        slopes = slopes[better_mask]
+        self.information[improved_loads] = slopes.swapaxes(1, 2) @ slopes
+        self.pull[improved_loads] = np.einsum("nrp,nr->np", slopes, residual[better_mask])
+        self.damping[improved_loads] *= _EASIER
+        self._refuse(which[~better_mask])
 
     def _refuse(self, which: Indices) -> None:
         self.damping[which] *= _HARDER
@@ -166,9 +168,9 @@ class _Run:
 
     def result(self) -> Fits:
         """Fitted parameters, with covariances of all that could be fitted."""
-        held = self.square & ~self.free[:, 3]
+        held_mask = self.square & ~self.free[:, 3]
         covariance = _invert(self.information, square=self.square)
-        excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
+        excess = np.where(held_mask, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
         empty = (self.data**2).sum(axis=1)
         return Fits(
             self.at,
@@ -178,7 +180,7 @@ class _Run:
             empty,
             self.steps,
             self.converged,
-            held,
+            held_mask,
             np.maximum(excess, 0.0),
         )
 
@@ -210,16 +212,16 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
     covariance = fits.covariance
     place = covariance[:, :2, :2]
     size, axes = np.linalg.eigh(place)
-    follow = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns vary with the place
+    place_response = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns vary with the place
     total = covariance.copy()
     for axis in range(2):
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
         for side in (-1, 1):
-            aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
-            beside, _, placed = fitter.limit_sizes(aim, square=square)
-            beside[~placed] = fits.parameters[~placed]
-            total += fitter.covariance(beside, square=square)
+            aim = fits.parameters + side * (place_response @ step[..., None])[..., 0]
+            moved_parameters, _, placed_mask = fitter.limit_sizes(aim, square=square)
+            moved_parameters[~placed_mask] = fits.parameters[~placed_mask]
+            total += fitter.covariance(moved_parameters, square=square)
     mean = np.where(fits.held[:, None, None], covariance, total / 5)
-    beyond = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])
-    spread: Array = mean * beyond[:, :, None] * beyond[:, None]
+    widening = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])
+    spread: Array = mean * widening[:, :, None] * widening[:, None]
     return spread

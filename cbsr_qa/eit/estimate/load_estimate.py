@@ -134,28 +134,33 @@ class LoadEstimator:
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
         """Better start of the given place and the best of the grid, (n, 4), and its explained share, (n,)."""
         match = data @ self._patterns.T
-        best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
-        matched = match[every, best]
+        best, frame_indices = np.abs(match).argmax(axis=1), np.arange(len(data))
+        matched = match[frame_indices, best]
         place, strength = self._places[best], matched / self._size[best]
         if start_mm is not None:
-            given = np.asarray(start_mm, dtype=np.float64)
-            clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
-            given = np.where(clear[:, None], given, place)
-            patterns, size = _filters(
-                self.readings.merge_frames(_weak_changes(self.model, given, self.expected_radius_mm))
+            given_mm = np.asarray(start_mm, dtype=np.float64)
+            clear_mask = (
+                self.model.surroundings.clearance_mm(given_mm) > _GRID * self.model.surroundings.radius_mm / 2
             )
-            own = (data * patterns).sum(axis=1)
-            better = np.abs(own) > np.abs(matched)
-            place = np.where(better[:, None], given, place)
-            strength, matched = np.where(better, own / size, strength), np.where(better, own, matched)
+            given_mm = np.where(clear_mask[:, None], given_mm, place)
+            patterns, size = _filters(
+                self.readings.merge_frames(_weak_changes(self.model, given_mm, self.expected_radius_mm))
+            )
+            given_match = (data * patterns).sum(axis=1)
+            better_mask = np.abs(given_match) > np.abs(matched)
+            place = np.where(better_mask[:, None], given_mm, place)
+            strength, matched = (
+                np.where(better_mask, given_match / size, strength),
+                np.where(better_mask, given_match, matched),
+            )
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), matched**2
 
     def _fit_sizes(self, data: Array, fits: Fits) -> Fits:
-        seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
-        if not seen.size:
+        detected_frames = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
+        if not detected_frames.size:
             return fits
-        sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
-        return _with(fits, seen, sized)
+        sized_fits = self._fitter.fit(data[detected_frames], fits.parameters[detected_frames], square=True)
+        return _with(fits, detected_frames, sized_fits)
 
     def _judge(self, data: Array, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
@@ -164,20 +169,24 @@ class LoadEstimator:
         inflation = np.where(probability < _IMPROBABLE, fits.misfit / freedom, 1.0)
         gain = (fits.empty_misfit - fits.misfit) / inflation
         detectability = np.sqrt(np.maximum(gain - unknowns, 0))
-        explained = fits.empty_misfit - fits.misfit
-        unlike = unlike_model(explained, fits.misfit, freedom)
-        seen = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike
-        covariance = self._covariance(fits, np.flatnonzero(seen), detectability) * inflation[:, None, None]
+        explained_squares = fits.empty_misfit - fits.misfit
+        unlike_mask = unlike_model(explained_squares, fits.misfit, freedom)
+        seen_mask = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike_mask
+        covariance = self._covariance(fits, np.flatnonzero(seen_mask), detectability) * inflation[:, None, None]
         place = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
-        located = seen & (place <= _SHARE * _SPARE * self.expected_radius_mm)
-        finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
+        located_mask = seen_mask & (place <= _SHARE * _SPARE * self.expected_radius_mm)
+        finding = np.where(unlike_mask, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located_mask, 0, 2)))
         fits = replace(fits, covariance=covariance)
-        has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
+        has_radius = located_mask & (
+            self._radius_stderr(fits, located_mask) <= _SHARE * _SPARE * self.expected_radius_mm
+        )
         # Share (n,) of the readings' squares, each weighing alike, that the fits explain.
         variance = self.readings.weight**-2.0
-        left = fits.residual**2 @ variance
-        share_of_squares = share_explained(data**2 @ variance - left, left, float(variance.sum()))
-        shares = share_explained(explained, fits.misfit, freedom), share_of_squares
+        residual_squares = fits.residual**2 @ variance
+        share_of_squares = share_explained(
+            data**2 @ variance - residual_squares, residual_squares, float(variance.sum())
+        )
+        shares = share_explained(explained_squares, fits.misfit, freedom), share_of_squares
         return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
 
     def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
@@ -191,19 +200,19 @@ class LoadEstimator:
     def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
         """Standard error of the radius at its expected value, (n,) [mm]; infinite without one."""
         stderr = np.full(len(located), np.inf)
-        which = np.flatnonzero(located)
-        if self.known or not which.size:
+        located_frames = np.flatnonzero(located)
+        if self.known or not located_frames.size:
             return stderr
-        usual = fits.parameters[which].copy()
-        usual[:, 3] = self.expected_radius_mm**2
-        usual, *_ = self._fitter.limit_sizes(usual, square=True)
-        variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
-        stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
+        expected_parameters = fits.parameters[located_frames].copy()
+        expected_parameters[:, 3] = self.expected_radius_mm**2
+        expected_parameters, *_ = self._fitter.limit_sizes(expected_parameters, square=True)
+        variance = self._fitter.covariance(expected_parameters, square=True)[:, 3, 3]
+        stderr[located_frames] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr
 
     def _estimate(self, fitted: LoadFits, number: int) -> LoadEstimate:
         finding = tuple(LoadFinding)[fitted.finding[number]]
-        located = finding is LoadFinding.LOCATED
+        is_located = finding is LoadFinding.LOCATED
         fits = fitted.fits
         covariance = fits.covariance[number]
         x_mm, y_mm, strength, square = fits.parameters[number].tolist()
@@ -211,14 +220,14 @@ class LoadEstimator:
         freedom = len(self.readings.weight) - (3 if self.known else 4)
         return LoadEstimate(
             finding=finding,
-            why="" if located else self._why(finding, fitted, number),
+            why="" if is_located else self._why(finding, fitted, number),
             detectability=float(fitted.detectability[number]),
-            place_mm=(x_mm, y_mm) if located else None,
-            place_covariance_mm2=covariance[:2, :2].copy() if located else None,
-            area_contrast_mm2=area_contrast(strength, errors[2]) if located else None,
-            contrast=contrast_of(strength / square, errors[2] / square) if located and self.known else None,
+            place_mm=(x_mm, y_mm) if is_located else None,
+            place_covariance_mm2=covariance[:2, :2].copy() if is_located else None,
+            area_contrast_mm2=area_contrast(strength, errors[2]) if is_located else None,
+            contrast=contrast_of(strength / square, errors[2] / square) if is_located and self.known else None,
             radius_mm=radius_of(square, errors[3], float(fits.excess[number])) if fitted.has_radius[number] else None,
-            no_radius="" if fitted.has_radius[number] else self._why_no_radius(located, errors[3]),
+            no_radius="" if fitted.has_radius[number] else self._why_no_radius(is_located, errors[3]),
             misfit=float(fits.misfit[number] / freedom),
             misfit_probability=float(fitted.probability[number]),
             inflation=float(fitted.inflation[number]),
@@ -236,13 +245,13 @@ class LoadEstimator:
             )
         if finding is LoadFinding.NOT_DETECTED:
             return "no load stands out of the noise of the readings"
-        seen, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
+        detectability, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
         if not fitted.fits.converged[number]:
             return "the fit of a round load did not converge: there is more than one load, or none"
         allowed = _SHARE * self.expected_radius_mm
-        factor = max(10 / max(seen, 1e-3), place / allowed)
+        factor = max(10 / max(detectability, 1e-3), place / allowed)
         return (
-            f"a load is there (d′ {seen:.1f}), but its position is uncertain by {place:.2g} mm;"
+            f"a load is there (d′ {detectability:.1f}), but its position is uncertain by {place:.2g} mm;"
             f" averaging {ceil(factor**2)} times as many frames would resolve it"
         )
 

@@ -88,15 +88,15 @@ def merge_reciprocal(pattern: DrivePattern, used: Mask, variance: Array) -> Merg
             remedy="leave out stuck readings, or take more unloaded frames",
         )
     groups, signs = pattern.reading_groups()
-    _, first, row = np.unique(groups[used], return_index=True, return_inverse=True)
-    if len(first) < FEWEST_ROWS:
+    _, leading, row = np.unique(groups[used], return_index=True, return_inverse=True)
+    if len(leading) < FEWEST_ROWS:
         raise NumericsError(
-            f"only {len(first)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
+            f"only {len(leading)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
             remedy="repair the masked channels",
         )
     precision = 1 / variance[used]
     total, sign = np.bincount(row, precision), signs[used]
-    merging = np.zeros((len(first), len(row)))
-    merging[row, np.arange(len(row))] = sign * sign[first][row] * precision / np.sqrt(total)[row]
+    merging = np.zeros((len(leading), len(row)))
+    merging[row, np.arange(len(row))] = sign * sign[leading][row] * precision / np.sqrt(total)[row]
     drive, measure = np.nonzero(used)
-    return MergedReadings(used, merging, drive[first], measure[first], np.sqrt(total))
+    return MergedReadings(used, merging, drive[leading], measure[leading], np.sqrt(total))

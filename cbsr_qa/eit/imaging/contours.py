@@ -151,8 +151,8 @@ class _Cut:
     def __init__(self, mesh: Mesh, nodal: Array, levels: Array) -> None:
         self._nodes_mm, self._nodal, self._levels = mesh.nodes_mm, nodal, levels
         self.above = (nodal >= levels[:, None]).ravel()
-        high = nodal >= levels.min()
-        triangles = self._copies(mesh.elements[_any(high, mesh.elements)])
+        high_mask = nodal >= levels.min()
+        triangles = self._copies(mesh.elements[_any(high_mask, mesh.elements)])
         reached = self.above[triangles]
         first, second, third = reached.T.astype(np.int8)
         count = first + second + third
@@ -163,9 +163,9 @@ class _Cut:
         )
         self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
         self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]
-        edges = self._copies(mesh.edges[_all(high, mesh.edges)])
+        edges = self._copies(mesh.edges[_all(high_mask, mesh.edges)])
         self.joined = edges[_all(self.above, edges)]
-        outer = self._copies(mesh.outline[_any(high, mesh.outline)])
+        outer = self._copies(mesh.outline[_any(high_mask, mesh.outline)])
         self.outer = outer[_any(self.above, outer)]
 
     def _copies(self, nodes: Indices) -> Indices:
@@ -244,14 +244,14 @@ def _inside(cut: _Cut) -> tuple[Array, Array, Indices]:
 
 def _rim(cut: _Cut) -> tuple[Array, Array, Indices]:
     """Starts and ends (k, 2) of the contours' pieces and of the sheet's edge between them, and a corner above."""
-    first, last = cut.outer.T
-    enters, leaves = ~cut.above[first], ~cut.above[last]
-    start, end = cut.place(first), cut.place(last)
-    start[enters] = cut.crossing(last[enters], first[enters])
-    end[leaves] = cut.crossing(first[leaves], last[leaves])
+    start_node, end_node = cut.outer.T
+    enters, leaves = ~cut.above[start_node], ~cut.above[end_node]
+    start, end = cut.place(start_node), cut.place(end_node)
+    start[enters] = cut.crossing(end_node[enters], start_node[enters])
+    end[leaves] = cut.crossing(start_node[leaves], end_node[leaves])
     starts = np.concatenate([cut.tip_cuts[0], cut.stump_cuts[1], start])
     ends = np.concatenate([cut.tip_cuts[1], cut.stump_cuts[0], end])
-    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, last, first)])
-    apart = starts != ends
-    has_length = apart[:, 0] | apart[:, 1]
+    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, end_node, start_node)])
+    differs = starts != ends
+    has_length = differs[:, 0] | differs[:, 1]
     return starts[has_length], ends[has_length], anchor[has_length]
