@@ -62,23 +62,23 @@ def check_counts(entries: Mapping[str, Entry]) -> None:
 
 def _list_counts(entries: Mapping[str, Entry]) -> Iterator[tuple[str, int, int]]:
     """Yield what is counted: its path, its number, and how many are allowed."""
-    for path, most in _LARGEST.items():
+    for path, allowed in _LARGEST.items():
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.shape == () and value.dtype == np.int64:
-            yield path, int(value), most
-    for path, most in _LONGEST.items():
-        yield path, _length(entries, path), most
+            yield path, int(value), allowed
+    for path, allowed in _LONGEST.items():
+        yield path, _length(entries, path), allowed
     pairs = entries["readings/pairs"].value if "readings/pairs" in entries else None
     if isinstance(pairs, np.ndarray) and pairs.ndim == 2 and pairs.shape[1] == 4:
         for columns in (pairs[:, :2], pairs[:, 2:]):
             yield "readings/pairs, of different electrodes", len(np.unique(columns, axis=0)), _MOST_PAIRS
-    used = entries["reconstruction/used"].value if "reconstruction/used" in entries else None
-    if isinstance(used, np.ndarray) and used.dtype == np.bool_:
-        yield "reconstruction/used, readings", int(used.sum()), _MOST_READINGS
-    for path, most in _LARGEST_TABLES.items():
+    used_mask = entries["reconstruction/used"].value if "reconstruction/used" in entries else None
+    if isinstance(used_mask, np.ndarray) and used_mask.dtype == np.bool_:
+        yield "reconstruction/used, readings", int(used_mask.sum()), _MOST_READINGS
+    for path, allowed in _LARGEST_TABLES.items():
         table = entries[path].value if path in entries else None
         if isinstance(table, np.ndarray):
-            yield path, table.size, most
+            yield path, table.size, allowed
     signals = {path.split("/")[1] for path in entries if path.startswith(_RELAXATION)}
     yield "relaxation, signals", len(signals), _MOST_SIGNALS
     for signal in sorted(signals):

@@ -144,11 +144,13 @@ def _quantity_problem(quantity: LearnedQuantity) -> str:
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:
-    why = Reading(entries).text(_WHY_NOT)
-    held = {
-        path: entry for path, entry in entries.items() if path != _WHY_NOT and not (why and path.startswith("force/"))
+    no_force_reason = Reading(entries).text(_WHY_NOT)
+    kept_entries = {
+        path: entry
+        for path, entry in entries.items()
+        if path != _WHY_NOT and not (no_force_reason and path.startswith("force/"))
     }
-    calibration: Calibration = _CODEC.read(Reading(held), Calibration, "", {"no_force": why})
+    calibration: Calibration = _CODEC.read(Reading(kept_entries), Calibration, "", {"no_force": no_force_reason})
     reconstruction = calibration.reconstruction
     if reconstruction.matrix.shape != reconstruction.problem.jacobian.T.shape:
         raise CalibrationError(
@@ -252,23 +254,25 @@ _CODEC: Final = Codec(_IRREGULAR)
 
 def _check_usable(calibration: Calibration) -> None:
     """Refuse a force model whose merging, reference, line, current or head is unusable."""
-    model, used = calibration.force, calibration.reconstruction.problem.used
+    model, used_readings = calibration.force, calibration.reconstruction.problem.used
     if model is None:
         return
     shape = calibration.sensor_type.pattern.shape
-    if calibration.reference.shape != shape or used.shape != shape:
+    if calibration.reference.shape != shape or used_readings.shape != shape:
         raise CalibrationError(
-            f"reference/voltages of {calibration.reference.shape} and reconstruction/used of {used.shape} are not"
-            f" those of {shape[0]} drive and {shape[1]} measure pairs"
+            f"reference/voltages of {calibration.reference.shape} and reconstruction/used of"
+            f" {used_readings.shape} are not those of {shape[0]} drive and {shape[1]} measure pairs"
         )
-    if model.merging.shape[1] != int(used.sum()):
-        raise CalibrationError(f"force/merging is for {model.merging.shape[1]} readings, {int(used.sum())} are used")
-    if not np.isfinite(calibration.reference[used]).all():
+    if model.merging.shape[1] != int(used_readings.sum()):
+        raise CalibrationError(
+            f"force/merging is for {model.merging.shape[1]} readings, {int(used_readings.sum())} are used"
+        )
+    if not np.isfinite(calibration.reference[used_readings]).all():
         raise CalibrationError("reference/voltages holds a used reading that is not a finite number")
     line, validity = calibration.against_stress, calibration.validity
-    known = (line.slope.stderr, line.intercept.stderr, line.covariance, *(validity.force_N or ()))
-    finite = (line.slope.value, line.intercept.value, validity.radius_mm, *(x for x in known if x is not None))
-    if not np.isfinite(finite).all() or line.slope.value == 0:
+    line_errors = (line.slope.stderr, line.intercept.stderr, line.covariance, *(validity.force_N or ()))
+    numbers = (line.slope.value, line.intercept.value, validity.radius_mm, *(x for x in line_errors if x is not None))
+    if not np.isfinite(numbers).all() or line.slope.value == 0:
         raise CalibrationError("quasi_static/against_stress or validity holds what no force can be worked out from")
     positive = (calibration.current_A, calibration.indenter.diameter_mm, calibration.indenter.squared_radius_mm2)
     if not all(np.isfinite(value) and value > 0 for value in positive):

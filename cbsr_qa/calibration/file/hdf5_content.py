@@ -82,13 +82,13 @@ class _Walk:
             raise RefusedError(
                 f"more than {_MOST_TEXTS} texts up to {path}: no such file of this program has so many"
             )
-        held = _count_unpacked_bytes(dataset)
-        if dataset.size is None or held > self._left:
+        unpacked_bytes = _count_unpacked_bytes(dataset)
+        if dataset.size is None or unpacked_bytes > self._left:
             raise RefusedError(
                 f"{path} of the shape {dataset.shape} is empty or too large: all datasets of a file of this size"
                 f" may hold {self._all / 2**20:.0f} MiB together"
             )
-        self._left -= held
+        self._left -= unpacked_bytes
         if not text and dataset.dtype.kind not in "iufcb":
             raise RefusedError(f"{path} is of the type {dataset.dtype}, which is neither number nor text")
         packing = dataset.id.get_create_plist()
@@ -133,17 +133,17 @@ def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
 
     RefusedError if they have more characters than in any of our files.
     """
-    held = dataset.asstr()
+    stored_texts = dataset.asstr()
     if not dataset.ndim:
-        return str(held[()])
-    read: list[str] = []
-    left = _MOST_CHARACTERS
+        return str(stored_texts[()])
+    texts_read: list[str] = []
+    characters_left = _MOST_CHARACTERS
     for first in range(0, dataset.size, _TEXTS_AT_ONCE):
-        some = [str(text) for text in held[first : first + _TEXTS_AT_ONCE]]
-        left -= sum(map(len, some))
-        if left < 0:
+        batch = [str(text) for text in stored_texts[first : first + _TEXTS_AT_ONCE]]
+        characters_left -= sum(map(len, batch))
+        if characters_left < 0:
             raise RefusedError(
                 f"{path} holds more than {_MOST_CHARACTERS} characters: no such file of this program has so many"
             )
-        read += some
-    return tuple(read)
+        texts_read += batch
+    return tuple(texts_read)

@@ -127,9 +127,9 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     if type(version) is int:
         check_released(format_, version)
     if type(version) is not int or version > latest:
-        known = f"version {first}" if first == latest else f"versions {first} to {latest}"
+        known_versions = f"version {first}" if first == latest else f"versions {first} to {latest}"
         raise CalibrationError(
-            f"schema_version is {_quote(version)}; this program knows {known}",
+            f"schema_version is {_quote(version)}; this program knows {known_versions}",
             remedy="update cbsr-qa, if a later one wrote the file",
         )
     if len(document["datasets"]) > MOST_ENTRIES:
@@ -224,20 +224,20 @@ def _values(path: str, stated: dict[str, Any], kinds: tuple[type, ...], what: st
 
 
 def _array(path: str, stated: dict[str, Any], kind: str, shape: list[int]) -> NDArray[Any]:
-    whole = kind in ("i8", "u1")
+    is_whole = kind in ("i8", "u1")
     if "base64" in stated:
         _require(isinstance(stated["base64"], str), path, "base64", stated["base64"], "a text")
-        held = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{kind}")
-    elif whole:
-        held = np.array(_values(path, stated, (int,), "a whole number"), dtype=np.int64)
+        array = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{kind}")
+    elif is_whole:
+        array = np.array(_values(path, stated, (int,), "a whole number"), dtype=np.int64)
     else:
         numbers = _values(path, stated, (int, float, type(None)), "a number or null")
-        held = np.array([np.nan if value is None else value for value in numbers], dtype=np.float64)
-    if kind == "u1" and held.size and not 0 <= held.min() <= held.max() <= 1:
-        wrong = int(held[(held < 0) | (held > 1)][0])
-        _require(False, path, "values", wrong, "0 and 1")
-    _require(math.prod(shape) == held.size, path, "shape", shape, f"one of {held.size} values")
-    return held.astype(_KINDS[kind]).reshape(shape)
+        array = np.array([np.nan if value is None else value for value in numbers], dtype=np.float64)
+    if kind == "u1" and array.size and not 0 <= array.min() <= array.max() <= 1:
+        wrong_value = int(array[(array < 0) | (array > 1)][0])
+        _require(False, path, "values", wrong_value, "0 and 1")
+    _require(math.prod(shape) == array.size, path, "shape", shape, f"one of {array.size} values")
+    return array.astype(_KINDS[kind]).reshape(shape)
 
 
 def _kind(values: NDArray[Any]) -> str:

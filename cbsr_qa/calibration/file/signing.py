@@ -49,13 +49,14 @@ def read_signature(stated: Mapping[str, Any]) -> Signature | None:
 
     CalibrationError if a part is missing or malformed.
     """
-    missing = [name for name in SIGNATURE if name not in stated]
-    if len(missing) == len(SIGNATURE):
+    missing_parts = [name for name in SIGNATURE if name not in stated]
+    if len(missing_parts) == len(SIGNATURE):
         return None
-    if missing:
-        held = " and ".join(name for name in SIGNATURE if name in stated)
+    if missing_parts:
+        present_parts = " and ".join(name for name in SIGNATURE if name in stated)
         raise CalibrationError(
-            f"its signature was removed in part: {' and '.join(missing)} is missing beside {held}", remedy=_AS_ISSUED
+            f"its signature was removed in part: {' and '.join(missing_parts)} is missing beside {present_parts}",
+            remedy=_AS_ISSUED,
         )
     for name, form in SIGNATURE.items():
         if not (isinstance(stated[name], str) and form.fullmatch(stated[name])):

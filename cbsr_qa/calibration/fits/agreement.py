@@ -86,14 +86,14 @@ class MeasuredRelaxation:
         common, fit, scale = self.common, self.common.fit, self.scale
         tau = np.array(fit.time_constants_s).reshape(1, -1)
         amplitudes = np.array(fit.amplitudes)
-        each = np.exp(-time_s[:, None] / tau)
-        moving = each @ amplitudes
-        curve = (fit.offset + moving) / scale
+        decays = np.exp(-time_s[:, None] / tau)
+        decaying_part = decays @ amplitudes
+        curve = (fit.offset + decaying_part) / scale
         if not len(amplitudes):
             variance = 0.0 if self.loaded_change is None else (fit.offset_stderr / scale) ** 2
             return curve, np.full(len(time_s), variance)
-        by_offset = -moving / scale if self.loaded_change is None else np.ones_like(moving)
-        gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
+        by_offset = -decaying_part / scale if self.loaded_change is None else np.ones_like(decaying_part)
+        gradient = np.column_stack([by_offset, decays, decays * amplitudes * time_s[:, None] / tau]) / scale
         return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
 
     def settling_time(self, tolerance: float) -> tuple[float, float] | None:

@@ -62,21 +62,24 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no significant relaxation), DRIFTING (slower than the
     traces are long) or REJECTED (no trace, or no time constant is determined).
     """
-    used = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
-    if not used:
-        return _refuse_curve(FitStatus.REJECTED, used, f"no trace of at least {_FEWEST} points")
-    level = np.concatenate([values - values.mean() for _, values in used])
-    rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used)
+    used_traces = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
+    if not used_traces:
+        return _refuse_curve(FitStatus.REJECTED, used_traces, f"no trace of at least {_FEWEST} points")
+    level = np.concatenate([values - values.mean() for _, values in used_traces])
+    rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used_traces)
     if np.abs(level).max() <= rounding:
-        return _refuse_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
-    bounds_s = _bounds_s(used)
-    single = _one(used, bounds_s)
-    small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
-    if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > SIGNIFICANCE:
-        return _refuse_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
-    two = _two(used, bounds_s, float(np.log(single.time_constants_s[0])))
-    why = _why_not_two(single, two, bounds_s, _parameters(used, 3), rounding)
-    return _accept_fit(single if why else two, used, bounds_s, why)
+        return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation: the traces are constant")
+    bounds_s = _bounds_s(used_traces)
+    single = _one(used_traces, bounds_s)
+    is_small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
+    if (
+        is_small
+        and chance_of_gain(level, single.residual, _parameters(used_traces, 1), len(used_traces) + 1) > SIGNIFICANCE
+    ):
+        return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation stands out of the noise")
+    two = _two(used_traces, bounds_s, float(np.log(single.time_constants_s[0])))
+    why = _why_not_two(single, two, bounds_s, _parameters(used_traces, 3), rounding)
+    return _accept_fit(single if why else two, used_traces, bounds_s, why)
 
 
 def common_settling_time(
@@ -173,7 +176,7 @@ def _accept_fit(
         return _refuse_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
     if error > LOG_ERROR:
         return _refuse_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
-    every = np.concatenate([values - values.mean() for _, values in traces])
+    centred = np.concatenate([values - values.mean() for _, values in traces])
     fit = RelaxationFit(
         status=FitStatus.TWO if len(joint.shares) == 2 else FitStatus.ONE,
         offset=float(joint.offsets.mean()),
@@ -181,7 +184,7 @@ def _accept_fit(
         time_constants_s=tuple(joint.time_constants_s.tolist()),
         offset_stderr=float(np.sqrt(joint.mean_covariance[0, 0])),
         time_constant_stderr_s=tuple((joint.time_constants_s * joint.log_stderr).tolist()),
-        r_squared=1 - float(joint.residual @ joint.residual) / float(every @ every),
+        r_squared=1 - float(joint.residual @ joint.residual) / float(centred @ centred),
         why=why,
     )
     return CommonRelaxation(fit, joint.offsets, joint.scales, joint.shares, joint.mean_covariance, traces=len(traces))

@@ -138,15 +138,15 @@ def _ratio(pairs: Sequence[tuple[float, float]], why_none: str) -> Estimate:
 
 def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
     """Change of a signal from a time to the end of the hold, and its level there; None without such a trace."""
-    trace, framed = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
+    trace, frame_trace = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
     if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records no true values
         return None
-    early = level_at(trace, from_s)
-    last_from_s = trace.time_s[-frames:][0] if framed is None else framed.time_s[-frames:][0]
-    if early is None or not last_from_s > from_s:
+    early_level = level_at(trace, from_s)
+    last_from_s = trace.time_s[-frames:][0] if frame_trace is None else frame_trace.time_s[-frames:][0]
+    if early_level is None or not last_from_s > from_s:
         return None
     end = float(trace.values[trace.time_s >= last_from_s].mean())
-    return end - early, end
+    return end - early_level, end
 
 
 def _describe_missing_trace(signal: str, from_s: float) -> str:

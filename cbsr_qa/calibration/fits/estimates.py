@@ -86,12 +86,14 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     triples = np.array(list(combinations(range(len(place)), 3)))
     first, middle, last = triples.T
     share = (place[last] - place[middle]) / (place[last] - place[first])
-    levelled = (value[middle] - share * value[first] - (1 - share) * value[last]) / 2
-    chosen = int(np.argmax(np.abs(levelled)))
-    left, _, right = triples[chosen]
+    half_deviations = (value[middle] - share * value[first] - (1 - share) * value[last]) / 2
+    worst_triple = int(np.argmax(np.abs(half_deviations)))
+    left, _, right = triples[worst_triple]
     slope = float((value[right] - value[left]) / (place[right] - place[left]))
-    of_largest = _combine_errors(error, triples[chosen], float(share[chosen]), 0.5)
-    return _line(slope, (place[left], value[left]), float(levelled[chosen]), place, value, order, of_largest)
+    of_largest = _combine_errors(error, triples[worst_triple], float(share[worst_triple]), 0.5)
+    return _line(
+        slope, (place[left], value[left]), float(half_deviations[worst_triple]), place, value, order, of_largest
+    )
 
 
 def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float] | None = None) -> StraightLine:
@@ -153,13 +155,13 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
     square = float(centred @ centred)
     if not square > (1e-9 * float(np.abs(place).max(initial=1e-300))) ** 2 * len(place):
         raise NumericsError("a slope needs loads at two strains", remedy="press at clearly different strains")
-    apart = value - value.mean()
-    rate = float(centred @ apart) / square
+    centred_values = value - value.mean()
+    rate = float(centred @ centred_values) / square
     degrees = len(place) - 2
     if degrees < 1:
         return Estimate(rate, None, 0)
-    left = apart - rate * centred
-    return Estimate(rate, float(np.sqrt(left @ left / degrees / square)), degrees)
+    residual = centred_values - rate * centred
+    return Estimate(rate, float(np.sqrt(residual @ residual / degrees / square)), degrees)
 
 
 def _sort_points(

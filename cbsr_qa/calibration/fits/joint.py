@@ -130,14 +130,14 @@ class _Joint:
         # Not from the normal equations, which would treat nearly equal shapes as determined.
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
         of_shape: Array = root @ root.T
-        given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
+        level_covariance, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
         for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
-            given += inverse @ inverse.T / count**2
+            level_covariance += inverse @ inverse.T / count**2
             turn -= inverse @ (scale * _slopes(time_s, shape)) / count
         linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
-        back = _to_amplitudes(shape, float(scales.mean())) @ linear
-        return back @ _block(given, of_shape) @ back.T
+        to_amplitudes = _to_amplitudes(shape, float(scales.mean())) @ linear
+        return to_amplitudes @ _block(level_covariance, of_shape) @ to_amplitudes.T
 
 
 def _shape(time_s: Array, shape: Array) -> Array:

@@ -75,30 +75,30 @@ def fit_quasi_static(
         or their x coincide, so that slope and intercept cannot be separated.
     """
     level, place, value = _check_points(strain, x, change)
-    given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
+    stated_stderr = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
     strains = np.unique(level)
     means = np.array([value[level == s].mean() for s in strains])
-    errors, deviations = _errors(level, value, given, strains)
-    kept = deviations <= np.abs(means)
-    if kept.sum() < 2:
+    errors, deviations = _errors(level, value, stated_stderr, strains)
+    kept_mask = deviations <= np.abs(means)
+    if kept_mask.sum() < 2:
         raise NumericsError(
-            f"{int(kept.sum())} of {len(strains)} strains can be fitted; slope and intercept need two",
+            f"{int(kept_mask.sum())} of {len(strains)} strains can be fitted; slope and intercept need two",
             remedy="press at two strains or more, each clear of its own scatter",
         )
-    places = np.array([place[level == s].mean() for s in strains])[kept]
+    places = np.array([place[level == s].mean() for s in strains])[kept_mask]
     if np.ptp(places) <= _COLLINEAR * np.abs(places).max():
         raise NumericsError(
             f"all loads lie at x = {places[0]:g}: slope and intercept cannot be told apart",
             remedy="press at clearly different strains",
         )
-    solution, covariance, chi_squared = _fit_weighted_line(places, means[kept], errors[kept])
-    degrees = int(kept.sum()) - 2
+    solution, covariance, chi_squared = _fit_weighted_line(places, means[kept_mask], errors[kept_mask])
+    degrees = int(kept_mask.sum()) - 2
     return QuasiStaticFit(
         float(solution[0]),
         float(solution[1]),
         covariance * max(1.0, chi_squared / degrees if degrees else 1.0),
-        tuple(strains[kept].tolist()),
-        tuple(strains[~kept].tolist()),
+        tuple(strains[kept_mask].tolist()),
+        tuple(strains[~kept_mask].tolist()),
         chi_squared,
         degrees,
     )

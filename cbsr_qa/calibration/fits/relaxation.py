@@ -49,33 +49,37 @@ def observable_share(
 
     NumericsError if a frame lasts a thousand time constants: its mean is that of its first instant alone.
     """
-    long = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
-    half = frame_s / 2 / time_constants_s
-    if (half > _LONGEST).any():
+    ramp_ratio = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
+    frame_ratio = frame_s / 2 / time_constants_s
+    if (frame_ratio > _LONGEST).any():
         raise NumericsError(
             f"a frame of {frame_s:g} s says nothing about a time constant of {np.min(time_constants_s):.3g} s",
             remedy="leave out what is so much faster than a frame",
         )
-    ramp, ramp_slope = _mean_decay(long)
-    frame, frame_slope = _mean_about(half)
+    ramp, ramp_slope = _mean_decay(ramp_ratio)
+    frame, frame_slope = _mean_about(frame_ratio)
     # d/d log τ of f(c/τ) is −x f'(x).
-    return ramp * frame, long * ramp_slope / ramp + half * frame_slope / frame
+    return ramp * frame, ramp_ratio * ramp_slope / ramp + frame_ratio * frame_slope / frame
 
 
 def _mean_decay(x: Array) -> tuple[Array, Array]:
-    small = x < _SERIES
-    safe = np.where(small, 1.0, x)
+    small_mask = x < _SERIES
+    safe = np.where(small_mask, 1.0, x)
     value = -np.expm1(-safe) / safe
     slope = (np.exp(-safe) - value) / safe
-    return np.where(small, _power_series(_DECAY, x), value), np.where(small, _power_series(_DECAY_SLOPE, x), slope)
+    return np.where(small_mask, _power_series(_DECAY, x), value), np.where(
+        small_mask, _power_series(_DECAY_SLOPE, x), slope
+    )
 
 
 def _mean_about(x: Array) -> tuple[Array, Array]:
-    small = x < _SERIES
-    safe = np.where(small, 1.0, x)
+    small_mask = x < _SERIES
+    safe = np.where(small_mask, 1.0, x)
     value = np.sinh(safe) / safe
     slope = (np.cosh(safe) - value) / safe
-    return np.where(small, _power_series(_ABOUT, x), value), np.where(small, _power_series(_ABOUT_SLOPE, x), slope)
+    return np.where(small_mask, _power_series(_ABOUT, x), value), np.where(
+        small_mask, _power_series(_ABOUT_SLOPE, x), slope
+    )
 
 
 def _power_series(coefficients: Array, x: Array) -> Array:

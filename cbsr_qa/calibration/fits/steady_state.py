@@ -170,17 +170,17 @@ class HoldsSoFar:
 
     def _predict_from_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so A is predicted iteratively."""
-        none = np.zeros(self._frames.shape)
+        zeros = np.zeros(self._frames.shape)
         if self._regression is None:
             level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
             size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
             for _ in range(_ROUNDS):
-                unknown = self._unknown(1.0, size, none)
-                regressed = self._regress(unknown, none)
+                unknown = self._unknown(1.0, size, zeros)
+                regressed = self._regress(unknown, zeros)
                 size = regressed[1][:, 0]
             self._regression = unknown, regressed
         unknown, regressed = self._regression
-        return self._predict(unknown, none, self._rows(np.full(none.shape, at_s)), regressed)
+        return self._predict(unknown, zeros, self._rows(np.full(zeros.shape, at_s)), regressed)
 
     def _rows(self, time_s: Array) -> Array:
         """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
@@ -210,34 +210,34 @@ class HoldsSoFar:
     def _regress(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
         """Root L (m, u, u) of the unknowns' covariance L Lᵀ, their values (m, u), and χ² (m,) with their prior's."""
         rows = self._triangle[:, :, :-1] @ unknown
-        left = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
+        residual_data = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
         prior = np.broadcast_to(
             np.eye(unknown.shape[2] + 1)[1:-1], (len(rows), unknown.shape[2] - 1, rows.shape[2] + 1)
         )
-        every = np.concatenate([np.concatenate([rows, left[:, :, None]], axis=2), prior], axis=1)
-        triangle = _triangle(every)
+        augmented = np.concatenate([np.concatenate([rows, residual_data[:, :, None]], axis=2), prior], axis=1)
+        triangle = _triangle(augmented)
         root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
         return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
     def _predict(
         self, unknown: Array, known: Array, wanted: Array, regressed: tuple[Array, Array, Array]
     ) -> SteadyPrediction:
-        root, solution, left = regressed
-        along = (wanted[:, None, :] @ unknown)[:, 0]
-        parts = (along[:, None, :] @ root)[:, 0]
-        errors = (root @ parts[:, :, None])[:, :, 0]
-        variance = np.maximum((parts**2).sum(axis=1), np.finfo(np.float64).tiny)
+        root, solution, chi_squared = regressed
+        wanted_row = (wanted[:, None, :] @ unknown)[:, 0]
+        error_parts = (wanted_row[:, None, :] @ root)[:, 0]
+        errors = (root @ error_parts[:, :, None])[:, :, 0]
+        variance = np.maximum((error_parts**2).sum(axis=1), np.finfo(np.float64).tiny)
         # The error is −errors · (unit normals) + noise; the mean over loads is as uncertain as their scatter.
         scatter = slice(1 + 2 * len(self._kernel.weights), -1)
-        of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
-        share = np.clip(of_scatter / variance, 1e-6, 1.0)
-        spare = self._frames - 1
+        scatter_variance = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
+        share = np.clip(scatter_variance / variance, 1e-6, 1.0)
+        freedom = self._frames - 1
         return SteadyPrediction(
-            (along * solution).sum(axis=1) + known * wanted[:, 1],
+            (wanted_row * solution).sum(axis=1) + known * wanted[:, 1],
             np.sqrt(variance),
             self._kernel.scatter_freedom / share**2,
-            np.where(spare > 0, left / np.maximum(spare, 1), 0.0),
-            spare,
+            np.where(freedom > 0, chi_squared / np.maximum(freedom, 1), 0.0),
+            freedom,
         )
 
 

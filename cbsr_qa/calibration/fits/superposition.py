@@ -105,16 +105,16 @@ def separate_with_constants(
 
 def shift_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
     """Move time constants by one standard error along each of their independent directions, one set each."""
-    plain = constants_of(common)
-    moved = []
+    constants = constants_of(common)
+    shifted_constants = []
     for loading, fit in common.items():
-        count = len(plain[loading])
+        count = len(constants[loading])
         block = fit.covariance[1 + count :, 1 + count :]
         size, direction = np.linalg.eigh(block) if count else (np.zeros(0), np.zeros((0, 0)))
         for k in range(count):
             shift = np.sqrt(max(float(size[k]), 0.0)) * direction[:, k]
-            moved.append({**plain, loading: plain[loading] * np.exp(np.clip(shift, -0.5, 0.5))})
-    return moved
+            shifted_constants.append({**constants, loading: constants[loading] * np.exp(np.clip(shift, -0.5, 0.5))})
+    return shifted_constants
 
 
 def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
@@ -214,12 +214,12 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
     values, errors = [], []
     for loop in loops:
         for held in loop.held:
-            last = trace.values[(trace.time_s >= held.end_s - last_s) & (trace.time_s < held.end_s)]
-            if not len(last):
+            last_values = trace.values[(trace.time_s >= held.end_s - last_s) & (trace.time_s < held.end_s)]
+            if not len(last_values):
                 raise NumericsError(f"nothing was read in the last {last_s:.3g} s of a hold")
-            spread = (float(last.std(ddof=1)) if len(last) > 1 else 0.0) if noise is None else noise
-            values.append(float(last.mean()))
-            errors.append(spread / len(last) ** 0.5)
+            spread = (float(last_values.std(ddof=1)) if len(last_values) > 1 else 0.0) if noise is None else noise
+            values.append(float(last_values.mean()))
+            errors.append(spread / len(last_values) ** 0.5)
     return Levels(np.reshape(values, (len(loops), -1)), _apart(np.reshape(errors, (len(loops), -1))))
 
 
@@ -263,20 +263,27 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
                 remedy="hold each strain longer",
             )
     held_s = float(np.median([step.time_s[-1] for step in steps]))
-    known = constants_of(separated.common)
+    fitted_constants = constants_of(separated.common)
     unseen = np.array([_UNSEEN * held_s])
-    constants = {way: next((c for c in (known[way], known[not way]) if len(c)), unseen) for way in (True, False)}
-    plain = separate_with_constants(steps, separated.common, constants)
-    moved = [
+    constants = {
+        way: next((c for c in (fitted_constants[way], fitted_constants[not way]) if len(c)), unseen)
+        for way in (True, False)
+    }
+    final_steps = separate_with_constants(steps, separated.common, constants)
+    shifted_steps = [
         separate_with_constants(
-            steps, separated.common, {way: near[way] if len(known[way]) else constants[way] for way in near}
+            steps,
+            separated.common,
+            {way: shifted[way] if len(fitted_constants[way]) else constants[way] for way in shifted},
         )
-        for near in shift_constants(separated.common)
+        for shifted in shift_constants(separated.common)
     ]
     width = len(loops[0].held)
-    own = _shape_levels(plain.level_stderr, len(loops), width)
-    shifts = [_shape_levels(near.levels - plain.levels, len(loops), width)[None] for near in moved]
-    return Levels(_shape_levels(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
+    own_stderr = _shape_levels(final_steps.level_stderr, len(loops), width)
+    shifts = [
+        _shape_levels(shifted.levels - final_steps.levels, len(loops), width)[None] for shifted in shifted_steps
+    ]
+    return Levels(_shape_levels(final_steps.levels, len(loops), width), np.concatenate([_apart(own_stderr), *shifts]))
 
 
 def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:

@@ -55,31 +55,33 @@ class FaultFinder:
 
     def __init__(self, pairs: Indices, reference: Array, noise: Array) -> None:
         self._reference, self._noise = reference, noise
-        found: list[tuple[Mask, Indices, bool]] = []
-        silent: list[float] = []
+        pair_groups: list[tuple[Mask, Indices, bool]] = []
+        silent_spreads: list[float] = []
         for drives, columns in ((True, pairs[:, :2]), (False, pairs[:, 2:])):
             ends = np.sort(columns, axis=1)
             for pair in np.unique(ends, axis=0):
                 members = (ends == pair).all(axis=1)
-                spread, loud = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
-                if members.sum() >= FEWEST_OF_PAIR and loud < _CLEAR * spread:
-                    found.append((members, pair, drives))
-                    silent.append(max(SILENT_SPREAD, _NOISY * loud / spread))
-        self._silent = np.array(silent)
-        self._members: Mask = np.array([members for members, _, _ in found], dtype=np.bool_).reshape(-1, len(pairs))
-        self._electrodes: Indices = np.array([pair for _, pair, _ in found], dtype=np.int64).reshape(-1, 2)
-        self._drives: Mask = np.array([drives for *_, drives in found], dtype=np.bool_)
+                spread, pair_noise = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
+                if members.sum() >= FEWEST_OF_PAIR and pair_noise < _CLEAR * spread:
+                    pair_groups.append((members, pair, drives))
+                    silent_spreads.append(max(SILENT_SPREAD, _NOISY * pair_noise / spread))
+        self._silent = np.array(silent_spreads)
+        self._members: Mask = np.array([members for members, _, _ in pair_groups], dtype=np.bool_).reshape(
+            -1, len(pairs)
+        )
+        self._electrodes: Indices = np.array([pair for _, pair, _ in pair_groups], dtype=np.int64).reshape(-1, 2)
+        self._drives: Mask = np.array([drives for *_, drives in pair_groups], dtype=np.bool_)
         self._member: Array = self._members.T.astype(np.float64)
 
     def __call__(self, readings: Array) -> FrameFaults:
         """Find the faults of frames (n, m); in frames that lost most readings, those that are not finite count."""
-        missing: Mask = ~np.isfinite(readings)
-        readings = np.where(missing, self._reference, readings)
-        clipped = self._find_clipped(readings)
-        missing &= (missing.mean(axis=1) <= _MOST_MISSING)[:, None]
-        left_out: Mask = clipped | missing
-        flags: Indices = np.where(clipped.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
-        flags |= np.where(missing.any(axis=1), int(Flag.MISSING), 0)
+        missing_mask: Mask = ~np.isfinite(readings)
+        readings = np.where(missing_mask, self._reference, readings)
+        clipped_mask = self._find_clipped(readings)
+        missing_mask &= (missing_mask.mean(axis=1) <= _MOST_MISSING)[:, None]
+        left_out: Mask = clipped_mask | missing_mask
+        flags: Indices = np.where(clipped_mask.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
+        flags |= np.where(missing_mask.any(axis=1), int(Flag.MISSING), 0)
         if len(self._members):
             slope, spread = self._following(readings, (~left_out).astype(np.float64))
             for frame in np.flatnonzero(((slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)).any(axis=1)).tolist():
@@ -108,36 +110,36 @@ class FaultFinder:
         readings, kept : (n, m), and 1 for those that count, 0 for others. Pairs without enough follow exactly.
         """
         largest = _LARGEST * float(np.abs(self._reference).max())
-        about = np.clip(readings - np.median(readings, axis=1, keepdims=True), -largest, largest) * kept
+        centred = np.clip(readings - np.median(readings, axis=1, keepdims=True), -largest, largest) * kept
         expected = self._reference * kept
         count = kept @ self._member
-        each = np.maximum(count, 1.0)
-        mean, mean_expected = about @ self._member / each, expected @ self._member / each
-        power = np.maximum(expected**2 @ self._member / each - mean_expected**2, np.finfo(np.float64).tiny)
-        slope = ((about * expected) @ self._member / each - mean * mean_expected) / power
-        spread = np.sqrt(np.maximum(about**2 @ self._member / each - mean**2, 0.0) / power)
-        enough = count >= FEWEST_OF_PAIR
-        return np.where(enough, slope, 1.0), np.where(enough, spread, 1.0)
+        divisor = np.maximum(count, 1.0)
+        mean, mean_expected = centred @ self._member / divisor, expected @ self._member / divisor
+        power = np.maximum(expected**2 @ self._member / divisor - mean_expected**2, np.finfo(np.float64).tiny)
+        slope = ((centred * expected) @ self._member / divisor - mean * mean_expected) / power
+        spread = np.sqrt(np.maximum(centred**2 @ self._member / divisor - mean**2, 0.0) / power)
+        enough_mask = count >= FEWEST_OF_PAIR
+        return np.where(enough_mask, slope, 1.0), np.where(enough_mask, spread, 1.0)
 
     def _dead(self, readings: Array, lost: Mask) -> tuple[Mask, int]:
         """Readings (m,) to be left out of a frame because of their pairs, and its flags.
 
         A dead pair takes readings from all others that it drives or measures with: the worst is taken out first.
         """
-        kept = (~lost[None]).astype(np.float64)
-        slope, spread = (each[0] for each in self._following(readings[None], kept))
-        silent: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
-        dead = silent.copy()
+        kept_weight = (~lost[None]).astype(np.float64)
+        slope, spread = (column[0] for column in self._following(readings[None], kept_weight))
+        silent_mask: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
+        dead_mask = silent_mask.copy()
         while True:
-            kept[0] = ~(lost | self._members[dead].any(axis=0))
-            slope, spread = (each[0] for each in self._following(readings[None], kept))
-            further = ~dead & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
-            if not further.any():
+            kept_weight[0] = ~(lost | self._members[dead_mask].any(axis=0))
+            slope, spread = (column[0] for column in self._following(readings[None], kept_weight))
+            further_mask = ~dead_mask & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
+            if not further_mask.any():
                 break
-            dead[np.where(further, slope, np.inf).argmin()] = True
-        if dead.mean() > _MOST or np.median(slope[~dead]) < SOUND_SLOPE:
+            dead_mask[np.where(further_mask, slope, np.inf).argmin()] = True
+        if dead_mask.mean() > _MOST or np.median(slope[~dead_mask]) < SOUND_SLOPE:
             return np.zeros(len(readings), dtype=np.bool_), 0
-        return kept[0] == 0, self._flags(dead, silent)
+        return kept_weight[0] == 0, self._flags(dead_mask, silent_mask)
 
     def _flags(self, dead: Mask, silent: Mask) -> int:
         """Flags of dead and silent pairs.
@@ -145,12 +147,12 @@ class FaultFinder:
         An electrode is open if nothing comes through any pair that it drives, and those are two, or it measures with
         none either.
         """
-        explained = np.zeros_like(dead)
+        explained_mask = np.zeros_like(dead)
         for electrode in np.unique(self._electrodes[silent & self._drives]):
-            touching = (self._electrodes == electrode).any(axis=1)
-            driving = touching & self._drives
-            if silent[driving].all() and (driving.sum() > 1 or silent[touching].all()):
-                explained |= touching
-        return int(Flag.OPEN_ELECTRODE) * bool(explained.any()) | int(Flag.DEAD_PAIR) * bool(
-            (dead & ~explained).any()
+            touching_mask = (self._electrodes == electrode).any(axis=1)
+            driving_mask = touching_mask & self._drives
+            if silent[driving_mask].all() and (driving_mask.sum() > 1 or silent[touching_mask].all()):
+                explained_mask |= touching_mask
+        return int(Flag.OPEN_ELECTRODE) * bool(explained_mask.any()) | int(Flag.DEAD_PAIR) * bool(
+            (dead & ~explained_mask).any()
         )

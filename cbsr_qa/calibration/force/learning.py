@@ -112,26 +112,27 @@ def learn_force(
     CalibrationError
         If fewer than three loads are usable; the message gives the reasons for the others.
     """
-    even = make_even_model(bank, merging)
-    filter_ = TemplateFilter(even)
+    even_model = make_even_model(bank, merging)
+    filter_ = TemplateFilter(even_model)
     stress = loads.force_N / head.area_mm2 * 1e3
-    seen = _match_loads(filter_, loads)
+    matches = _match_loads(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
-    error = _relative_error(seen, loads, line, stress, predicted)
-    refused = _refusals(seen, predicted, line, stress, error)
-    used = np.array([not why for why in refused])
-    if int(used.sum()) < 3:
-        reasons = "; ".join(dict.fromkeys(why for why in refused if why)) or "there are no others"
+    error = _relative_error(matches, loads, line, stress, predicted)
+    refusals = _refusals(matches, predicted, line, stress, error)
+    used_mask = np.array([not why for why in refusals])
+    if int(used_mask.sum()) < 3:
+        reasons = "; ".join(dict.fromkeys(why for why in refusals if why)) or "there are no others"
         raise CalibrationError(
-            f"{int(used.sum())} of {len(used)} loads determine the response of the sheet; 3 are needed: {reasons}"
+            f"{int(used_mask.sum())} of {len(used_mask)} loads determine the response of the sheet; 3 are needed:"
+            f" {reasons}"
         )
-    ratio = np.full(len(used), np.nan)
-    ratio[used] = seen.contrast[used] / predicted[used]
-    bend, prior, middle = intercept_column(line, stress[used], predicted[used])
+    ratio = np.full(len(used_mask), np.nan)
+    ratio[used_mask] = matches.contrast[used_mask] / predicted[used_mask]
+    bend, prior, middle = intercept_column(line, stress[used_mask], predicted[used_mask])
     response = learn_response(
-        loads.place_mm[used],
-        np.log(ratio[used]),
-        error[used] ** 2,
+        loads.place_mm[used_mask],
+        np.log(ratio[used_mask]),
+        error[used_mask] ** 2,
         radius_mm=radius_mm,
         bend=bend,
         bend_stderr=prior,
@@ -139,17 +140,17 @@ def learn_force(
     mean, variance = response.predict(bank.places_mm)
     fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, fitted=bend is not None)
     model = replace(
-        even,
+        even_model,
         log_response=mean,
         log_response_stderr=np.sqrt(variance),
         scatter=response.scatter,
-        stress_kPa=(float(stress[used].min()), float(stress[used].max())),
-        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), LEAST_MISFIT),
-        place_scatter_mm=_place_scatter_mm(filter_, loads, used),
-        residue_strength=_residue_strength(filter_, loads, used),
+        stress_kPa=(float(stress[used_mask].min()), float(stress[used_mask].max())),
+        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used_mask), LEAST_MISFIT),
+        place_scatter_mm=_place_scatter_mm(filter_, loads, used_mask),
+        residue_strength=_residue_strength(filter_, loads, used_mask),
     )
     return LearnedForce(
-        model, fitted, response, refused, ratio, np.where(used, error * ratio, np.nan), bend is not None
+        model, fitted, response, refusals, ratio, np.where(used_mask, error * ratio, np.nan), bend is not None
     )
 
 
@@ -196,11 +197,11 @@ def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Ma
 
 def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Strength at the places of loads just before them, root mean square, less that of noise."""
-    there = used & (loads.frames_before > 0)
-    if not there.any():
+    before_mask = used & (loads.frames_before > 0)
+    if not before_mask.any():
         return 0.0
-    left = filter_.match_at(loads.before[there], loads.place_mm[there])
-    squared = left.strength**2 - left.covariance[:, 0, 0] / loads.frames_before[there]
+    residue = filter_.match_at(loads.before[before_mask], loads.place_mm[before_mask])
+    squared = residue.strength**2 - residue.covariance[:, 0, 0] / loads.frames_before[before_mask]
     return float(np.sqrt(max(float(squared.mean()), 0.0)))
 
 

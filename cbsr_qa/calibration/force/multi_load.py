@@ -137,12 +137,12 @@ class HeadCounter:
         if heads is None or heads.gain < self._least:
             return None, 0.0
         while True:
-            further = self._with_another(rows, heads)
-            if further is None or further.gain - heads.gain < self._least + self._misfit * heads.gain:
+            more_heads = self._with_another(rows, heads)
+            if more_heads is None or more_heads.gain - heads.gain < self._least + self._misfit * heads.gain:
                 return heads.sort_by_detectability(), 0.0
             if len(heads) >= at_most:
                 return heads.sort_by_detectability(), float(rows @ rows) / heads.gain - 1
-            heads = further
+            heads = more_heads
 
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one more head, from several starts."""
@@ -190,48 +190,58 @@ class HeadCounter:
     def _fit(self, rows: Array, places_mm: Array) -> Heads | None:
         """Places and strengths of all heads together, from given places; None if no head is possible."""
         places, count = places_mm.copy(), len(places_mm)
-        at = self._filter.template_and_slopes(places)
-        if not np.isfinite(at).all():
+        template_jet = self._filter.template_and_slopes(places)
+        if not np.isfinite(template_jet).all():
             return None
-        strength = _strengths(at, rows)
-        left = rows - strength @ at[:, 0]
-        squares, damping = float(left @ left), 1e-3
+        strength = _strengths(template_jet, rows)
+        residual = rows - strength @ template_jet[:, 0]
+        squares, damping = float(residual @ residual), 1e-3
         for _ in range(_STEPS):
-            design = _design(at, strength)
+            design = _design(template_jet, strength)
             normal = design @ design.T
             try:
-                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), design @ left).reshape(count, 3)
+                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), design @ residual).reshape(
+                    count, 3
+                )
             except np.linalg.LinAlgError:
                 return None
             move = step[:, 1:] * np.minimum(1.0, _LONGEST_MM / np.maximum(np.hypot(*step[:, 1:].T), 1e-12))[:, None]
-            tried_at = self._filter.template_and_slopes(places + move)
-            tried = np.inf
-            if np.isfinite(tried_at).all():
-                tried_strength = _strengths(tried_at, rows)
-                tried_left = rows - tried_strength @ tried_at[:, 0]
-                tried = float(tried_left @ tried_left)
-            if tried <= squares:
-                small = squares - tried < _STILL
-                places, at, strength, left, squares = places + move, tried_at, tried_strength, tried_left, tried
+            trial_jet = self._filter.template_and_slopes(places + move)
+            trial_squares = np.inf
+            if np.isfinite(trial_jet).all():
+                trial_strength = _strengths(trial_jet, rows)
+                trial_residual = rows - trial_strength @ trial_jet[:, 0]
+                trial_squares = float(trial_residual @ trial_residual)
+            if trial_squares <= squares:
+                is_small = squares - trial_squares < _STILL
+                places, template_jet, strength, residual, squares = (
+                    places + move,
+                    trial_jet,
+                    trial_strength,
+                    trial_residual,
+                    trial_squares,
+                )
                 damping /= 10
-                if small:
+                if is_small:
                     break
             elif damping > 1e6:
                 break
             else:
                 damping *= 10
-        return self._heads(rows, places, at, strength, squares)
+        return self._heads(rows, places, template_jet, strength, squares)
 
     def _heads(self, rows: Array, places_mm: Array, at: Array, strength: Array, squares: float) -> Heads | None:
-        left = squares / max(len(rows) - 3 * len(strength), 1)
+        residual_variance = squares / max(len(rows) - 3 * len(strength), 1)
         try:
             root = _inverse_root(_design(at, strength))
-            alone = _inverse_root(at[:, 0])
+            single_root = _inverse_root(at[:, 0])
         except np.linalg.LinAlgError:
             return None
         gain = float(rows @ rows) - squares
-        detectability = np.abs(strength) / np.linalg.norm(alone, axis=1)
-        return Heads(places_mm, strength, root @ root.T * max(left, 1.0), gain, left, detectability)
+        detectability = np.abs(strength) / np.linalg.norm(single_root, axis=1)
+        return Heads(
+            places_mm, strength, root @ root.T * max(residual_variance, 1.0), gain, residual_variance, detectability
+        )
 
 
 def _inverse_root(design: Array) -> Array:

@@ -70,12 +70,12 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     than 4 standard errors, estimated from the residuals.
     """
     variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
-    sure = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
-    if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
+    sure_mask = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
+    if len(np.unique(nominal_mm[sure_mask], axis=0)) < _FEWEST:
         return AS_PLACED
     # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
-    weight = 1 / (variance[sure] + float(np.median(variance[sure])))
-    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
+    weight = 1 / (variance[sure_mask] + float(np.median(variance[sure_mask])))
+    p, q = (places[sure_mask] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
     weight = _drop_strays(p, q, weight)
     return _fit_pose(p, q, weight)
 
@@ -87,24 +87,24 @@ def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: A
 
 def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
     total = float(weight.sum())
-    middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
+    middle, seen_middle = complex(weight @ p) / total, complex(weight @ q) / total
     size = float(weight @ np.abs(p - middle) ** 2)
     if not size > 0:
         return AS_PLACED
-    turn = complex(weight @ ((p - middle).conj() * (q - seen)))
+    turn = complex(weight @ ((p - middle).conj() * (q - seen_middle)))
     angle = float(np.angle(turn))
-    shift = seen - np.exp(1j * angle) * middle
-    left = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
+    shift = seen_middle - np.exp(1j * angle) * middle
+    squared_residual = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
     count = int((weight > 0).sum())
-    variance = float(weight @ left) / (2 * count - 3)  # of one coordinate, of weight one
-    of_angle = float(np.sqrt(variance / size))
-    of_shift = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
-    clear = abs(shift) > _CLEAR * of_shift or abs(angle) > _CLEAR * of_angle
+    variance = float(weight @ squared_residual) / (2 * count - 3)  # of one coordinate, of weight one
+    angle_stderr = float(np.sqrt(variance / size))
+    shift_stderr = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
+    is_clear = abs(shift) > _CLEAR * shift_stderr or abs(angle) > _CLEAR * angle_stderr
     furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
     return SheetPose(
         (shift.real, shift.imag),
         float(np.degrees(angle)),
-        of_shift,
-        float(np.degrees(of_angle)),
-        clear and furthest > _SMALLEST_MM,
+        shift_stderr,
+        float(np.degrees(angle_stderr)),
+        is_clear and furthest > _SMALLEST_MM,
     )

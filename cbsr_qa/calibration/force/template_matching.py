@@ -141,13 +141,13 @@ class TemplateFilter:
         """Gain (n,) and strength (n,) of a second head besides the first in each frame, at the searched places."""
         gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            there = np.nan_to_num(self.template(place_mm[part]))
-            score = (rows[part] - strength[part, None] * there) @ self.bank
+            batch = slice(first, first + _AT_ONCE)
+            first_template = np.nan_to_num(self.template(place_mm[batch]))
+            score = (rows[batch] - strength[batch, None] * first_template) @ self.bank
             best = np.abs(score).argmax(axis=1)
             peak = score[np.arange(len(best)), best]
-            gain[part] = peak**2
-            gain_strength[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
+            gain[batch] = peak**2
+            gain_strength[batch] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
         return gain, gain_strength
 
     def ambiguous(self, rows: Array, matches: Matches) -> Matches:
@@ -160,28 +160,28 @@ class TemplateFilter:
         size = np.exp(self._tables[self._node_of[self._coarse], 0])
         for n, (row, place) in enumerate(zip(rows, matches.place_mm, strict=True)):
             score = row @ self.bank
-            apart = self.searched_mm - place
-            mine = 2 * np.pi * np.sqrt(max(float(np.linalg.det(covariance[n, 1:, 1:])), 0.0))
-            far = (apart**2).sum(axis=1) > 9 * np.trace(covariance[n, 1:, 1:]) + cell
-            weight = cell * np.exp(np.minimum(score**2 - matches.gain[n], 0.0) / 2) * far
-            off = np.column_stack([score / size - matches.strength[n], apart])
-            total = mine + weight.sum()
+            displacement_mm = self.searched_mm - place
+            match_weight = 2 * np.pi * np.sqrt(max(float(np.linalg.det(covariance[n, 1:, 1:])), 0.0))
+            far_mask = (displacement_mm**2).sum(axis=1) > 9 * np.trace(covariance[n, 1:, 1:]) + cell
+            weight = cell * np.exp(np.minimum(score**2 - matches.gain[n], 0.0) / 2) * far_mask
+            deviation = np.column_stack([score / size - matches.strength[n], displacement_mm])
+            total = match_weight + weight.sum()
             if weight.any() and np.isfinite(total):
-                covariance[n] += (off.T * weight) @ off / total
+                covariance[n] += (deviation.T * weight) @ deviation / total
         return replace(matches, covariance=covariance)
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
-        offset, there = self._maximise_score(self._about(cell, rows), offset)
+        offset, surfaces = self._maximise_score(self._about(cell, rows), offset)
         for _ in range(_MOVES):
-            moved, aim = self._neighbours(cell, offset)
-            if not moved.any():
+            moved_mask, aim = self._neighbours(cell, offset)
+            if not moved_mask.any():
                 break
-            cell[moved] = aim[moved]
-            offset[moved], there[moved] = self._maximise_score(
-                self._about(cell[moved], rows[moved]), np.full((int(moved.sum()), 2), 0.5)
+            cell[moved_mask] = aim[moved_mask]
+            offset[moved_mask], surfaces[moved_mask] = self._maximise_score(
+                self._about(cell[moved_mask], rows[moved_mask]), np.full((int(moved_mask.sum()), 2), 0.5)
             )
-        strength, covariance, gain = self._result(there)
+        strength, covariance, gain = self._result(surfaces)
         j, i = np.divmod(cell, self.lattice.columns)
         h = self.lattice.spacing_mm
         place = np.empty((len(cell), 2))
@@ -229,32 +229,35 @@ class TemplateFilter:
         -------
         The offset, and values and slopes per cell of score and tables there (n, 4, 7).
         """
-        at, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
+        surfaces, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
         damping = np.ones(len(about))
         for _ in range(_STEPS):
-            aim = offset + _scoring_step(at, damping / squared)
+            aim = offset + _scoring_step(surfaces, damping / squared)
             aim = np.minimum(np.maximum(aim, -_FURTHEST), 1 + _FURTHEST)
-            there = surfaces_at(about, aim)
-            better = np.abs(there[:, 0, 0]) > np.abs(at[:, 0, 0])
-            if better.all():
-                offset, at, damping = aim, there, np.ones(len(about))
+            aim_surfaces = surfaces_at(about, aim)
+            better_mask = np.abs(aim_surfaces[:, 0, 0]) > np.abs(surfaces[:, 0, 0])
+            if better_mask.all():
+                offset, surfaces, damping = aim, aim_surfaces, np.ones(len(about))
                 continue
-            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None, None], there, at)
-            damping = np.where(better, 1.0, damping / 4)
-        return offset, at
+            offset, surfaces = (
+                np.where(better_mask[:, None], aim, offset),
+                np.where(better_mask[:, None, None], aim_surfaces, surfaces),
+            )
+            damping = np.where(better_mask, 1.0, damping / 4)
+        return offset, surfaces
 
     def _result(self, there: Array) -> tuple[Array, Array, Array]:
         score, log_size, *_, xx, xy, yy = there[:, 0].T
-        strength, along = score / np.exp(log_size), there[:, 0, 2:4]
+        strength, log_size_slope = score / np.exp(log_size), there[:, 0, 2:4]
         squared = np.maximum(score**2, _NOTHING)
         place = np.empty((len(there), 2, 2))
         place[:, 0, 0], place[:, 1, 1] = yy, xx
         place[:, 0, 1] = place[:, 1, 0] = -xy
         place /= ((xx * yy - xy**2) * squared)[:, None, None]
-        shared = -(place @ along[:, :, None])[:, :, 0]  # of ln strength with the place
+        place_slope = -(place @ log_size_slope[:, :, None])[:, :, 0]  # of ln strength with the place
         covariance = np.empty((len(there), 3, 3))
-        covariance[:, 0, 0] = strength**2 * (1 / squared - (shared * along).sum(axis=1))
-        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * shared
+        covariance[:, 0, 0] = strength**2 * (1 / squared - (place_slope * log_size_slope).sum(axis=1))
+        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * place_slope
         covariance[:, 1:, 1:] = place
         return strength, covariance, score**2
 

@@ -71,15 +71,15 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     head : of any outline, replaced by the disc of its area and second moment.
     """
     lattice = _lattice(model)
-    everywhere = lattice.places_mm()
-    clear_mm = model.surroundings.clearance_mm(everywhere)
-    inside = clear_mm >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    lattice_mm = lattice.places_mm()
+    clear_mm = model.surroundings.clearance_mm(lattice_mm)
+    inside_mask = clear_mm >= LEAST_CLEARANCE * model.surroundings.radius_mm
     if not (clear_mm >= head.radius_mm).any():
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
-    node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
-    places = everywhere[inside]
+    node = np.where(inside_mask, np.cumsum(inside_mask) - 1, -1).reshape(lattice.rows, lattice.columns)
+    places = lattice_mm[inside_mask]
     templates, log_size, size_slope, slopes = _join(_templates(readings, p) for p in _everywhere(model, head))
-    fits = clear_mm[inside] >= head.radius_mm
+    fits = clear_mm[inside_mask] >= head.radius_mm
     return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
@@ -137,7 +137,7 @@ def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Arra
 
 def make_even_model(bank: TemplateBank, merging: Array) -> ForceModel:
     """Return the force model of an even sheet, before learning from loads."""
-    nothing = np.zeros(len(bank.templates))
+    zeros = np.zeros(len(bank.templates))
     return ForceModel(
         lattice=bank.lattice,
         node=bank.node,
@@ -148,8 +148,8 @@ def make_even_model(bank: TemplateBank, merging: Array) -> ForceModel:
         log_size_gradient=bank.slopes[:, :2],
         turning=bank.slopes[:, 2:],
         fits=bank.fits,
-        log_response=nothing,
-        log_response_stderr=nothing,
+        log_response=zeros,
+        log_response_stderr=zeros,
         scatter=0.0,
         stress_kPa=(0.0, 0.0),
         threshold=_threshold(bank),

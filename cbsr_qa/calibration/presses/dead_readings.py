@@ -60,50 +60,59 @@ def find_dead_readings(
     changes : (n, m) by presses at places (n, 2).
     rest, noise : (m,) of the unloaded sheet where the readings are whole frames.
     """
-    faulty, flags, spikes = _faulty(pairs, changes, rest, noise)
-    still = np.ptp(changes, axis=0) == 0
-    changes = np.where(spikes | faulty, 0.0, changes)
+    faulty_mask, flags, spike_mask = _faulty(pairs, changes, rest, noise)
+    constant_mask = np.ptp(changes, axis=0) == 0
+    changes = np.where(spike_mask | faulty_mask, 0.0, changes)
     followed = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
-    followed[still] = 0.0
-    followed[faulty.mean(axis=0) > _MOSTLY] = 0.0
-    dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
-    of_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
-    while not dead.all():  # worst first: its neighbours' readings involve it too
-        left = {electrode: followed[of & ~dead] for electrode, of in of_electrode.items() if (of & ~dead).any()}
-        usual = {electrode: float(np.mean(each)) for electrode, each in left.items()}
-        worst, middle = min(usual, key=lambda electrode: usual[electrode]), float(np.median(list(usual.values())))
-        if not (usual[worst] < _LEAST * middle and middle > _FOLLOWS):
-            break
-        of = of_electrode[worst]
-        how = "never change" if still[of].all() else "do not follow the place of the press"
-        findings.append(f"electrode {worst} is dead: its {int(of.sum())} readings {how}, and are left out")
-        dead |= of
-    still &= ~dead
-    dead |= still
-    if still.any():
-        named = "; ".join(",".join(map(str, pair)) for pair in pairs[still][:_MOST_NAMED].tolist())
-        more = "; …" if still.sum() > _MOST_NAMED else ""
-        findings.append(
-            f"{int(still.sum())} of {len(pairs)} readings never change, and are left out (source,sink,plus,minus):"
-            f" {named}{more}"
+    followed[constant_mask] = 0.0
+    followed[faulty_mask.mean(axis=0) > _MOSTLY] = 0.0
+    dead_mask, findings = np.zeros(len(pairs), dtype=np.bool_), []
+    mask_by_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
+    while not dead_mask.all():  # worst first: its neighbours' readings involve it too
+        shares_by_electrode = {
+            electrode: followed[electrode_mask & ~dead_mask]
+            for electrode, electrode_mask in mask_by_electrode.items()
+            if (electrode_mask & ~dead_mask).any()
+        }
+        mean_by_electrode = {electrode: float(np.mean(shares)) for electrode, shares in shares_by_electrode.items()}
+        worst, middle = (
+            min(mean_by_electrode, key=lambda electrode: mean_by_electrode[electrode]),
+            float(np.median(list(mean_by_electrode.values()))),
         )
-    spikes &= ~dead
-    if spikes.mean() > SPIKY:
-        row, reading = np.argwhere(spikes)[0].tolist()
+        if not (mean_by_electrode[worst] < _LEAST * middle and middle > _FOLLOWS):
+            break
+        electrode_mask = mask_by_electrode[worst]
+        reason = "never change" if constant_mask[electrode_mask].all() else "do not follow the place of the press"
         findings.append(
-            f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
+            f"electrode {worst} is dead: its {int(electrode_mask.sum())} readings {reason}, and are left out"
+        )
+        dead_mask |= electrode_mask
+    constant_mask &= ~dead_mask
+    dead_mask |= constant_mask
+    if constant_mask.any():
+        pair_list = "; ".join(",".join(map(str, pair)) for pair in pairs[constant_mask][:_MOST_NAMED].tolist())
+        more = "; …" if constant_mask.sum() > _MOST_NAMED else ""
+        findings.append(
+            f"{int(constant_mask.sum())} of {len(pairs)} readings never change, and are left out"
+            f" (source,sink,plus,minus): {pair_list}{more}"
+        )
+    spike_mask &= ~dead_mask
+    if spike_mask.mean() > SPIKY:
+        row, reading = np.argwhere(spike_mask)[0].tolist()
+        findings.append(
+            f"{spike_mask.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
             f" column {reading + 1} of the distinct readings"
         )
-    further = faulty & ~dead
-    lost = further.sum(axis=1) > MOST_FAULTY * (~dead).sum()
-    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost, flags.tolist(), strict=True))
-    some = np.flatnonzero(further.any(axis=1) & ~lost)
-    if some.size:
+    further_mask = faulty_mask & ~dead_mask
+    lost_mask = further_mask.sum(axis=1) > MOST_FAULTY * (~dead_mask).sum()
+    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost_mask, flags.tolist(), strict=True))
+    affected = np.flatnonzero(further_mask.any(axis=1) & ~lost_mask)
+    if affected.size:
         findings.append(
-            f"presses with faulty readings, which are left out: {some.size}; the first is row {some[0] + 1}:"
-            f" {_fault_words(int(flags[some[0]]))}"
+            f"presses with faulty readings, which are left out: {affected.size}; the first is row"
+            f" {affected[0] + 1}: {_fault_words(int(flags[affected[0]]))}"
         )
-    return DeadReadings(dead | spikes | faulty | lost[:, None], tuple(findings), left_out)
+    return DeadReadings(dead_mask | spike_mask | faulty_mask | lost_mask[:, None], tuple(findings), left_out)
 
 
 def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | None) -> tuple[Mask, Indices, Mask]:
@@ -122,13 +131,13 @@ def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | N
 
 
 def _fault_words(flags: int) -> str:
-    words = {
+    words_by_flag = {
         Flag.DEAD_PAIR: "a pair hardly drives or measures",
         Flag.OPEN_ELECTRODE: "nothing comes through an electrode",
         Flag.SATURATED: "readings stand at one extreme value",
         Flag.OFFSET: "one offset is added to all readings",
     }
-    return "; ".join(why for flag, why in words.items() if flag & flags)
+    return "; ".join(why for flag, why in words_by_flag.items() if flag & flags)
 
 
 def estimate_clipped_share(changes: Array, rest: Array | None) -> float:

@@ -73,24 +73,24 @@ def _find_exchange(
 ) -> ElectrodeOrder | None:
     """The best single exchange of two electrodes, if it explains the presses clearly better."""
     count = sheet.electrode_count
-    chosen = np.flatnonzero(sheet.clear(order.registered.places))
-    if count > _MOST_ELECTRODES or not len(chosen):
+    chosen_presses = np.flatnonzero(sheet.clear(order.registered.places))
+    if count > _MOST_ELECTRODES or not len(chosen_presses):
         return None
-    chosen = chosen[evenly(len(chosen), _TRIED)]
-    evidence_of = _Evidence(sheet, order.registered, changes, chosen)
-    before = evidence_of(order.pairs).sum()
+    chosen_presses = chosen_presses[evenly(len(chosen_presses), _TRIED)]
+    evidence_of = _Evidence(sheet, order.registered, changes, chosen_presses)
+    evidence_before = evidence_of(order.pairs).sum()
     exchanges = list(combinations(np.unique(order.pairs).tolist(), 2))  # one that is in no pair shows in no reading
     evidence = [evidence_of(_swap(order.pairs, pair)).sum() for pair in exchanges]
     for number in np.argsort(evidence)[::-1][:_REGISTERED]:
         pair = exchanges[number]
-        if evidence[number] <= before:
+        if evidence[number] <= evidence_before:
             break
         pairs = _swap(order.pairs, pair)
         registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
         if _clearly_better(sheet, order, registered, pairs, changes):
-            found = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
-            words = f"{found}: {_share_words(order.registered, registered)}"
-            return ElectrodeOrder(registered, pairs, (*order.findings, words))
+            exchange_words = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
+            finding = f"{exchange_words}: {_share_words(order.registered, registered)}"
+            return ElectrodeOrder(registered, pairs, (*order.findings, finding))
     return None
 
 
@@ -104,19 +104,21 @@ def _other_numbering(
     """
     if _leaves_out_driven(order.pairs):
         return None
-    few, near = evenly(len(changes), _FEW), order.registered.registration
-    before = maximise_over_turns(sheet, order.pairs, changes[few], place_mm[few], near)
+    sample, near = evenly(len(changes), _FEW), order.registered.registration
+    likelihood_before = maximise_over_turns(sheet, order.pairs, changes[sample], place_mm[sample], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
-    values = [maximise_over_turns(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
-    if max(values) <= before:
+    values = [maximise_over_turns(sheet, pairs, changes[sample], place_mm[sample], near) for pairs, _ in numberings]
+    if max(values) <= likelihood_before:
         return None
     # With opposite drive, half a turn of the measuring electrodes equals the other polarity.
-    pairs, words = next(each for each, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE)
+    pairs, numbering_words = next(
+        numbering for numbering, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE
+    )
     registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
-    found, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
-    if not (found.trusted and found.signal_share > _LEAST_SIGNAL and likelier):
+    registration, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
+    if not (registration.trusted and registration.signal_share > _LEAST_SIGNAL and likelier):
         return None
-    return ElectrodeOrder(registered, pairs, (f"{words}: {_share_words(order.registered, registered)}",))
+    return ElectrodeOrder(registered, pairs, (f"{numbering_words}: {_share_words(order.registered, registered)}",))
 
 
 def _leaves_out_driven(pairs: Indices) -> bool:

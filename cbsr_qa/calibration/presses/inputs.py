@@ -129,11 +129,11 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             f"{readings.path} has {len(changes)} rows; at most {MOST_PRESSES} presses are learned from",
             remedy="leave out rows evenly over the sheet, in both tables",
         )
-    some = np.any(changes != 0, axis=1)
-    if not some.any():
+    changing_mask = np.any(changes != 0, axis=1)
+    if not changing_mask.any():
         raise RecordingError(f"{readings.path}: no reading changes in any row", remedy=_WHAT_READINGS)
     _refuse_tiny(readings)
-    directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
+    directions = changes[changing_mask] / np.linalg.norm(changes[changing_mask], axis=1, keepdims=True)
     if np.ptp(directions, axis=0).max() < _ALIKE:
         raise RecordingError(
             f"{readings.path}: all rows are proportional to each other, wherever the press was"
@@ -141,20 +141,22 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             else f"{readings.path}: only one row with changes",
             remedy=_WHAT_READINGS,
         )
-    for first, second in _find_repeated(changes):
-        if some[second]:
-            at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"
+    for first_row, second_row in _find_repeated(changes):
+        if changing_mask[second_row]:
+            place_remark = (
+                "" if np.array_equal(*presses.place_mm[[first_row, second_row]]) else ", though the places differ"
+            )
             raise RecordingError(
-                f"{readings.path} row {second + 1} repeats row {first + 1} in every column{at}: the press appears"
-                " twice",
+                f"{readings.path} row {second_row + 1} repeats row {first_row + 1} in every column{place_remark}:"
+                " the press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
     if presses.time_s is not None:
         labels = np.column_stack([presses.place_mm, presses.time_s])
-        for first, second in _find_repeated(labels):
+        for first_row, second_row in _find_repeated(labels):
             raise RecordingError(
-                f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}; the"
-                " press appears twice",
+                f"{table.path} row {second_row + 1}, columns x_mm, y_mm and time_s: the same as row"
+                f" {first_row + 1}; the press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
 
@@ -187,13 +189,13 @@ def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> Non
     rows = np.flatnonzero(outside)
     if not rows.size:
         return
-    named = "; ".join(
+    row_list = "; ".join(
         f"row {row + 1}, columns x_mm and y_mm: ({x:g}, {y:g}) mm"
         for row, (x, y) in zip(rows[:_MOST_NAMED], presses.place_mm[rows[:_MOST_NAMED]], strict=True)
     )
     raise RecordingError(
         f"{presses.table.path}: {rows.size} of {len(outside)} presses are outside the sheet of {radius_mm:.3g} mm"
-        f" radius: {named}",
+        f" radius: {row_list}",
         remedy="correct the places, or the radius in the sensor type",
     )
 

@@ -112,48 +112,50 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     readings, presses = labelled.readings, labelled.presses
     labelled.check()
     tell("finding how the sheet lies")
-    dead = find_dead_readings(
+    dead_readings = find_dead_readings(
         readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
     )
     clipped = estimate_clipped_share(readings.changes, readings.rest)
-    readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
+    readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
     order = _check_electrode_order(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
-    used = np.any(readings.changes != 0, axis=1)
-    time_s = None if presses.time_s is None else presses.time_s[used]
-    place_mm, missing = presses.place_mm[used], dead.dead[used]
-    learned = _learn_place(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
+    used_mask = np.any(readings.changes != 0, axis=1)
+    time_s = None if presses.time_s is None else presses.time_s[used_mask]
+    place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
+    learned = _learn_place(labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell)
     if readings.noise is not None:
         noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
         least = max(learned.model.least_size, noise_size(noise))
         learned = replace(learned, model=replace(learned.model, least_size=least))
     quantities = {
-        name: _quantity(name, values[used], learned, tell)
+        name: _quantity(name, values[used_mask], learned, tell)
         for name, unit in PRESS_QUANTITIES.items()
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
-    hardly = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
+    weak_findings = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
     held_out = learned.held_out
-    about_presses = (*far_from_their_labels(presses, np.flatnonzero(used)[held_out.presses], held_out.found_mm),)
-    if registration.trusted:
-        about_presses += (*off_the_sheet(presses, registration),)
-    unused = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
-    about_readings = (
-        *list_ignored_columns(presses),
-        *unused,
-        *dead.findings,
-        *_range_findings(clipped),
-        *about_presses,
+    press_findings = (
+        *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
     )
-    about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
-    findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.follow_places() else [])
+    if registration.trusted:
+        press_findings += (*off_the_sheet(presses, registration),)
+    unused_electrodes = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
+    reading_findings = (
+        *list_ignored_columns(presses),
+        *unused_electrodes,
+        *dead_readings.findings,
+        *_range_findings(clipped),
+        *press_findings,
+    )
+    sheet_findings = *reading_findings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
+    findings = *sheet_findings, *learned.warnings, *weak_findings, *([_BY_PLACE] if labelled.follow_places() else [])
     modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
-    left_out = zip(used.tolist(), dead.left_out, strict=True)
+    left_out = zip(used_mask.tolist(), dead_readings.left_out, strict=True)
     why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)
-    return PressesLearned(registration, findings, used, why_not, learned, modelled, quantities)
+    return PressesLearned(registration, findings, used_mask, why_not, learned, modelled, quantities)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -245,15 +247,15 @@ def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> Le
     if not np.ptp(values):
         raise CalibrationError(f"every press that changes a reading has the same {name}: {values[0]:g}")
     tell(f"learning the {name}")
-    found = learned.found
+    found_presses = learned.found
     return learn_quantity(
-        values[found.presses],
-        found.strength,
-        found.place_mm,
+        values[found_presses.presses],
+        found_presses.strength,
+        found_presses.place_mm,
         learned.model.centre_mm,
-        visits=found.visits,
-        session=found.session,
-        drifts=found.drifts,
+        visits=found_presses.visits,
+        session=found_presses.session,
+        drifts=found_presses.drifts,
     )
 
 

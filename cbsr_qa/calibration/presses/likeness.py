@@ -67,12 +67,13 @@ def compare_sides(answer: Array, positive: Mask) -> AnsweringSide:
     sizes = [float(np.median(answer[side])) for side in (positive, ~positive)]
     if max(sizes) <= _DEAD * min(sizes):
         return AnsweringSide(np.ones_like(positive))
-    dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
-    words = (
-        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly respond: {min(sizes) / max(sizes):.1%}"
-        " of what the others do, both compared with the modelled sheet; the front end appears to rectify"
+    dead_mask, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
+    finding = (
+        f"{int(dead_mask.sum())} readings whose modelled voltage is {name} hardly respond:"
+        f" {min(sizes) / max(sizes):.1%} of what the others do, both compared with the modelled sheet;"
+        " the front end appears to rectify"
     )
-    return AnsweringSide(~dead, words)
+    return AnsweringSide(~dead_mask, finding)
 
 
 def alikeness(changes: Array, templates: Array) -> Array:
@@ -128,21 +129,21 @@ class Likeness:
         between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on a grid would be
         found on one of the lattice, however far apart they are. Beyond the sheet likelihoods fade over one node.
         """
-        between, node = self._locate_in_grid(places)
-        alike, x, y, xx, xy, yy = self._interpolate(self._maps, between, node - self._width - 1, _CUBIC)
-        on, on_x, on_y, on_xx, on_xy, on_yy = self._interpolate(
-            self._on_sheet, between, node % self._width**2, _SMOOTH
+        cell_offset, node = self._locate_in_grid(places)
+        correlation, x, y, xx, xy, yy = self._interpolate(self._maps, cell_offset, node - self._width - 1, _CUBIC)
+        sheet, sheet_x, sheet_y, sheet_xx, sheet_xy, sheet_yy = self._interpolate(
+            self._on_sheet, cell_offset, node % self._width**2, _SMOOTH
         )
-        more = log_likelihood(alike) - _OFF_SHEET
-        steep, steeper = log_likelihood_slopes(alike)
+        log_ratio = log_likelihood(correlation) - _OFF_SHEET
+        slope, curvature = log_likelihood_slopes(correlation)
         return np.stack(
             [
-                on * more + _OFF_SHEET,
-                on_x * more + on * steep * x,
-                on_y * more + on * steep * y,
-                on_xx * more + steep * (2 * on_x * x + on * xx) + on * steeper * x**2,
-                on_xy * more + steep * (on_x * y + on_y * x + on * xy) + on * steeper * x * y,
-                on_yy * more + steep * (2 * on_y * y + on * yy) + on * steeper * y**2,
+                sheet * log_ratio + _OFF_SHEET,
+                sheet_x * log_ratio + sheet * slope * x,
+                sheet_y * log_ratio + sheet * slope * y,
+                sheet_xx * log_ratio + slope * (2 * sheet_x * x + sheet * xx) + sheet * curvature * x**2,
+                sheet_xy * log_ratio + slope * (sheet_x * y + sheet_y * x + sheet * xy) + sheet * curvature * x * y,
+                sheet_yy * log_ratio + slope * (2 * sheet_y * y + sheet * yy) + sheet * curvature * y**2,
             ]
         )
 
@@ -157,15 +158,15 @@ class Likeness:
         """
         flat, nodes = maps.ravel(), polynomials.shape[1]
         along, across = (_weights(t, polynomials) for t in between)
-        found = np.zeros((len(_ORDERS), *first.shape))
+        derivatives = np.zeros((len(_ORDERS), *first.shape))
         for m in range(nodes):
             row = [flat.take(first + (m * self._width + n)) for n in range(nodes)]
             lines = [sum(w * values for w, values in zip(weights, row, strict=True)) for weights in across]
             for k, (i, j) in enumerate(_ORDERS):
-                found[k] += along[i][m] * lines[j]
+                derivatives[k] += along[i][m] * lines[j]
         for k, (i, j) in enumerate(_ORDERS):
-            found[k] /= STEP ** (i + j)
-        return found
+            derivatives[k] /= STEP ** (i + j)
+        return derivatives
 
     def _locate_in_grid(self, places: Array) -> tuple[Array, Indices]:
         """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""

@@ -195,11 +195,11 @@ def _parquet(path: Path, file: BinaryIO, parquet: Any) -> _Content:
     size_bytes = os.fstat(file.fileno()).st_size
     try:
         table = parquet.ParquetFile(file, pre_buffer=False)
-        stated, columns = table.metadata, table.schema_arrow.names
-        _check_columns(path, columns, stated.num_rows)
-        if stated.num_rows * len(columns) * 8 > largest_content(size_bytes):
+        metadata, columns = table.metadata, table.schema_arrow.names
+        _check_columns(path, columns, metadata.num_rows)
+        if metadata.num_rows * len(columns) * 8 > largest_content(size_bytes):
             raise RecordingError(
-                f"{path} of {stated.num_rows} rows and {len(columns)} columns is too large for a file of"
+                f"{path} of {metadata.num_rows} rows and {len(columns)} columns is too large for a file of"
                 f" {size_bytes} bytes: numbers that were measured are packed less",
                 remedy=_TOO_MUCH,
             )

@@ -40,13 +40,15 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
     """
     error_mm = np.linalg.norm(found_mm - presses.place_mm[rows], axis=1)
     usual_mm = float(np.median(error_mm))
-    odd = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
-    odd = odd[np.argsort(-error_mm[odd], kind="stable")]
-    if odd.size:
-        named = _name_rows(rows[odd], [f" by {error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
-        others = "the other presses place it" if len(odd) == 1 else "the others place them"
+    odd_presses = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
+    odd_presses = odd_presses[np.argsort(-error_mm[odd_presses], kind="stable")]
+    if odd_presses.size:
+        row_list = _name_rows(
+            rows[odd_presses], [f" by {error:.3g} mm" for error in error_mm[odd_presses[:_MOST_NAMED]]]
+        )
+        others = "the other presses place it" if len(odd_presses) == 1 else "the others place them"
         yield (
-            f"{_count(odd)} far from where {others}, {named}; the median is {usual_mm:.2g} mm:"
+            f"{_count(odd_presses)} far from where {others}, {row_list}; the median is {usual_mm:.2g} mm:"
             " check the labels and the readings"
         )
 

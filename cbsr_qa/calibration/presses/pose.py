@@ -101,15 +101,15 @@ class PoseSearch:
 
     def _candidates(self, likeness: Likeness, *, mirrored: bool) -> Array:
         """Numbers (k, 4) of the poses on the lattice to begin from."""
-        some = evenly(len(self.labelled), _SEARCHED)
-        fewer, labelled = likeness.select(some), self.labelled[some]
+        searched_presses = evenly(len(self.labelled), _SEARCHED)
+        searched_likeness, labelled = likeness.select(searched_presses), self.labelled[searched_presses]
         sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
         values = np.empty((len(sizes), len(shifts), len(ROTATIONS)))
         for i, length in enumerate(sizes):
             for j, centre in enumerate(shifts):
                 turned = (labelled - centre) * np.exp(-length - 1j * ROTATIONS)[:, None]
                 places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(length)[0]
+                values[i, j] = searched_likeness.roughly(places).sum(axis=1) + self._prior(length)[0]
         best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
         size, shift, rotation = np.unravel_index(best, values.shape)
         starts: Array = np.column_stack([shifts[shift].real, shifts[shift].imag, ROTATIONS[rotation], sizes[size]])
@@ -132,21 +132,21 @@ class PoseSearch:
         radius_off : (k,) errors of the logarithm of the stated radius.
         """
         weights = np.ones((len(starts), len(self.labelled))) if times is None else times
-        off = np.zeros(len(starts)) if radius_off is None else radius_off
+        radius_offset = np.zeros(len(starts)) if radius_off is None else radius_off
 
         def jet(steps: Array, which: Indices) -> tuple[Array, Array, Array]:
             which = which // len(_STARTS)
             numbers, weight = starts[which] + steps * self._steps, weights[which]
-            places, moved = self._place_presses(numbers, mirrored=mirrored)
-            likely, x, y, xx, xy, yy = weight * likeness.evaluate(places)
-            value, slope, bend = self._prior(numbers[:, 3] - off[which])
-            along, across = (self._steps * part for part in moved)
+            places, place_slopes = self._place_presses(numbers, mirrored=mirrored)
+            likelihood, x, y, xx, xy, yy = weight * likeness.evaluate(places)
+            value, slope, bend = self._prior(numbers[:, 3] - radius_offset[which])
+            along, across = (self._steps * part for part in place_slopes)
             slopes = (x[:, None] @ along + y[:, None] @ across)[:, 0]
             bends = along.swapaxes(1, 2) @ (xx[..., None] * along + xy[..., None] * across)
             bends += across.swapaxes(1, 2) @ (xy[..., None] * along + yy[..., None] * across)
             slopes[:, 3] += self._steps[3] * slope
             bends[:, 3, 3] += self._steps[3] ** 2 * bend
-            return likely.sum(axis=1) + value, slopes, bends
+            return likelihood.sum(axis=1) + value, slopes, bends
 
         steps, values = ascend(jet, np.tile(_STARTS, (len(starts), 1)))
         best = values.reshape(-1, len(_STARTS)).argmax(axis=1) + len(_STARTS) * np.arange(len(starts))

@@ -80,13 +80,13 @@ def register_presses(
     best = {case: search.best(likeness[case[0]], mirrored=case[1]) for case in cases}
     sign, mirrored = max(best, key=lambda case: best[case][1])
     pose, value = best[sign, mirrored]
-    seen = pose.to_labels(likeness[sign].best_places())
+    label_places = pose.to_labels(likeness[sign].best_places())
     places = pose.places(to_complex(place_mm))
     registration = _registration(
         pose,
         search.errors(likeness[sign], pose),
         stated_mm,
-        place_share=_place_share(seen, search.labelled),
+        place_share=_place_share(label_places, search.labelled),
         signal_share=_signal_share(sheet, pairs, sign * changes, places),
         evidence=value - max(best[other, not mirrored][1] for other in likeness),
     )
@@ -106,8 +106,8 @@ def maximise_over_turns(
     values = []
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
-        for each in (turned, turned.conj()):
-            values.append(float(likeness.roughly(np.stack([each.real, each.imag], axis=-1)).sum(axis=1).max()))
+        for places in (turned, turned.conj()):
+            values.append(float(likeness.roughly(np.stack([places.real, places.imag], axis=-1)).sum(axis=1).max()))
     return max(values)
 
 

@@ -129,22 +129,24 @@ def source_file(role: str, path: Path) -> SourceFile:
 
 
 def _header_problems(columns: Sequence[str]) -> Iterator[str]:
-    named = []
+    known_names = []
     for name in columns:
         quantity, *units = re.findall(r"[^\W_]+", name.lower()) or [""]
-        wanted = _QUANTITIES.get(quantity) if len(units) <= 1 else None
-        named.append(wanted)
-        if wanted is None or name == wanted:
+        allowed_name = _QUANTITIES.get(quantity) if len(units) <= 1 else None
+        known_names.append(allowed_name)
+        if allowed_name is None or name == allowed_name:
             continue
         if not units:
-            what = "has no unit"
-        elif f"{quantity}_{units[0]}" == wanted.lower():
-            what = "is spelled differently"
+            problem = "has no unit"
+        elif f"{quantity}_{units[0]}" == allowed_name.lower():
+            problem = "is spelled differently"
         else:
-            what = "is in a unit that is not known"
-        yield f"column {name!r} {what}: {wanted} is allowed"
+            problem = "is in a unit that is not known"
+        yield f"column {name!r} {problem}: {allowed_name} is allowed"
     yield from (
-        f"column {name} is missing; the header is {', '.join(columns[:8])}" for name in _PLACE if name not in named
+        f"column {name} is missing; the header is {', '.join(columns[:8])}"
+        for name in _PLACE
+        if name not in known_names
     )
 
 

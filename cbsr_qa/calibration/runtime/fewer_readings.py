@@ -67,7 +67,7 @@ def offset_between(model: ForceModel, difference: Array) -> Mask:
 def _with_rows(model: ForceModel, merging: Array, templates: Array, size_slope: Array) -> ForceModel:
     length = np.linalg.norm(templates, axis=1)
     unit = templates / length[:, None]
-    slopes, there = lattice_slopes(model.node, unit, model.lattice.spacing_mm)
+    slopes, inner_mask = lattice_slopes(model.node, unit, model.lattice.spacing_mm)
     turns = np.stack([(slopes[:, a] * slopes[:, b]).sum(axis=1) for a, b in ((0, 0), (0, 1), (1, 1))], axis=1)
     growth, _ = lattice_slopes(model.node, np.log(length)[:, None], model.lattice.spacing_mm)
     return replace(
@@ -77,7 +77,7 @@ def _with_rows(model: ForceModel, merging: Array, templates: Array, size_slope: 
         log_size=model.log_size + np.log(length),
         size_slope=size_slope / length[:, None],
         log_size_gradient=model.log_size_gradient + growth[:, :, 0],
-        turning=np.where(there[:, None], turns, model.turning),
+        turning=np.where(inner_mask[:, None], turns, model.turning),
     )
 
 
@@ -85,12 +85,14 @@ def lattice_slopes(node: Indices, values: Array, spacing_mm: float) -> tuple[Arr
     """Slopes (nodes, 2, k) along x and y of values (nodes, k) [1/mm], and at which nodes both have a neighbour."""
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
-    here = padded[row + 1, column + 1]
-    slopes, there = np.zeros((len(values), 2, values.shape[1])), np.ones(len(values), dtype=np.bool_)
+    node_index = padded[row + 1, column + 1]
+    slopes, neighbour_mask = np.zeros((len(values), 2, values.shape[1])), np.ones(len(values), dtype=np.bool_)
     for axis, (down, across) in enumerate(((0, 1), (1, 0))):
         ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
         steps = (ahead >= 0).astype(np.float64) + (behind >= 0)
-        difference = values[np.where(ahead >= 0, ahead, here)] - values[np.where(behind >= 0, behind, here)]
-        slopes[here, axis] = difference / (np.maximum(steps, 1) * spacing_mm)[:, None]
-        there[here] &= steps > 0
-    return slopes, there
+        difference = (
+            values[np.where(ahead >= 0, ahead, node_index)] - values[np.where(behind >= 0, behind, node_index)]
+        )
+        slopes[node_index, axis] = difference / (np.maximum(steps, 1) * spacing_mm)[:, None]
+        neighbour_mask[node_index] &= steps > 0
+    return slopes, neighbour_mask

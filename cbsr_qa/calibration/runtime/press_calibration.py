@@ -179,27 +179,27 @@ class PressCalibration:
         """Begin to estimate the frames of an instrument or a recording; see :class:`Estimator`."""
         if place_mm is not None:
             require_ability(self, Ability.GIVEN_PLACE, "leave the place out")
-        rest = unloaded.rest
+        rest_frames = unloaded.rest
         if unloaded.first is not None:
             if not 1 <= unloaded.first <= len(first):
                 raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
-            rest = first.select(slice(0, unloaded.first))
+            rest_frames = first.select(slice(0, unloaded.first))
         usable = self._require_pattern().usable()
-        at_rest = None if rest is None else whole_readings(rest)[:, usable]
-        if at_rest is not None and not np.isfinite(at_rest).all():
-            which = (
+        rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable]
+        if rest_readings is not None and not np.isfinite(rest_readings).all():
+            frames_name = (
                 f"the first {unloaded.first} frames of {name}" if unloaded.first else f"the frames at rest of {name}"
             )
-            raise RecordingError(f"a reading of {which} is missing or saturated")
-        if at_rest is None and not unloaded.differences:
+            raise RecordingError(f"a reading of {frames_name} is missing or saturated")
+        if rest_readings is None and not unloaded.differences:
             self._require_rest()
         estimate = partial(
             self._estimate_selected,
             selection=self._selection,
-            relative=at_rest is not None,
+            relative=rest_readings is not None,
             differences=unloaded.differences,
         )
-        return _Sequence(usable, 0.0 if at_rest is None else at_rest.mean(axis=0), estimate)
+        return _Sequence(usable, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate)
 
     def estimate_readings(
         self, pairs: Indices, readings: Array, *, relative: bool = False, differences: bool = False
@@ -212,18 +212,20 @@ class PressCalibration:
         self, readings: Array, selection: Array, *, relative: bool = False, differences: bool = False
     ) -> Touches:
         """Estimate the touches in rows of readings (n, k), which ``selection`` (k, m) makes the calibrated ones."""
-        missing = np.isnan(readings)
-        changes: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, readings) @ selection)
+        missing_mask = np.isnan(readings)
+        changes: Array = np.where(
+            missing_mask @ (selection != 0), np.nan, np.where(missing_mask, 0.0, readings) @ selection
+        )
         if not (relative or differences):
             changes = changes - self._require_rest()
-        whole, faults = changes, None
+        sound_changes, faults = changes, None
         if self._find_faults is not None and not differences:
             faults = self._find_faults(self._require_rest() + changes)
-            whole = np.where(faults.left_out, np.nan, changes)
+            sound_changes = np.where(faults.left_out, np.nan, changes)
         places = self._locate(changes, faults)
         with np.errstate(over="ignore"):  # of frames without a touch, which have none
             quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
-        modelled = None if self._modelled is None else self._modelled(whole)
+        modelled = None if self._modelled is None else self._modelled(sound_changes)
         return _make_touches(places, self.regions, quantities, modelled)
 
     @cached_property
@@ -275,14 +277,19 @@ def _make_touches(
     places: Places, regions: Regions, quantities: Mapping[str, Quantities], modelled: Places | None
 ) -> Touches:
     flags = places.flags.copy()
-    for each in quantities.values():
-        told = np.isfinite(each.values)
-        flags |= (told & each.below) * int(Flag.BELOW_RANGE) | (told & each.above) * int(Flag.ABOVE_RANGE)
-    placed: Mask = np.asarray(np.isfinite(places.place_mm).all(axis=1))
-    longest = np.full(len(placed), np.nan)
-    longest[placed] = np.linalg.eigvalsh(places.covariance_mm2[placed])[:, -1]
-    half_axis_mm = np.sqrt(np.maximum(longest, 0.0))
-    values = {name: TouchValues(each.values, each.within_68, each.within_95) for name, each in quantities.items()}
+    for quantity in quantities.values():
+        finite_mask = np.isfinite(quantity.values)
+        flags |= (finite_mask & quantity.below) * int(Flag.BELOW_RANGE) | (finite_mask & quantity.above) * int(
+            Flag.ABOVE_RANGE
+        )
+    placed_mask: Mask = np.asarray(np.isfinite(places.place_mm).all(axis=1))
+    largest_variance = np.full(len(placed_mask), np.nan)
+    largest_variance[placed_mask] = np.linalg.eigvalsh(places.covariance_mm2[placed_mask])[:, -1]
+    half_axis_mm = np.sqrt(np.maximum(largest_variance, 0.0))
+    values = {
+        name: TouchValues(quantity.values, quantity.within_68, quantity.within_95)
+        for name, quantity in quantities.items()
+    }
     return Touches(
         touch=(flags & int(Flag.UNREADABLE | Flag.NOT_DETECTED)) == 0,
         flags=flags,

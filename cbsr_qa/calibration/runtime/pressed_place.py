@@ -49,18 +49,25 @@ class PressedPlace:
         found : by the templates of the model, with the noise of the rows alone.
         modelled : the same with the scatter of the model's places.
         """
-        there = np.flatnonzero(found.gain >= finder.threshold**2)
-        places = self._locate(row_readings(rows[there], self._merging))
-        at = finder.match_at(rows[there], places.place_mm)
-        like: Mask = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0) & np.isfinite(at.strength)
-        spread = self._locate.q68 / _ONE_SIGMA * places.covariance_mm2 + found.covariance[there, 1:, 1:]
+        detected_frames = np.flatnonzero(found.gain >= finder.threshold**2)
+        places = self._locate(row_readings(rows[detected_frames], self._merging))
+        learned_matches = finder.match_at(rows[detected_frames], places.place_mm)
+        like_mask: Mask = (
+            places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0) & np.isfinite(learned_matches.strength)
+        )
+        place_covariance = (
+            self._locate.q68 / _ONE_SIGMA * places.covariance_mm2 + found.covariance[detected_frames, 1:, 1:]
+        )
         # A head misplaced to where changes are larger seems weaker.
-        towards = np.empty((len(there), 3, 2))
-        towards[:, 0], towards[:, 1:] = -at.strength[:, None] * finder.size_slope(places.place_mm), np.eye(2)
-        covariance = at.covariance + towards @ spread @ towards.transpose(0, 2, 1)
-        better = {"place_mm": places.place_mm, "strength": at.strength, "covariance": covariance}
-        changed: dict[str, Array] = {}
-        for name, values in better.items():
-            changed[name] = getattr(modelled, name).copy()
-            changed[name][there[like]] = values[like]
-        return replace(modelled, **changed)
+        directions = np.empty((len(detected_frames), 3, 2))
+        directions[:, 0], directions[:, 1:] = (
+            -learned_matches.strength[:, None] * finder.size_slope(places.place_mm),
+            np.eye(2),
+        )
+        covariance = learned_matches.covariance + directions @ place_covariance @ directions.transpose(0, 2, 1)
+        learned_fields = {"place_mm": places.place_mm, "strength": learned_matches.strength, "covariance": covariance}
+        merged_fields: dict[str, Array] = {}
+        for name, values in learned_fields.items():
+            merged_fields[name] = getattr(modelled, name).copy()
+            merged_fields[name][detected_frames[like_mask]] = values[like_mask]
+        return replace(modelled, **merged_fields)

@@ -49,13 +49,13 @@ class SettlingForces:
 
         CalibrationError as for :meth:`ForceStream.update`.
         """
-        parts = [
+        corrections = [
             self._sum_loads(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
             for n, (time, frame) in enumerate(zip(time_s.tolist(), frames, strict=True))
         ]
-        if not parts:
+        if not corrections:
             return forces, np.zeros(0)
-        force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*parts, strict=True))
+        force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*corrections, strict=True))
         return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
 
     def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:

@@ -35,17 +35,17 @@ class SpikeFilter:
         Frames with more than 5 % disagreeing pairs are unchanged, as these are not single spikes.
         """
         first, other = changes[:, self._first], self._sign * changes[:, self._other]
-        apart = np.abs(first - other) / self._noise
-        far = apart > SPIKE_SIGMA
-        if not far.any():
+        relative_difference = np.abs(first - other) / self._noise
+        far_mask = relative_difference > SPIKE_SIGMA
+        if not far_mask.any():
             return np.zeros(len(changes), dtype=np.bool_)
-        unrest = np.maximum(_MAD_TO_SIGMA * np.median(apart, axis=1), 1.0)
+        unrest = np.maximum(_MAD_TO_SIGMA * np.median(relative_difference, axis=1), 1.0)
         larger = np.abs(first) > np.abs(other)
         large, small = np.where(larger, first, other), np.where(larger, other, first)
-        spikes = (apart > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
+        spikes = (relative_difference > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
         spikes[spikes.mean(axis=1) > MOST_SPIKES] = False
         frame, pair = np.nonzero(spikes)
         changes[frame, self._first[pair]] = small[frame, pair]
         changes[frame, self._other[pair]] = self._sign[pair] * small[frame, pair]
-        found: Mask = spikes.any(axis=1)
-        return found
+        spiky_frames: Mask = spikes.any(axis=1)
+        return spiky_frames

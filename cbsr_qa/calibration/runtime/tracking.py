@@ -182,24 +182,24 @@ class ForceStream:
         Otherwise the residual of the wrong place would be a second load. It is moved only if no second load remains,
         so that two successive heads stay two.
         """
-        left = self._explain(rows)
-        remains = self._filter.search(left[None])
-        if not self._another(remains):
-            return remains
+        residual = self._explain(rows)
+        residual_match = self._filter.search(residual[None])
+        if not self._another(residual_match):
+            return residual_match
         for track in self._tracks:
             if not track.fresh:
                 continue
             place, template, strength = track.place_mm, track.template, track.strength
-            match = self._filter.search((left + strength * template)[None])
-            moved = self._filter.template(match.place_mm)[0]
-            if np.isfinite(moved).all():
-                track.move(match.place_mm[0], moved, self._base(moved))
-                other = self._filter.search(self._explain(rows)[None])
-                if not self._another(other):
-                    return other
+            match = self._filter.search((residual + strength * template)[None])
+            new_template = self._filter.template(match.place_mm)[0]
+            if np.isfinite(new_template).all():
+                track.move(match.place_mm[0], new_template, self._base(new_template))
+                next_match = self._filter.search(self._explain(rows)[None])
+                if not self._another(next_match):
+                    return next_match
                 track.move(place, template, self._base(template))
                 self._explain(rows)
-        return remains
+        return residual_match
 
     def _another(self, match: Matches) -> bool:
         """Whether the residual of a frame is more than noise, and more than a template's error."""
@@ -248,7 +248,7 @@ class ForceStream:
     def _report(self, track: Track, bad: Flag) -> TrackedLoad:
         pressing = track.pressing
         value, variance = track.steady(self._model) if pressing else (track.strength, track.noise**2)
-        match, alone = self._matches(track, value, (variance, track.noise**2))
+        match, noise_match = self._matches(track, value, (variance, track.noise**2))
         force, stderr = self._calibration.inverse.force(match)
         flags = bad
         if not np.isfinite(force[0]):
@@ -256,7 +256,7 @@ class ForceStream:
         if pressing:
             flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
         share = (
-            float(self._calibration.inverse.force(alone)[1][0] / abs(force[0]))
+            float(self._calibration.inverse.force(noise_match)[1][0] / abs(force[0]))
             if np.isfinite(force[0]) and force[0]
             else 1.0
         )

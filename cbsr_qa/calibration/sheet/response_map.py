@@ -169,13 +169,13 @@ def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
         for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
     )
     prior = deviation[:, None] ** 2
-    seen = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
-    left = -np.swapaxes(drift, 1, 2) @ seen
-    left[:, 0] += 1
-    pull = data - (drift @ mean[:, :, None])[..., 0]
-    means = mean[:, :1] + (pull[:, None] @ seen)[:, 0]
-    spread = np.linalg.solve(mean_root, left)
-    return means, prior - (seen**2).sum(axis=1) + (spread**2).sum(axis=1)
+    whitened_kernel = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
+    mean_residual = -np.swapaxes(drift, 1, 2) @ whitened_kernel
+    mean_residual[:, 0] += 1
+    centred_data = data - (drift @ mean[:, :, None])[..., 0]
+    means = mean[:, :1] + (centred_data[:, None] @ whitened_kernel)[:, 0]
+    spread = np.linalg.solve(mean_root, mean_residual)
+    return means, prior - (whitened_kernel**2).sum(axis=1) + (spread**2).sum(axis=1)
 
 
 def learn_response(
@@ -212,11 +212,13 @@ def learn_response(
             remedy="leave the load out, or press it again",
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
-    known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
+    prior_precision = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
     places, which = _places(places_mm)
     columns_and_values = np.column_stack([columns, log_response])
     data = {
-        float(scatter): _together(which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(known))
+        float(scatter): _together(
+            which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(prior_precision)
+        )
         for scatter in _SCATTERS
     }
     families = [
@@ -225,9 +227,9 @@ def learn_response(
     ]
     score = np.array([family.score for family in families])
     weights = np.exp(score - score.max())
-    kept = weights > _NEGLIGIBLE * weights.sum()
-    members = tuple(families[family].member(*which) for family, *which in np.argwhere(kept).tolist())
-    return ResponseMap(places, members, weights[kept] / weights[kept].sum())
+    kept_mask = weights > _NEGLIGIBLE * weights.sum()
+    members = tuple(families[family].member(*which) for family, *which in np.argwhere(kept_mask).tolist())
+    return ResponseMap(places, members, weights[kept_mask] / weights[kept_mask].sum())
 
 
 def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tuple[Array | None, float, float]:
@@ -254,11 +256,11 @@ def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
 
 def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
-    _, first, which = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
+    _, first_loads, place_index = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first_loads)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return places_mm[first[order]], rank[which.ravel()]
+    return places_mm[first_loads[order]], rank[place_index.ravel()]
 
 
 def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> _Data:
@@ -301,12 +303,12 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
 def _solve(matrices: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k)."""
     p, k = right.shape[-2:]
-    whole = np.zeros((*matrices.shape[:-2], p + k, p + k))
-    whole[..., :p, :p] = matrices
-    whole[..., p:, :p] = np.swapaxes(right, -1, -2)
+    augmented = np.zeros((*matrices.shape[:-2], p + k, p + k))
+    augmented[..., :p, :p] = matrices
+    augmented[..., p:, :p] = np.swapaxes(right, -1, -2)
     below = np.arange(p, p + k)
-    whole[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
-    root = np.linalg.cholesky(whole)  # only the lower half is read
+    augmented[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
+    root = np.linalg.cholesky(augmented)  # only the lower half is read
     return root[..., :p, :p], np.swapaxes(root[..., p:, :p], -1, -2)
 
 
@@ -322,12 +324,12 @@ def _variances(member: _Member) -> Array:
 
 
 def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
-    apart = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
+    distance = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
     if smooth:
-        gaussian: Array = np.exp(-(apart**2) / 2)
+        gaussian: Array = np.exp(-(distance**2) / 2)
         return gaussian
-    far = np.sqrt(5) * apart
-    matern: Array = (1 + far + far**2 / 3) * np.exp(-far)
+    scaled_distance = np.sqrt(5) * distance
+    matern: Array = (1 + scaled_distance + scaled_distance**2 / 3) * np.exp(-scaled_distance)
     return matern
 
 
@@ -335,19 +337,21 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
     """Mean over places (n, 2) of the logarithm of the response, and its variance."""
     means, variances = [], []
     kinds = {(member.smooth, member.length_mm) for member in response.members}
-    between, among = (
-        {kind: _covariance(of, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
-        for of in (response.places_mm, places_mm)
+    cross_means, mutual_means = (
+        {kind: _covariance(places, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
+        for places in (response.places_mm, places_mm)
     )
     for member in response.members:
         kind = member.smooth, member.length_mm
-        seen = member.solve_kernel(member.deviation**2 * between[kind])[:, 0]
+        whitened_kernel = member.solve_kernel(member.deviation**2 * cross_means[kind])[:, 0]
         columns = np.zeros(member.drift.shape[1])
         columns[0] = 1
-        spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)
-        means.append(float(columns @ member.mean + seen @ (member.data - member.drift @ member.mean)))
+        spread = solve_triangular(member.mean_root, columns - member.drift.T @ whitened_kernel, lower=True)
+        means.append(float(columns @ member.mean + whitened_kernel @ (member.data - member.drift @ member.mean)))
         variances.append(
-            member.deviation**2 * float(among[kind].mean()) - float(seen @ seen) + float(spread @ spread)
+            member.deviation**2 * float(mutual_means[kind].mean())
+            - float(whitened_kernel @ whitened_kernel)
+            + float(spread @ spread)
         )
     mean = float(response.weights @ np.array(means))
     variance = float(response.weights @ (np.array(variances) + (np.array(means) - mean) ** 2))

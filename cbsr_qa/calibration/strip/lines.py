@@ -58,8 +58,8 @@ def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
     opposing = [c for c in members if c.apparent * level.mean < 0 and abs(c.apparent) > CLEAR * c.apparent_stderr]
     if opposing:
         return (
-            f"{label}: {len(opposing)} of {level.cycles} cycles change the other way (cycle {opposing[0].cycle + 1} by"
-            f" {opposing[0].apparent:+.2g}, the mean is {level.mean:+.2g})"
+            f"{label}: {len(opposing)} of {level.cycles} cycles change the other way (cycle"
+            f" {opposing[0].cycle + 1} by {opposing[0].apparent:+.2g}, the mean is {level.mean:+.2g})"
         )
     return ""
 
