@@ -51,12 +51,12 @@ def issue_calibration(
 
     Parameters
     ----------
-    observation : of the finished run.
-    verdict : of the run; only passed and marginal ones get a calibration.
+    observation : observation of the finished run.
+    verdict : verdict of the run; only passed and marginal ones get a calibration.
     calibration, issued_at : identity (time-ordered UUID as text) and wall clock (ISO with zone).
     phases : names of the phases whose loads are used.
     overlap_threshold : lowest area overlap the recipe accepts [%].
-    noise_figure : measured on this sensor; None if the recipe did not request it.
+    noise_figure : noise figure measured on this sensor; None if the recipe did not request it.
     learned : force model of the sensor; its line replaces the material's α, β against stress, since its map was
         learned with it. None for the reason ``no_force``.
     learned_from : used and refused loads, in the order of ``learned.refused``.

@@ -39,7 +39,7 @@ INDEX: Final = "index"
 FLAG: Final = "flag"
 
 
-#: Entries, with the groups that they are in; a calibration of a run has some 200.
+#: Largest number of entries, with the groups that they are in; a calibration of a run has some 200.
 MOST_ENTRIES: Final = 2000
 
 

@@ -10,16 +10,16 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.geometry.outlines import MOST_CORNERS
 from cbsr_qa.domain.results.learned_place import MOST_PRESSES
 
-#: As a sensor type may have.
+#: Largest number of electrodes: what a sensor type may have.
 _MOST_ELECTRODES: Final = 256
-#: Pairs of each kind: 16 times as many as electrodes.
+#: Largest number of pairs of each kind: 16 times as many as electrodes.
 _MOST_PAIRS: Final = 4096
-#: Of all drives with all measurements of 256 electrodes.
+#: Largest number of readings: all drives with all measurements of 256 electrodes.
 _MOST_READINGS: Final = 2**16
-#: Places that a force model searches: 1 m by 1 m, by the millimetre.
+#: Largest number of places that a force model searches: 1 m by 1 m, by the millimetre.
 _MOST_NODES: Final = 10**6
 _MOST_LOADS: Final = 20_000
-#: Kinds of relaxing signals; a run has two.
+#: Largest number of kinds of relaxing signals; a run has two.
 _MOST_SIGNALS: Final = 20
 
 #: Largest whole number of an entry.

@@ -50,9 +50,9 @@ from cbsr_qa.system.untrusted import read_untrusted
 _Kind = TypeVar("_Kind", bound=Issued)
 _Result = TypeVar("_Result")
 
-#: More than in any calibration file.
+#: Largest size of a file: more than that of any calibration file.
 _LARGEST_BYTES: Final = 2**28
-#: Of processor time for each megabyte; one of a run takes 0.1 s.
+#: Processor time for each megabyte [s]; the file of a run takes 0.1 s.
 _SECONDS_PER_MB: Final = 0.25
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; for smaller ones a chunk costs more than it saves.

@@ -8,15 +8,15 @@ import h5py
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.untrusted import largest_content
 
-#: More than in any of our files.
+#: Largest number of groups and datasets: more than in any of our files.
 MOST_NAMES: Final = 10_000
-#: Groups that a dataset is within.
+#: Largest number of groups that enclose a dataset.
 DEEPEST: Final = 4
 _MOST_ATTRIBUTES: Final = 100
 _LARGEST_ATTRIBUTE: Final = 2**16
-#: In all datasets together.
+#: Largest number of texts in all datasets together.
 _MOST_TEXTS: Final = 100_000
-#: Most characters of all texts in one dataset.
+#: Largest number of characters of all texts in one dataset.
 _MOST_CHARACTERS: Final = 2**24
 _TEXTS_AT_ONCE: Final = 32
 #: gzip, byte shuffle and checksum; HDF5 would load a library for any other filter.
@@ -30,8 +30,8 @@ def members(
 
     Parameters
     ----------
-    size_bytes : of the file; limits all datasets by the usual compression.
-    most_names : of groups and datasets; opening each takes a fraction of a millisecond.
+    size_bytes : size of the file; it limits all datasets by the usual compression.
+    most_names : largest number of groups and datasets; opening each takes a fraction of a millisecond.
 
     Raises
     ------

@@ -42,17 +42,17 @@ from cbsr_qa.domain.results.calibration import VerifiedFile
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.system.json_text import parse_json
 
-#: Of a document; a file with any other is not what was written.
+#: Keys of a document; a file with any other key is not what was written.
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
 _DATASET_KEYS: Final = frozenset({"units", "kind", "shape"})
-#: numpy has no more.
+#: Largest number of dimensions of an array: numpy has no more.
 _MOST_AXES: Final = 32
 _LONGEST_QUOTE: Final = 60
 _AS_WRITTEN: Final = "use the file as it was written"
-#: Arrays of more values are written as bytes.
+#: Largest number of values that are written as text; larger arrays are written as bytes.
 _SPELT_OUT: Final = 256
-#: Lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a calibration has
-#: five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
+#: Largest number of lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a
+#: calibration has five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
 _MOST_VALUES: Final = 250_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 

@@ -58,7 +58,7 @@ class MeasuredRelaxation:
     Parameters
     ----------
     common : fit of one trace or of several together.
-    window_s : how long the traces were observed.
+    window_s : time for which the traces were observed.
     loaded_change : mean change under load of unloadings; None for loadings.
     start_s : start of the traces: earlier, shapes are not compared and nothing counts as settled.
     """
@@ -137,13 +137,13 @@ class RelaxationAgreement:
 
     Parameters
     ----------
-    shape : whether the curves, relative to the steady (or released) change, are equivalent.
+    shape : verdict on the curves, relative to the steady (or released) change.
     shape_difference, shape_stderr, at_s : second less first, where it is largest relative to its reach.
     shape_reach : bound of the difference at all times of the window, at the requested level.
-    time : whether the settling times are equivalent.
+    time : verdict on the settling times.
     time_ratio, time_ratio_stderr : second over first; None if one has no plain number.
     time_reach : bound of the ratio, either way, at the requested level; None if one has no plain number.
-    curves : the compared ones, or None.
+    curves : compared curves, or None.
     why : reason for a missing comparison.
     """
 
@@ -181,7 +181,7 @@ def compare_relaxations(
 
     Parameters
     ----------
-    tolerance : of the settling time.
+    tolerance : tolerance of the settling time, as a fraction.
     """
     for which, measured in (("first", first), ("second", second)):
         if measured.why_not:

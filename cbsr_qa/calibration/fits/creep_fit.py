@@ -58,8 +58,8 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
 
     Parameters
     ----------
-    signal : of the loads' relaxations.
-    frames : the end is the mean of this many conductance frames, and of the stress over the same time.
+    signal : name of a signal of the loads' relaxations.
+    frames : number of conductance frames whose mean is the end; the stress is averaged over the same time.
 
     Returns
     -------

@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, finite_numbers
 FEWEST_POINTS: Final = 3
 
 
-#: More points than this are not searched by triples.
+#: Largest number of points that are searched by triples.
 _MOST_POINTS: Final = 100
 
 
@@ -26,7 +26,7 @@ class Estimate:
     Parameters
     ----------
     stderr : one standard deviation, or None if unknown.
-    degrees : of freedom of the stated scatter.
+    degrees : degrees of freedom of the stated scatter.
     """
 
     value: float
@@ -41,9 +41,9 @@ class StraightLine:
     Parameters
     ----------
     deviations : (n,) float64, points minus line, in the unit of y.
-    largest : of their absolute values.
-    stderr : of ``largest``, with the deciding points held fixed: too large if several compete, never too small. None
-        if the points' errors are unknown.
+    largest : largest absolute deviation.
+    stderr : standard error of ``largest``, with the deciding points held fixed: too large if several compete, never
+        too small. None if the points' errors are unknown.
     """
 
     slope: float

@@ -29,7 +29,7 @@ class LoopCurve:
 
     Parameters
     ----------
-    location, x_mm, y_mm : of the place.
+    location, x_mm, y_mm : name and coordinates of the place.
     cycles, hold_s : number of loops, and time each strain was held.
     peak : index of the deepest strain; up to it the strain rises, after it it falls.
     strain, stress_kPa, output : (n,) float64 in order of holding; the output relative to that at the peak.
@@ -56,9 +56,9 @@ class Hysteresis:
 
     Parameters
     ----------
-    estimate : its size in shares of the span, with the error of the difference there.
-    strain : of that difference, on the way down.
-    higher : whether the output is higher on the way down than on the way up there.
+    estimate : size of the difference in shares of the span, with the error of the difference there.
+    strain : strain of that difference, on the way down.
+    higher : True if the output there is higher on the way down than on the way up.
     """
 
     estimate: Estimate
@@ -76,7 +76,7 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
     Parameters
     ----------
     relaxed : True to extrapolate to relaxed levels; False for levels at the end of each hold.
-    last_s : for the latter, time averaged at the end.
+    last_s : time at the end of each hold that is averaged for the latter.
 
     Raises
     ------

@@ -8,7 +8,7 @@ import numpy as np
 from cbsr_qa.calibration.fits.separable import best_fit
 from cbsr_qa.domain.numbers import Array
 
-#: (times (n,), values (n,)) of one trace.
+#: Times (n,) and values (n,) of one trace.
 TimedValues = tuple[Array, Array]
 
 
@@ -19,10 +19,10 @@ class JointExponentials:
     Parameters
     ----------
     time_constants_s : (k,) rising [s].
-    shares : (k,) of each exponential in g; they add to 1.
+    shares : (k,) shares of the exponentials in g; they add to 1.
     offsets, scales : (traces,) cᵢ and sᵢ, in the unit of the values.
     residual : (all points,) values − fit.
-    mean_covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, its amplitudes, and log τ.
+    mean_covariance : (1 + 2 k, 1 + 2 k) covariance of the mean trace's offset, its amplitudes, and log τ.
     """
 
     time_constants_s: Array
@@ -51,7 +51,7 @@ def fit_joint(
 
     Parameters
     ----------
-    traces : at least one, each with more than two points.
+    traces : at least one trace, each with more than two points.
     starts : log τ of one exponential, or (log τ₁, log τ₂, share of the first) of two.
     bounds_s : lowest and highest time constant.
     """

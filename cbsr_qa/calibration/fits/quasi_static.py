@@ -10,9 +10,9 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, finite_numbers
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
-#: Levels are one place if their places differ by less than this share of their size.
+#: Largest difference, as a share of their size, between places that count as one.
 _COLLINEAR: Final = 1e-9
-#: Larger numbers, or smaller ones than its inverse, cannot be squared and divided safely.
+#: Largest number that can be squared and divided safely; the smallest is its inverse.
 _LARGEST: Final = 1e70
 #: Error of all-zero changes without a stated one: small, with a finite square.
 _NO_ERROR: Final = 1e-120
@@ -28,7 +28,7 @@ class QuasiStaticFit:
     covariance : (2, 2) float64 of (slope, intercept).
     levels : fitted strains, rising.
     excluded : strains left out because their deviation exceeds their mean change.
-    chi_squared, degrees : of the weighted residuals; degrees are levels − 2.
+    chi_squared, degrees : χ² of the weighted residuals, and its degrees of freedom: levels − 2.
     """
 
     slope: float

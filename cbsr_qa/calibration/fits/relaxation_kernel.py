@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
 
-#: Relative scatters tried, uniform a priori up to 1.
+#: Candidate relative scatters, uniform a priori up to 1.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
 #: From so many residual degrees of freedom on a load's own noise is used instead of the pooled one.
 _OWN_NOISE: Final = 8
@@ -28,9 +28,9 @@ class KernelTrace:
 
     Parameters
     ----------
-    time_s, values : (n,).
-    ramp_s : of the ramp before.
-    released : D of an unloading; None for a loading.
+    time_s, values : (n,) times and values of the trace.
+    ramp_s : duration of the ramp before the trace.
+    released : released change D of an unloading; None for a loading.
     """
 
     time_s: Array
@@ -57,10 +57,10 @@ def _estimate_shared_kernel(
 
     Parameters
     ----------
-    weights, time_constants_s : (k,) initial.
-    prior_stderr : (2 k,) of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
+    weights, time_constants_s : (k,) initial values.
+    prior_stderr : (2 k,) standard deviations of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
     noise : standard deviation of a value of each load; None to estimate it from the residuals.
-    start_s : of the kernel.
+    start_s : start of the kernel.
     """
     mean = start = np.concatenate([weights, np.log(time_constants_s)])
     free = prior_stderr > 0

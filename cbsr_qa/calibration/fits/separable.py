@@ -40,7 +40,8 @@ class Exponentials:
     time_constants_s : (k,) rising [s].
     coefficients : (1 + k,) offset and amplitudes at t = 0, in the unit of the values.
     residual : (n,) values − fit.
-    stderr : (1 + 2 k,) of offset, amplitudes and logarithms of the time constants; infinite where undetermined.
+    stderr : (1 + 2 k,) standard errors of offset, amplitudes and logarithms of the time constants; infinite where
+        undetermined.
     """
 
     time_constants_s: Array

@@ -28,7 +28,7 @@ def settling_time(
 
     Parameters
     ----------
-    fit : of a change from before the load; t = 0 is the end of the ramp.
+    fit : fit of a change from before the load; t = 0 is the end of the ramp.
     window_s : observed time from t = 0 [s].
     tolerance : half width of the band as a fraction (the paper's 15 %).
     band : ``"steady"``: of the steady change from before the load, as in the paper; ``"step"``: of G(0) − a₀.

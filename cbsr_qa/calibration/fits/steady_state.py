@@ -43,7 +43,7 @@ def predict_steady(
     time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` are ignored.
     values : (n,) or (m, n) of m traces.
     noise : standard deviation of a value; broadcast with ``values``.
-    ramp_s, frame_s : as in :func:`learn_kernel`; ``ramp_s`` may be (m,).
+    ramp_s, frame_s : arguments of :func:`learn_kernel`; ``ramp_s`` may be (m,).
     released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
     at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
 
@@ -81,7 +81,7 @@ def event_rate_per_min(
     ----------
     loading_s, unloading_s : settling times.
     held, rested : waiting times relative to them; 1.5 each without transient compensation (paper 4.3.2), less with.
-    ramp_s : of one press, and of one release.
+    ramp_s : duration of one press, and of one release.
     """
     parts = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
@@ -97,7 +97,7 @@ class HoldsSoFar:
 
     Parameters
     ----------
-    kernel, ramp_s, frame_s : as in :func:`predict_steady`.
+    kernel, ramp_s, frame_s : arguments of :func:`predict_steady`.
     count : m.
     """
 

@@ -32,8 +32,8 @@ class StepTrace:
     Parameters
     ----------
     start_s : end of the ramp, on the run's clock.
-    loading : whether the head pressed harder.
-    time_s, values : (n,) float64, from the end of the ramp.
+    loading : True if the head pressed harder.
+    time_s, values : (n,) float64 times and values, from the end of the ramp.
     skipped : number of ignored first samples (an unloading spike).
     """
 
@@ -50,9 +50,9 @@ class SeparatedSteps:
 
     Parameters
     ----------
-    traces : (time_s, values) of each, without residues and without skipped samples.
+    traces : (time_s, values) of each step, without residues and without skipped samples.
     levels, level_stderr : (n,) final level of each after relaxation.
-    amplitudes : of each, one for each time constant of its direction, at the end of its ramp.
+    amplitudes : amplitudes of each step at the end of its ramp, one for each time constant of its direction.
     common : the relaxation of each existing direction (True: loading).
     """
 
@@ -70,7 +70,7 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
 
     Parameters
     ----------
-    steps : in order of time; together they cover the whole history.
+    steps : steps in order of time; together they cover the whole history.
 
     Returns
     -------
@@ -237,9 +237,9 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
 
     Parameters
     ----------
-    loops : in time order, pressed at one place.
-    trace : on the run's clock.
-    rests : whether the trace continues after the release (a stress does not).
+    loops : loops in order of time, pressed at one place.
+    trace : trace on the run's clock.
+    rests : True if the trace continues after the release (a stress does not).
 
     Raises
     ------

@@ -21,9 +21,9 @@ _NOISY: Final = 2.0
 #: Readings with one extreme value are clipped, if so many are that differ by so many times their noise at rest.
 _CLIPPED: Final = 3
 _APART: Final = 6.0
-#: With a larger share of dead pairs a frame is not of this sensor.
+#: Largest share of dead pairs in a frame of this sensor.
 _MOST: Final = 0.75
-#: A frame that lost a larger share of its readings is not read.
+#: Largest share of lost readings of a frame that is read.
 _MOST_MISSING: Final = 0.5
 #: Larger readings than this, in the largest unloaded one, are of no pair's spread, and their squares may overflow.
 _LARGEST: Final = 1e6
@@ -36,7 +36,7 @@ class FrameFaults:
     Parameters
     ----------
     left_out : (n, m) bool, readings that say nothing of the sheet.
-    flags : (n,) of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE``, ``SATURATED`` and ``MISSING``.
+    flags : (n,) values of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE``, ``SATURATED`` and ``MISSING``.
     """
 
     left_out: Mask

@@ -121,12 +121,12 @@ class SeveralForces:
 
     Parameters
     ----------
-    loads : of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the sum of
-        their forces and its error at their middle.
+    loads : forces of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the
+        sum of their forces and its error at their middle.
     total_N, total_stderr_N : sum of all forces; 0 and the least detectable force without a head, NaN in unusable
         frames.
-    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were not
-        separated or there are more than searched for, SPIKE; else none.
+    flags : flags of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were
+        not separated or there are more than searched for, SPIKE; else none.
     """
 
     loads: Forces
@@ -149,11 +149,11 @@ class ForceInverse:
 
     Parameters
     ----------
-    model : of the sensor.
+    model : force model of the sensor.
     line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses; shared errors
         are in the map.
-    area_mm2 : of the head.
-    tables : (nodes, 4) of the map, see :func:`map_tables`.
+    area_mm2 : area of the head.
+    tables : (nodes, 4) values of the map, see :func:`map_tables`.
     """
 
     model: ForceModel
@@ -236,8 +236,8 @@ class SizeError:
 
     Parameters
     ----------
-    model : of the sensor.
-    radius_mm : of the calibrated head.
+    model : force model of the sensor.
+    radius_mm : radius of the calibrated head.
     """
 
     def __init__(self, model: ForceModel, radius_mm: float) -> None:
@@ -284,11 +284,11 @@ def forces_together(
 
     Parameters
     ----------
-    heads : strengths those of the inverse's head.
+    heads : heads of the frame, with the strengths of the inverse's head.
     unexplained : share of the frame's signal, as energy, that further heads explain, or 0.
-    nearest_mm : closer heads are not separated.
-    sign : of the response.
-    other_head : (k,) whether the error of a head's templates exceeds the allowed one.
+    nearest_mm : least distance of heads that are separated.
+    sign : sign of the response.
+    other_head : (k,) mask of heads whose templates have a larger error than is allowed.
     """
     newtons = inverse.newtons(_matches(heads))
     groups = heads.groups(nearest_mm)

@@ -74,8 +74,9 @@ class LearnedForce:
     response : the map, for any place.
     refused : (n,) reason for leaving a load out; empty if used.
     ratio, ratio_stderr : (n,) observed over predicted change, relative to the nominal response; NaN if left out.
-    fitted_intercept : whether the loads determine the intercept.
-    predicted : (n,) whether readings and force of a load were predicted from a hold shorter than the run's longest.
+    fitted_intercept : True if the loads determine the intercept.
+    predicted : (n,) flags of the loads whose readings and force were predicted from a hold shorter than the run's
+        longest.
     """
 
     model: ForceModel
@@ -103,9 +104,9 @@ def learn_force(
     ----------
     bank : templates of the head.
     merging : (r, m) [1/V] maps changes of used readings to rows.
-    loads : of the calibration.
+    loads : loads of the calibration.
     line : α_σ and β_σ of the material, or of this sensor; deviations from it become part of the map.
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
 
     Raises
     ------

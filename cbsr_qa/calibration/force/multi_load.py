@@ -33,7 +33,8 @@ class Heads:
     Parameters
     ----------
     place_mm, strength : (k, 2) and (k,), the strongest in the frame first.
-    covariance : (3 k, 3 k) of (strength, x, y) of each in turn, from noise or, if larger, from the residual.
+    covariance : (3 k, 3 k) covariance of (strength, x, y) of each in turn, from noise or, if larger, from the
+        residual.
     gain : decrease of the squared residuals.
     left : remaining squared residuals over their mean for noise.
     detectability : (k,) strength over its standard error, the places given: the square root of what each adds.
@@ -109,10 +110,10 @@ class HeadCounter:
 
     Parameters
     ----------
-    templates : of the head; all heads are alike.
+    templates : filter with the templates of the head; all heads are alike.
     threshold : detectability above which a head is not noise.
     misfit : share of a frame's signal, as energy, that a further template may explain without a further head.
-    diameter_mm : of the head.
+    diameter_mm : diameter of the head.
     """
 
     def __init__(self, templates: TemplateFilter, *, threshold: float, misfit: float, diameter_mm: float) -> None:
@@ -127,7 +128,7 @@ class HeadCounter:
         Parameters
         ----------
         first_mm : (2,) place of a single head.
-        at_most : most heads searched for.
+        at_most : largest number of heads that are searched for.
 
         Returns
         -------

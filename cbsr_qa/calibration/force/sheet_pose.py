@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.force.template_matching import Matches
 from cbsr_qa.domain.numbers import Array
 
-#: A place with a larger error does not determine the pose [mm].
+#: Largest error of a place that helps to determine the pose [mm].
 _SURE_MM: Final = 1.5
 #: Fewest places for a pose, and standard errors by which it must differ from none.
 _FEWEST: Final = 3
 _CLEAR: Final = 4.0
-#: A pose that moves no place by more than this is ignored [mm].
+#: Largest shift of a place by a pose that is ignored [mm].
 _SMALLEST_MM: Final = 0.15
 
 
@@ -27,7 +27,7 @@ class SheetPose:
     shift_mm : b.
     rotation_deg : θ, counterclockwise.
     shift_stderr_mm, rotation_stderr_deg : standard errors, equal for both components of the shift.
-    moved : whether it differs clearly from none; otherwise places are unchanged.
+    moved : True if the pose differs clearly from none; False leaves places unchanged.
     """
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
@@ -61,8 +61,8 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     Parameters
     ----------
     nominal_mm : (n, 2) pressed places.
-    matches : of the same loads.
-    noise : (n,) variance of their rows.
+    matches : matches of the same loads.
+    noise : (n,) variance of the rows of the loads.
 
     Returns
     -------

@@ -32,7 +32,7 @@ class Matches:
     ----------
     place_mm : (n, 2); NaN without nodes around it.
     strength : (n,) a = 2κ/(2 + κ).
-    covariance : (n, 3, 3) of (strength, x, y); zero for a given place.
+    covariance : (n, 3, 3) covariance of (strength, x, y); zero for a given place.
     gain : (n,) b²/g, decrease of the squared residuals by the head.
     energy : (n,) y·y.
     """
@@ -51,7 +51,7 @@ class TemplateFilter:
 
     Parameters
     ----------
-    model : of the sensor.
+    model : force model of the sensor.
     size : q, the head's squared radius over that of the calibrated one.
 
     Attributes

@@ -18,7 +18,7 @@ from cbsr_qa.eit.loads.round_load import LoadReadings, RoundLoadModel, RoundLoad
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
 CONTRAST: Final = 0.1
-#: Between places of the lattice, of the sheet's radius: 1.25 mm on the 100 mm disc.
+#: Spacing of the lattice's places, in radii of the sheet: 1.25 mm on the 100 mm disc.
 SPACING: Final = 0.025
 #: Nodes closer to an edge or an electrode [of the sheet's radius] have no field for interpolation.
 LEAST_CLEARANCE: Final = 0.03
@@ -43,8 +43,8 @@ class TemplateBank:
     Parameters
     ----------
     lattice, node : places, and the row of each, or −1.
-    places_mm : (n, 2) of the rows.
-    templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
+    places_mm : (n, 2) places of the rows.
+    templates, log_size, size_slope, slopes, fits : fields of :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
     """
 
     lattice: Lattice
@@ -68,7 +68,7 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     Parameters
     ----------
     readings : merging of readings into rows.
-    head : of any outline, replaced by the disc of its area and second moment.
+    head : head of any outline; the disc of its area and second moment replaces it.
     """
     lattice = _lattice(model)
     lattice_mm = lattice.places_mm()

@@ -14,16 +14,16 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array, Indices
 
-#: Sessions after the last press that a calibration is stated for; after a re-check it is one.
+#: Number of sessions after the last press for which a calibration is stated; after a re-check it is one.
 SESSIONS: Final = 5.0
 _FUNCTIONS: Final = 6  # they hold 97 % of the variance of a walk
-#: Variances of a walk over all presses that are tried, in variances of a reading's errors.
+#: Candidate variances of a walk over all presses, in variances of a reading's errors.
 _WALKS: Final = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 #: Variance of the offset and gain that all presses have in common.
 _COMMON: Final = 1.0
 _SHUFFLES: Final = 49
 _SEED: Final = [int.from_bytes(b"drift"), 0]
-#: Presses of a re-check at least, their largest share of all, and how many times as many before them it is told from.
+#: Fewest presses of a re-check, their largest share of all, and the least ratio of the presses before to them.
 _FEWEST_LATE: Final = 3
 _LATE_SHARE: Final = 0.1
 _BEFORE: Final = 3
@@ -35,12 +35,12 @@ class Drift:
 
     Parameters
     ----------
-    since : by drift between each press and the last one. A press of a re-check is brought to where the others of the
-        re-check tell the readings are, so that it can tell how far that is right.
-    later : one standard deviation of what may be added later, in all features together.
-    late : how many presses at the end are a re-check.
+    since : (n, m) change by drift between each press and the last one. A press of a re-check is brought to where the
+        others of the re-check tell the readings are, so that it can tell how far that is right.
+    later : standard deviation of the change that later drift may add, in all features together.
+    late : number of presses at the end that are a re-check.
     horizon : sessions after the last press that a calibration is stated for.
-    variances : (2,) of what is added until then to the offset and to the gain, in mean squares of errors and, of the
+    variances : (2,) variances added to the offset and to the gain until then, in mean squares of errors and, of the
         gain, of expected features over their root mean square.
     """
 
@@ -57,8 +57,8 @@ class Session:
 
     Parameters
     ----------
-    time : (n,) in lengths of the session.
-    late : how many presses at the end are a re-check.
+    time : (n,) times in lengths of the session.
+    late : number of presses at the end that are a re-check.
     """
 
     time: Array
@@ -80,8 +80,9 @@ def session_of(errors: Array, time_s: Array | None) -> Session:
 
     Parameters
     ----------
-    errors : (n, m) of presses that were left out, seen less expected features.
-    time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
+    errors : (n, m) errors of presses that were left out: seen less expected features.
+    time_s : (n,) times of the presses, rising; None where they were made one after the other, a re-check at the end
+        apart.
     """
     return Session(*_sessions(_scale_to_unit_rms(errors)[0], time_s, _orders(len(errors))))
 
@@ -91,8 +92,8 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
 
     Parameters
     ----------
-    errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
-    certain : whether the presses are known to drift, by others of their features.
+    errors, expected : (n, m) seen less expected features of presses that were left out, and expected features.
+    certain : True if the presses are known to drift, by others of their features.
     """
     scaled, deviation = _scale_to_unit_rms(errors)
     relative, _ = _scale_to_unit_rms(expected)

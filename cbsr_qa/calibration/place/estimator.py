@@ -28,7 +28,7 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 _AT_ONCE: Final = 256  # frames at a time, to limit memory
-#: Presses that tell what lost readings cost, and how many sets of lost readings are kept.
+#: Number of presses that tell what lost readings cost, and of sets of lost readings whose cost is kept.
 _PRESSES: Final = 100
 _KEPT: Final = 32
 #: The modelled sheet is not trusted beyond the presses if it misses them by more than the spacing of neighbouring
@@ -39,7 +39,7 @@ _MISSED_REACH: Final = 0.25
 _MISSED_TIMES: Final = 10.0
 #: The modelled sheet's place is not used for frames with one of these flags: it is compared with all readings.
 _NOT_MODELLED: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE | Flag.MISSING | Flag.OFFSET) | LEFT_OUT
-#: Of dᵀΣ⁻¹d that holds 68 % of a normal distribution over two axes.
+#: Value of dᵀΣ⁻¹d that holds 68 % of a normal distribution over two axes.
 _NORMAL_68: Final = float(-2 * np.log(1 - 0.68))
 
 
@@ -48,15 +48,15 @@ class PlaceEstimator:
 
     Parameters
     ----------
-    model : as learned.
-    modelled : used where it explains a touch beyond the presses and what was learned does not.
-    pairs : (m, 4) source, sink, plus and minus of the readings, for finding those of faulty pairs and electrodes.
+    model : model learned from the presses.
+    modelled : model of the sheet, used for touches beyond the presses that it explains and ``model`` does not.
+    pairs : (m, 4) source, sink, plus and minus of the readings, to find faulty pairs and electrodes.
     held_out_mm : mean error of presses left out, if known. ``modelled`` is not used if it misses the presses by many
         times as much.
 
     Attributes
     ----------
-    q68, q95 : of dᵀΣ⁻¹d; see :class:`Places`.
+    q68, q95 : quantiles of dᵀΣ⁻¹d; see :class:`Places`.
     """
 
     def __init__(

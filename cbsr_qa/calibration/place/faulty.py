@@ -18,9 +18,9 @@ _LEVEL: Final = 0.75
 #: of 2500 presses of two real skins stay below 3.2; an open electrode of a simulated sheet is at 60.
 _FAULTY: Final = 6.0
 _BESIDE: Final = 3.0
-#: A group is named as faulty if so large a share of its readings are spikes.
+#: Least share of spikes among a group's readings for which the group is named as faulty.
 _SPIKY_GROUP: Final = 1 / 3
-#: A press or frame with a larger share of faulty readings is not used.
+#: Largest share of faulty readings of a press or frame that is used.
 MOST_FAULTY: Final = 0.5
 
 
@@ -98,8 +98,9 @@ def noisy_readings(pairs: Indices, features: Array, errors: Array) -> Mask:
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
-    features, errors : (n, m) of presses, and what they differ by from what the others let expect. A press whose size
-        noise raises has all its features reduced, so what is expected is scaled to the other electrodes' readings.
+    features, errors : (n, m) features of presses, and their difference from what the others let expect. A press whose
+        size noise raises has all its features reduced, so what is expected is scaled to the other electrodes'
+        readings.
     """
     noisy_mask, largest_excess = np.zeros(features.shape, dtype=np.bool_), np.full(len(features), _NOISY)
     usual_error = _MAD_TO_SIGMA * np.median(np.abs(errors), axis=0)

@@ -67,7 +67,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
 
     Parameters
     ----------
-    likeness : (n,) of their features to the template, by least squares.
+    likeness : (n,) likeness of their features to the template, by least squares.
     """
     size = np.linalg.norm(_roots(readings, scaling), axis=1)
     strength: Array = (np.maximum(likeness, LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)

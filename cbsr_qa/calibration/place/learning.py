@@ -66,11 +66,12 @@ class FoundPresses:
 
     Parameters
     ----------
-    presses : (k,) their indices, in the order in which they were made.
-    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.places.Places`.
-    visits : (k,) the same for presses at one place.
-    session : when they were made.
-    drifts : whether readings were found to drift over it.
+    presses : (k,) indices of the presses, in the order in which they were made.
+    place_mm, strength : (k, 2) places and (k,) strengths of the changes; see
+        :class:`~cbsr_qa.calibration.place.places.Places`.
+    visits : (k,) number of the place, the same for presses at one place.
+    session : times when the presses were made.
+    drifts : True if readings were found to drift over the session.
     """
 
     presses: Indices
@@ -107,17 +108,18 @@ def learn_place(
 
     Parameters
     ----------
-    changes : (n, m) of the readings, by each press, in one unit; finite. Readings that are zero in all are not
+    changes : (n, m) changes of the readings by each press, in one unit; finite. Readings that are zero in all are not
         used, whatever they are later.
-    places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
+    places_mm : (n, 2) places of the presses in any frame; in the order in which they were made, unless ``time_s``
+        says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
-    electrodes : how many there are around the sheet, evenly spaced.
-    centre_mm : (2,) the sheet's centre in the frame of the presses; by default their middle.
-    axes : (2, 2) of the electrodes, as in ``LearnedPlace``, where they are known; those
+    electrodes : number of electrodes around the sheet, evenly spaced.
+    centre_mm : (2,) centre of the sheet in the frame of the presses; by default their middle.
+    axes : (2, 2) axes of the electrodes, as in ``LearnedPlace``, if they are known; those
         used are the likeliest.
-    time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
-    missing : (n, m) readings that are zero because they are not known; spikes are found here.
-    tell : receives the progress in words.
+    time_s : (n,) times of the presses; by default evenly spaced in their order. Drift over it is extrapolated.
+    missing : (n, m) mask of readings that are zero because they are not known; spikes are found here.
+    tell : function that receives the progress in words.
 
     Raises
     ------

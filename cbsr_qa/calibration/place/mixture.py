@@ -18,7 +18,8 @@ _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
 #: Larger errors, in units of their median, as of spiky frames, are limited to this in the share.
 _LARGE: Final = 3.0
-#: Of the logarithm of a weight from its initial value: beyond, covariances of rank one have no inverse in floats.
+#: Largest distance of the logarithm of a weight from its initial value: beyond, covariances of rank one have no
+#: inverse in floats.
 _FURTHEST: Final = 10.0
 
 
@@ -74,7 +75,7 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
 
     Parameters
     ----------
-    ratio : (k,) of left-out presses.
+    ratio : (k,) squared errors dᵀΣ⁻¹d of left-out presses.
     visits : (k,) one number per place, by default one press each. Every place counts as one, since its presses err
         alike (Lee, Barber & Willett 2025, hierarchical conformal prediction).
     """

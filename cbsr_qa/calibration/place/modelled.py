@@ -33,7 +33,7 @@ class ModelledEstimator:
     Parameters
     ----------
     model : templates of the sheet.
-    registration : its pose in the frame of the presses.
+    registration : pose of the sheet in the frame of the presses.
     """
 
     def __init__(self, model: ModelledPlace, registration: SheetRegistration) -> None:
@@ -98,7 +98,7 @@ def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> Mo
 
     Parameters
     ----------
-    quantiles : (2,) of dᵀΣ⁻¹d for regions of 68 and 95 %.
+    quantiles : (2,) quantiles of dᵀΣ⁻¹d for regions of 68 and 95 %.
     """
     squares = (error_mm**2).sum(axis=1) * len(error_mm) / (len(error_mm) - _POSE / 2)
     variance = max(float(squares.mean()) / 2, np.finfo(np.float64).tiny)

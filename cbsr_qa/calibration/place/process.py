@@ -26,9 +26,9 @@ _SPREAD_OF_LENGTH: Final = 1.4
 _SPREAD_OF_TURNING: Final = 2.0
 _SPREAD_OF_VARIANCE: Final = 3.0
 _SPREAD_OF_NOISE: Final = 1.4
-#: Presses whose squared distance is this share of the largest have the same features: rounding.
+#: Squared distance, as a share of the largest, of presses that differ by rounding alone.
 _ALIKE: Final = 1e-12
-#: Correlations that are computed at once: few enough for the cache.
+#: Number of correlations that are computed at once: few enough for the cache.
 _AT_ONCE: Final = 2**16
 #: Centre of the prior of the noise, relative to the variance of places.
 _NOISE_SHARE: Final = 0.005
@@ -65,7 +65,7 @@ def leave_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) 
 
     Parameters
     ----------
-    inverse : of the covariance, as :func:`condition_on_presses` returns it.
+    inverse : inverse of the covariance, which :func:`condition_on_presses` returns.
 
     Returns
     -------

@@ -31,7 +31,7 @@ from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity, QuantityScales
 
-#: Presses that are kept, and presses for hyperparameters: the modelled function is smooth.
+#: Number of presses that are kept, and of those for hyperparameters: the modelled function is smooth.
 _KEPT: Final = 400
 _FOR_SCALES: Final = 150
 _ITERATIONS: Final = 30  # L-BFGS
@@ -46,7 +46,7 @@ _FURTHEST: Final = 4.0  # in those deviations
 _NORMAL: Final = np.array([0.9945, 1.9600])
 #: Frames with one of these flags have no press to measure.
 _NO_PRESS: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE)
-#: Added to a diagonal, in units of the spread, to keep covariances of noiseless presses invertible.
+#: Term of the diagonal, in units of the spread, that keeps covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
 
@@ -56,7 +56,7 @@ class Quantities:
 
     Parameters
     ----------
-    values : (n,) in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
+    values : (n,) values in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability; NaN where the value is.
     below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
         far the other way, as the slope of the continuation is unknown.
@@ -127,11 +127,11 @@ def learn_quantity(
 
     Parameters
     ----------
-    strength, places_mm : (n,) and (n, 2) as found for each press when it was left out.
-    centre_mm : (2,) the sheet's, in the frame of the presses.
-    visits : (n,) the same for presses at one place; by default all are at different places.
+    strength, places_mm : (n,) strength and (n, 2) place found for each press when it was left out.
+    centre_mm : (2,) centre of the sheet in the frame of the presses.
+    visits : (n,) number of the place, the same for presses at one place; by default all are at different places.
     session : when they were made; without it no drift is searched for.
-    drifts : whether other features of the presses are known to drift.
+    drifts : True if other features of the presses are known to drift.
     """
     recheck_count = 0 if session is None else session.late
     kept_presses = np.append(

@@ -30,12 +30,12 @@ _RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as varian
 _MARGIN: Final = 1.05
 #: Standard deviation of the weights of places beside one, in spacings of the grid.
 _SMOOTH: Final = 0.6
-#: Presses' worth of trust that the shared part has no offset.
+#: Number of presses that the prior of a shared part without offset counts as.
 _TRUST: Final = 5
-#: Times that missing readings are filled: the second time from places that the first made better.
+#: Number of times that missing readings are filled: the second time starts from the better places of the first.
 _FILLINGS: Final = 2
 NO_PRESS: Final[Indices] = np.arange(0)
-#: Presses for lengths and ratios; all presses are used for the templates.
+#: Number of presses for lengths and ratios; all presses are used for the templates.
 _FOR_LENGTHS: Final = 400
 
 
@@ -104,8 +104,8 @@ class TemplateLearning:
 
     Parameters
     ----------
-    features, places_mm : (n, m) of presses and (n, 2), about the centre in the electrodes' axes.
-    radius_mm : that all places are within.
+    features, places_mm : (n, m) features and (n, 2) places of presses, about the centre in the electrodes' axes.
+    radius_mm : radius of a circle that holds all places.
     """
 
     def __init__(self, turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float) -> None:
@@ -204,7 +204,7 @@ class _Shared:
     Parameters
     ----------
     grid_mm : (k, 2) places that they are wanted at, beside those of the presses.
-    radius_mm : that all places are within.
+    radius_mm : radius of a circle that holds all places.
     """
 
     def __init__(

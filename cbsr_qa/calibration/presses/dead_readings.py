@@ -57,8 +57,8 @@ def find_dead_readings(
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
-    changes : (n, m) by presses at places (n, 2).
-    rest, noise : (m,) of the unloaded sheet where the readings are whole frames.
+    changes : (n, m) changes of the readings by presses at places (n, 2).
+    rest, noise : (m,) readings of the unloaded sheet and their noise, where the readings are whole frames.
     """
     faulty_mask, flags, spike_mask = _faulty(pairs, changes, rest, noise)
     constant_mask = np.ptp(changes, axis=0) == 0
@@ -145,7 +145,7 @@ def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
 
     Parameters
     ----------
-    changes, rest : (n, m) by presses, and (m,) of the unloaded sheet where the readings are whole frames. Zero is no
+    changes, rest : (n, m) changes by presses, and (m,) readings of the unloaded sheet, for whole frames. Zero is no
         such end: front ends that rectify give it.
     """
     frames = changes if rest is None else changes + rest

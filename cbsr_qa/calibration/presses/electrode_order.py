@@ -41,8 +41,8 @@ class ElectrodeOrder:
 
     Parameters
     ----------
-    registered : with that order.
-    pairs : (m, 4) as wired.
+    registered : registration with that order.
+    pairs : (m, 4) pairs as they are wired.
     findings : differences from the pattern, in words.
     """
 

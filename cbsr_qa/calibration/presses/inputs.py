@@ -36,9 +36,9 @@ class PressReadings:
 
     Parameters
     ----------
-    path : of their table.
-    distinct : the pairs.
-    changes : (n, m) by each press.
+    path : path of their table.
+    distinct : distinct pairs of the readings.
+    changes : (n, m) changes by each press.
     rest : (m,) reference of frames; None if the table has changes.
     noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
     """
@@ -56,7 +56,7 @@ class LabelledPresses:
 
     Parameters
     ----------
-    radius_stated : whether the sensor type states the sheet's size; otherwise it is estimated.
+    radius_stated : True if the sensor type states the sheet's size; False to estimate it.
     """
 
     sensor_type: SensorType
@@ -98,7 +98,7 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
 
     Parameters
     ----------
-    pairs : (columns, 4) of the tables' columns, in their order.
+    pairs : (columns, 4) electrode pairs of the tables' columns, in their order.
 
     Raises
     ------

@@ -36,9 +36,9 @@ from cbsr_qa.domain.results.press_calibration import (
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Scales this close to one are within the errors of mounting and modelling.
+#: Largest difference of a scale from one that errors of mounting and modelling explain.
 _SCALE_OFF: Final = 0.1
-#: Presses so close together are not on a sheet of millimetres.
+#: Least extent of the presses on a sheet whose places are in millimetres.
 _SMALL_MM: Final = 1.0
 #: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
 _NOISE_ROOM: Final = 3.3
@@ -79,10 +79,10 @@ class PressesLearned:
 
     Parameters
     ----------
-    findings : on readings, electrodes and sheet, in words.
-    used : (n,) whether each press was used. Left-out presses are numbered among those used.
-    why_not : (n,) why a press was not used; empty for those that were.
-    modelled : the place by the modelled sheet alone.
+    findings : sentences on readings, electrodes and sheet.
+    used : (n,) mask of the presses that were used. Left-out presses are numbered among those used.
+    why_not : (n,) reason why a press was not used; empty for those that were.
+    modelled : place by the modelled sheet alone.
     quantities : force and depth by their names, where the presses have them.
     """
 

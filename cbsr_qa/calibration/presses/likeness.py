@@ -43,9 +43,9 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
 
     Parameters
     ----------
-    sheet : as modelled.
-    pairs : (m, 4) of the readings.
-    changes : (n, m) of the presses, any unit.
+    sheet : modelled sheet.
+    pairs : (m, 4) source, sink, plus and minus of the readings.
+    changes : (n, m) changes of the readings by the presses, in any unit.
     """
     alive: Mask = np.any(changes != 0, axis=0)
     modelled = np.median(np.abs(sheet.lattice.readings(pairs)), axis=0)
@@ -87,9 +87,9 @@ class Likeness:
 
     Parameters
     ----------
-    sheet : as modelled.
-    pairs : (m, 4) of the readings.
-    changes : (n, m) of presses, with the sign of a rise of conductance.
+    sheet : modelled sheet.
+    pairs : (m, 4) source, sink, plus and minus of the readings.
+    changes : (n, m) changes of the readings by presses, with the sign of a rise of conductance.
     """
 
     def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
@@ -114,7 +114,7 @@ class Likeness:
         return some
 
     def roughly(self, places: Array) -> Array:
-        """As :meth:`at`, linear between nodes and a fifth of the time: to choose where to begin."""
+        """Log likelihood of each press, linear between nodes: a fifth of the work, to choose where to begin."""
         (x, y), first = self._locate_in_grid(places)
         flat, width = self._rough.ravel(), self._width
         near = (1 - y) * flat.take(first) + y * flat.take(first + 1)

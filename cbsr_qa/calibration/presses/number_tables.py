@@ -23,11 +23,11 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
-#: More than a table of a hundred thousand presses.
+#: Largest size of a file: more than that of a table of a hundred thousand presses.
 _LARGEST_BYTES: Final = 2**29
-#: As many as a sensor of 256 electrodes has readings in a frame.
+#: Largest number of columns: the readings in a frame of a sensor of 256 electrodes.
 _MOST_COLUMNS: Final = 2**16
-#: Of a line: so many columns, and their commas.
+#: Largest length of a line: so many columns, and their commas.
 _LONGEST_LINE: Final = 32 * _MOST_COLUMNS
 #: Largest number of any column.
 _LARGEST: Final = 1e12
@@ -38,7 +38,7 @@ _MOST_LISTED: Final = 10
 _LONGEST_CELL: Final = 40
 #: Rows of a Parquet file that are decoded at once.
 _AT_ONCE: Final = 1024
-#: Reads Parquet.
+#: Module that reads Parquet.
 _PARQUET: Final = "pyarrow.parquet"
 #: Row and column of a cell, both from 0.
 _Cell = tuple[int, int]
@@ -52,10 +52,10 @@ class NumberTable:
 
     Parameters
     ----------
-    path : of the file.
-    columns : their names.
+    path : path of the file.
+    columns : names of the columns.
     values : (rows, columns); NaN where a cell is not a finite number.
-    odd_cells : what those cells hold, as a message shows it: the first ten of each column.
+    odd_cells : content of those cells, as a message shows it: the first ten of each column.
     """
 
     path: Path

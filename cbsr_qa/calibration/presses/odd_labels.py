@@ -35,7 +35,7 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
 
     Parameters
     ----------
-    rows : (k,) of the presses left out.
+    rows : (k,) rows of the presses left out.
     found_mm : (k, 2) where they were found.
     """
     error_mm = np.linalg.norm(found_mm - presses.place_mm[rows], axis=1)

@@ -17,9 +17,9 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
-#: Most presses for the search, and for the share of the signal; evenly spread over all.
+#: Largest numbers of presses for the search, and for the share of the signal; evenly spread over all.
 _REFINED: Final = 300
-#: Fewer different places do not determine a similarity and its errors.
+#: Fewest different places that determine a similarity and its errors.
 FEWEST_PLACES: Final = 4
 #: Smaller second over first singular value of the places: they lie on a line.
 _LINE: Final = 0.02
@@ -38,9 +38,9 @@ class Registered:
     ----------
     registration : the similarity.
     sign : factor of changes for the sign of a rise of conductance.
-    places : (n, 2) of all presses on the sheet, in radii.
+    places : (n, 2) places of all presses on the sheet, in radii.
     likelihood : log likelihood of the presses used in the refinement.
-    findings : on the readings, in words.
+    findings : sentences on the readings.
     """
 
     registration: SheetRegistration
@@ -57,9 +57,9 @@ def register_presses(
 
     Parameters
     ----------
-    sheet : as modelled; without a stated radius its own does not matter.
+    sheet : modelled sheet; without a stated radius its own radius does not matter.
     pairs : (m, 4) source, sink, plus and minus of the readings.
-    changes : (n, m) by each press, any unit.
+    changes : (n, m) changes of the readings by each press, in any unit.
     place_mm : (n, 2) labels of the presses.
     radius_stated : True if the sheet's radius is known and the scale estimated; False to estimate the radius at a
         scale of 1.

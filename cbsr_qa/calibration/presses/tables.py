@@ -35,9 +35,9 @@ class PressTable:
 
     Parameters
     ----------
-    table : as read.
-    place_mm : (n, 2).
-    depth_mm, force_N, time_s : (n,), None without such a column.
+    table : table as it was read.
+    place_mm : (n, 2) places of the presses.
+    depth_mm, force_N, time_s : (n,) numbers of the columns; None without such a column.
     """
 
     table: NumberTable
@@ -98,7 +98,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
 
     Parameters
     ----------
-    electrodes : of the sensor; None if unknown.
+    electrodes : number of electrodes of the sensor; None if unknown.
 
     Raises
     ------

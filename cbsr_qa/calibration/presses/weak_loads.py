@@ -29,8 +29,9 @@ class WeakLoads:
 
     Parameters
     ----------
-    places : (k, 2) of the loads, in radii of the sheet.
-    changes : (k, e, e) of the potential of one electrode by the current into another; electrode e − 1 is the earth.
+    places : (k, 2) places of the loads, in radii of the sheet.
+    changes : (k, e, e) changes of the potential of one electrode by the current into another; electrode e − 1 is the
+        earth.
     """
 
     places: Array
@@ -51,7 +52,7 @@ class ModelledSheet:
 
     Parameters
     ----------
-    sensor_type : its pattern does not matter.
+    sensor_type : sensor type; its pattern does not matter.
     """
 
     def __init__(self, sensor_type: SensorType) -> None:

@@ -31,7 +31,7 @@ from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Of dᵀΣ⁻¹d that holds 68 % and 95 % of a normal distribution over two axes.
+#: Values of dᵀΣ⁻¹d that hold 68 % and 95 % of a normal distribution over two axes.
 _Q68, _Q95 = (float(-2 * np.log(1 - share)) for share in (0.6827, 0.95))
 _AXES: Final = "mm from the sheet's centre, as the sensor type places its electrodes"
 _BY_RUN: Final = "was issued by a run"

@@ -51,11 +51,11 @@ class CalibrationIdentity:
 
     Parameters
     ----------
-    serial : of the sensor; empty where :attr:`Ability.SERIAL` is lacking.
+    serial : serial number of the sensor; empty where :attr:`Ability.SERIAL` is lacking.
     calibration, calibration_digest : identity and SHA-256 of the calibration file.
-    kind : what it was learned from: ``run``, ``presses``, or a word of another implementation.
-    sensor_type, electrodes : name of its type, and how many electrodes it has.
-    axes : what x and y are.
+    kind : source that it was learned from: ``run``, ``presses``, or a word of another implementation.
+    sensor_type, electrodes : name of the sensor's type, and its number of electrodes.
+    axes : meaning of x and y.
     """
 
     serial: str
@@ -86,7 +86,7 @@ class UnloadedFrames:
     ----------
     first : number of first frames that are of the unloaded sheet.
     rest : frames of the unloaded sheet from elsewhere.
-    differences : whether the readings are changes already, in which faults cannot be found.
+    differences : True if the readings are changes already, in which faults cannot be found.
     """
 
     first: int | None = None
@@ -142,10 +142,10 @@ class Touches:
     touch : (n,) whether something presses; it means nothing where not :attr:`readable`.
     place_mm : (n, 2) place of the touch, in the axes of :attr:`CalibrationIdentity.axes`.
     place_stderr_mm : (n,) its standard error, root mean square over two axes.
-    radius_68_mm, radius_95_mm : (n,) of circles about the place that hold it at least with that probability.
-    covariance_mm2 : (n, 2, 2) of the place; see :class:`Regions`.
-    force, depth : of the touch.
-    flags : (n,) of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
+    radius_68_mm, radius_95_mm : (n,) radii of circles about the place that hold it at least with that probability.
+    covariance_mm2 : (n, 2, 2) covariances of the place; see :class:`Regions`.
+    force, depth : force [N] and depth [mm] of the touch.
+    flags : (n,) values of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
     detectability : (n,) signal of the touch over the noise of the readings.
     settled_in_s : (n,) time until the force counts, 0 where it does; NaN where that is not known.
     modelled : places by a modelled sheet alone.
@@ -190,7 +190,7 @@ class FrameSequence(Protocol):
 
     Attributes
     ----------
-    remarks : what is done to readings, and what was not checked, in words.
+    remarks : sentences that say what is done to readings, and what was not checked.
     """
 
     @property
@@ -206,12 +206,12 @@ class Estimator(Protocol):
 
     Attributes
     ----------
-    identity : which calibration it is.
-    lacks : what it cannot do, with the reason as the end of a sentence that begins with the calibration.
-    sensor_type : of its frames; None if it keeps only the name and the pattern.
-    pattern : of its frames; None where :attr:`Ability.FRAMES` is lacking.
-    head : that it was learned with; None if that is not known.
-    regions : of its places; None where :attr:`Ability.REGION` is lacking.
+    identity : identity of the calibration and of its sensor.
+    lacks : abilities that it lacks, each with the reason as the end of a sentence that begins with the calibration.
+    sensor_type : type of the sensor of its frames; None if it keeps only the name and the pattern.
+    pattern : drive pattern of its frames; None where :attr:`Ability.FRAMES` is lacking.
+    head : head that it was learned with; None if that is not known.
+    regions : regions of its places; None where :attr:`Ability.REGION` is lacking.
     """
 
     @property
@@ -268,11 +268,11 @@ class Estimator(Protocol):
 
         Parameters
         ----------
-        name : of the frames, in messages.
+        name : name of the frames in messages.
         first : frames of which unit, current and unloaded sheet are known; they are not estimated.
-        unloaded : what frames are compared with.
-        timed : whether the times of frames rise; else each is estimated by itself.
-        place_mm : (2,) of the touch, where :attr:`Ability.GIVEN_PLACE` is not lacking; None to estimate it.
+        unloaded : unloaded frames that frames are compared with.
+        timed : True if the times of frames rise; False to estimate each frame by itself.
+        place_mm : (2,) place of the touch, where :attr:`Ability.GIVEN_PLACE` is not lacking; None to estimate it.
 
         Raises
         ------
@@ -291,9 +291,9 @@ class Estimator(Protocol):
         Parameters
         ----------
         pairs : (k, 4) source, sink, plus and minus of the readings, each once, in any order and polarity.
-        readings : (n, k) in the unit of the calibration; NaN where one is missing.
-        relative : whether the unloaded frame was subtracted from them.
-        differences : whether they are changes in which faults cannot be found.
+        readings : (n, k) readings in the unit of the calibration; NaN where one is missing.
+        relative : True if the unloaded frame was subtracted from the readings.
+        differences : True if the readings are changes in which faults cannot be found.
 
         Raises
         ------

@@ -14,7 +14,7 @@ from cbsr_qa.domain.goodness import unlike_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel
 
-#: Fewer rows determine no place.
+#: Fewest rows that determine a place.
 FEWEST_ROWS: Final = 12
 #: An offset on all readings explains so much of what a head, or nothing, leaves beyond noise, and at least so many
 #: squares of noise.

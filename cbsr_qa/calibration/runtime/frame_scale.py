@@ -28,7 +28,7 @@ class FrameScale:
     ----------
     ratio : V of the calibration in one unit of the readings.
     own, reference : (drives, measures) unloaded readings, and the calibration's that replace them; 0 to keep those.
-    remarks : what is done, in words.
+    remarks : sentences that say what is done.
     """
 
     ratio: float
@@ -47,7 +47,7 @@ class FrameScale:
         Parameters
         ----------
         issued : calibration to whose current they are brought.
-        name : of the frames, in messages.
+        name : name of the frames in messages.
         reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
             calibration's reference. None to keep the latter.
 

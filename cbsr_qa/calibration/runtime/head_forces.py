@@ -145,8 +145,8 @@ class HeadForces(SensorFrames):
 
         Parameters
         ----------
-        frames, indenter, current_A : as for :meth:`force`; all heads are equal.
-        at_most : most heads searched for.
+        frames, indenter, current_A : arguments of :meth:`force`; all heads are equal.
+        at_most : largest number of heads that are searched for.
 
         Raises
         ------

@@ -63,7 +63,7 @@ class PressCalibration:
     ----------
     issued : content of the file; ``issued.pairs`` (m, 4) names each reading, ``issued.rest`` (m,) the unloaded frame.
     q68, q95 : the region of that probability is all offsets d with dᵀΣ⁻¹d at most this, Σ of ``covariance_mm2``.
-    lacks, regions : as of the Protocol.
+    lacks, regions : attributes of the Protocol.
     """
 
     sensor_type: None = None

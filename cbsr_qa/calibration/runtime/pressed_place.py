@@ -11,7 +11,7 @@ from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.results.learned_place import LearnedPlace
 
-#: Of dᵀΣ⁻¹d that holds 68.27 % of a normal distribution over two axes.
+#: Value of dᵀΣ⁻¹d that holds 68.27 % of a normal distribution over two axes.
 _ONE_SIGMA: Final = -2 * np.log(1 - 0.6827)
 
 
@@ -32,7 +32,7 @@ class PressedPlace:
     Parameters
     ----------
     learned : place, of the readings of the rows (:func:`row_readings`).
-    merging : of the rows.
+    merging : (r, m) merging of readings into rows [1/V].
     """
 
     def __init__(self, learned: LearnedPlace, merging: Array) -> None:
@@ -46,8 +46,8 @@ class PressedPlace:
 
         Parameters
         ----------
-        found : by the templates of the model, with the noise of the rows alone.
-        modelled : the same with the scatter of the model's places.
+        found : matches by the templates of the model, with the noise of the rows alone.
+        modelled : the same matches with the scatter of the model's places.
         """
         detected_frames = np.flatnonzero(found.gain >= finder.threshold**2)
         places = self._locate(row_readings(rows[detected_frames], self._merging))

@@ -13,7 +13,7 @@ from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState, Tracked
 from cbsr_qa.domain.numbers import Array
 
 _RANGE: Final = int(Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE)
-#: Share of a force that may be still to come where the stream does not see the load as the frame does.
+#: Share of a force that may still be to come if the stream does not see the load that the frame shows.
 _UNKNOWN: Final = 0.3
 
 
@@ -22,7 +22,7 @@ class SettlingForces:
 
     Parameters
     ----------
-    calibration : of the sensor.
+    calibration : calibration of the sensor.
     """
 
     def __init__(self, calibration: HeadForces) -> None:
@@ -36,7 +36,7 @@ class SettlingForces:
         ----------
         time_s : (n,), rising, later than those of earlier calls [s].
         frames : (n, drives, measures) [V].
-        forces : of these frames, each by itself.
+        forces : forces of these frames, each estimated by itself.
 
         Returns
         -------
@@ -61,7 +61,7 @@ class SettlingForces:
     def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
         """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].
 
-        As :meth:`HeadForces.force`, corrected as by calling this object: the same whoever asks, to the last bit.
+        The force of :meth:`HeadForces.force`, corrected as a call of this object corrects it, to the last bit.
         """
         return self(np.array([time_s]), frame[None], self._calibration.force(frame, place_mm=place_mm))
 

@@ -15,9 +15,9 @@ class SpikeFilter:
 
     Parameters
     ----------
-    pattern : of the frames.
-    used : (drives, measures) bool with m True entries.
-    merging : (rows, m) of the force model, which gives the readings' noise.
+    pattern : drive pattern of the frames.
+    used : (drives, measures) mask of the used readings, with m True entries.
+    merging : (rows, m) merging of the force model, which gives the readings' noise.
     """
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:

@@ -96,10 +96,10 @@ class Track:
 
     Parameters
     ----------
-    number, place_mm, template : its number, place, and change per strength there.
-    since_s : when it appeared.
-    base : earlier strength at its place.
-    sign : of the response.
+    number, place_mm, template : number of the load, its place (2,), and the change (r,) per strength there.
+    since_s : time when the load appeared.
+    base : strength at its place before it appeared.
+    sign : sign of the response.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 
-#: Frames in a row without a residue after which it is discarded.
+#: Number of frames in a row without a residue after which the residue is discarded.
 _FORGOTTEN: Final = 4
 #: Least share of the explained energy that indicates another load: moving heads, and residues without a track, leave
 #: more than the steady calibration loads.
@@ -38,15 +38,15 @@ class TrackedLoad:
 
     Parameters
     ----------
-    number : of the load since the stream began, from 1.
+    number : number of the load since the stream began, from 1.
     since_s : time of the press, or of the release once released.
     place_mm, place_stderr_mm : place, and its error, root mean square over two axes.
-    force_N, stderr_N : of a pressing load: its value after the calibrated hold. 0 ± 0 once released.
-    left_N : of a released load: the force equivalent to its residue; else 0. NaN, flagged OUTSIDE, at an impossible
+    force_N, stderr_N : force of a pressing load after the calibrated hold, and its error. 0 ± 0 once released.
+    left_N : force equivalent to the residue of a released load; else 0. NaN, flagged OUTSIDE, at an impossible
         place.
-    settled_in_s : until what is still to come of a press is less than the error of one frame, or until what is left
+    settled_in_s : time until what is still to come of a press is less than the error of one frame, or what is left
         of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
-    flags : as :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
+    flags : values of :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
     """
 
     number: int
@@ -68,12 +68,12 @@ class ForceStream:
 
     Parameters
     ----------
-    calibration : of the sensor.
-    most : loads and residues tracked at once.
+    calibration : calibration of the sensor.
+    most : largest number of loads and residues tracked at once.
 
     Attributes
     ----------
-    flags : of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
+    flags : flags of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
     """
 
     def __init__(self, calibration: HeadForces, *, most: int = 12) -> None:
@@ -98,7 +98,7 @@ class ForceStream:
 
         Parameters
         ----------
-        time_s : of its middle, on any clock that advances.
+        time_s : time of the frame's middle, on any clock that advances [s].
         frame : (drives, measures) [V].
 
         Returns

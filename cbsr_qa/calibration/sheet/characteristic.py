@@ -37,7 +37,7 @@ def sheet_gauge_factor(
     ----------
     places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads, contrast with the sign of α_ε.
     line : nominal α_ε and β_ε; only β_ε remains an assumption, and only for equal strains.
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.response_map.sheet_places`.
 
     Raises
@@ -109,7 +109,7 @@ class Characteristic:
 
     Parameters
     ----------
-    location, x_mm, y_mm : of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
+    location, x_mm, y_mm : name and place of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
     strain : (n,) float64 fractions, rising.
     stress_kPa : (n,) float64 mean relaxed stress under the head; None without recorded force.
     change : (n,) float64 mean sensed change, relative, positive.

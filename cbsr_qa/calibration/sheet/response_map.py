@@ -36,7 +36,7 @@ _USUAL_DEVIATION: Final = 0.2
 _NEGLIGIBLE: Final = 1e-5
 #: Loads with a larger relative error of their amplitude do not determine its logarithm.
 LARGEST_ERROR: Final = 0.3
-#: Keeps the covariance of noiseless loads at one place invertible.
+#: Variance that keeps the covariance of noiseless loads at one place invertible.
 _ROUNDING: Final = 1e-12
 #: An intercept is separable from the map if loads press so differently; prior error of an intercept.
 _SPREAD: Final = 2.0
@@ -71,8 +71,8 @@ class _Member:
 
     Parameters
     ----------
-    smooth : whether its covariance is Gaussian; else Matérn 5/2.
-    root_weight : (p,) as in the data.
+    smooth : True for a Gaussian covariance; False for Matérn 5/2.
+    root_weight : (p,) root of the weight of each place, the same as in the data.
     root : (p, p) Cholesky factor of one plus the process's covariance times the weights.
     data, drift : (p,), (p, k) data and columns of the mean, weighted and solved with ``root``.
     mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
@@ -100,7 +100,8 @@ class _Family:
     Parameters
     ----------
     scatter, root_weight : (s,), (s, p) as in the members.
-    root, solved, mean, mean_root : (d, s, ...) of the members, ``solved`` being ``drift`` and ``data`` side by side.
+    root, solved, mean, mean_root : (d, s, ...) matrices of the members, ``solved`` being ``drift`` and ``data`` side
+        by side.
     score : (d, s) logarithms of the members' weights: marginal likelihood times prior.
     """
 
@@ -126,7 +127,7 @@ class ResponseMap:
 
     Parameters
     ----------
-    places_mm : (p, 2) of the loads, each once.
+    places_mm : (p, 2) places of the loads, each once.
     members, weights : the processes and their posterior weights, with sum one.
     """
 
@@ -193,10 +194,10 @@ def learn_response(
 
     Parameters
     ----------
-    places_mm : (n, 2).
+    places_mm : (n, 2) places of the loads.
     log_response : (n,) logarithm of the observed change over that of the quasi-static line.
-    variance : (n,) of it, by the readings' and the force's noise.
-    radius_mm : of the sheet, the unit of the correlation lengths.
+    variance : (n,) variance of that logarithm, by the readings' and the force's noise.
+    radius_mm : radius of the sheet, the unit of the correlation lengths.
     bend : (n,) a column with an unknown multiple in the logarithm, the effect of a wrong intercept of the line; None
         without one.
     bend_stderr : prior standard deviation of that multiple.

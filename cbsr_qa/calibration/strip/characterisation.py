@@ -52,10 +52,10 @@ class Specimen:
     ----------
     strip : model with the assumed contacts.
     other_contacts : the same with contacts one standard error higher.
-    resistance_ohm : between the pins, rested.
+    resistance_ohm : resistance between the pins of the rested strip.
     relative_noise : rms of one reading over their mean, rested.
     declared : response by the sensor type.
-    source : of everything that follows, e.g. the run.
+    source : source of everything that follows, e.g. the run.
     """
 
     strip: StripModel
@@ -85,7 +85,7 @@ def characterise(
 
     Parameters
     ----------
-    readings : in order of time, the first one pressed on a rested strip.
+    readings : cycles in order of time, the first one pressed on a rested strip.
     notes : further problems of the readings, for ``reduced``.
     unread : missing cycles, by name and with the reason.
     """

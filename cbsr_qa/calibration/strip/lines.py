@@ -95,11 +95,11 @@ def fit_line(
 
     Parameters
     ----------
-    cycles : those of strains not left out.
-    changes, errors : of each.
+    cycles : cycles of the strains that are not left out.
+    changes, errors : change of each cycle, and its standard error.
     place : abscissa of the line.
-    moved : see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
-    source : of the parameters.
+    moved : shifted changes, see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
+    source : source of the parameters.
     """
     used_cycles = [k for k, cycle in enumerate(cycles) if place(cycle) is not None]
     strains = [cycles[k].strain for k in used_cycles]

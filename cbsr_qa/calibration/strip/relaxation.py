@@ -31,10 +31,10 @@ class DirectedTrace:
 
     Parameters
     ----------
-    strain : of the cycle.
+    strain : strain of the cycle.
     trace : times from the end of the ramp, and values from the level before the press.
     step : steady change the step makes: of the press, or minus that for its release; for stress the steady value.
-    amplitudes : (k,) of the exponentials of its direction.
+    amplitudes : (k,) amplitudes of the exponentials of its direction.
     ramp_s : duration of the step.
     """
 
@@ -175,7 +175,7 @@ class KernelCurve:
     Parameters
     ----------
     weights, time_constants_s : (k,), relative to the steady (or the released) change.
-    covariance : (2 k, 2 k) of (w, log τ).
+    covariance : (2 k, 2 k) covariance of (w, log τ).
     start_s, window_s : ends of the known time.
     level : c, the final value: 1 after a press, 0 after a release.
     """

@@ -29,8 +29,8 @@ class SlowResidue:
 
     Parameters
     ----------
-    share, decay_s : of the release, and τ.
-    covariance : (2, 2) of (share, log τ).
+    share, decay_s : share of the release that is left, and its τ.
+    covariance : (2, 2) covariance of (share, log τ).
     """
 
     share: float

@@ -31,13 +31,13 @@ class Fits:
     ----------
     parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.eit.loads.round_load`).
     covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of given parameters are zero.
-    residual : (n, rows) of unit noise.
+    residual : (n, rows) residuals in units of the noise.
     misfit : (n,) sum of its squares.
     empty_misfit : (n,) the same without a load.
     steps : (n,) tried.
     converged : (n,) False where the last step was not small.
     held : (n,) whether the load would have grown into an electrode or over the edge; its square is at the bound.
-    excess : (n,) by how much the square of those would be larger without the bound, to first order; else 0.
+    excess : (n,) increase of the square of those without the bound, to first order; else 0.
     """
 
     parameters: Array

@@ -34,7 +34,7 @@ LEAST_DETECTABILITY: Final = 8.0
 _SHARE: Final = 1 / 3
 #: Standard errors scatter as the strength does: margin of the bound.
 _SPARE: Final = 1.15
-#: A less probable misfit is attributed to the model.
+#: Least probability of a misfit that is not attributed to the model.
 _IMPROBABLE: Final = 1e-3
 _COVERED: Final = 0.6827  # by one standard deviation to each side
 _SMALL: Final = 0.6  # of the clearance: largest initial radius of a load
@@ -53,7 +53,7 @@ class LoadFits:
     detectability : (n,) d′.
     place_stderr_mm : (n,) root mean square over two axes.
     has_radius : (n,) whether the radius is determined.
-    inflation, probability : (n,) of the misfit.
+    inflation, probability : (n,) inflation by the misfit, and its probability.
     explained, explained_unweighted : (n,) shares of the signal, weighed by its noise and not.
     """
 
@@ -75,8 +75,8 @@ class LoadEstimator:
     ----------
     model : readings of the sheet under a round load, at unit sheet conductance.
     readings : used readings, with their noise.
-    expected_radius_mm : of the load: reference for resolving places and radii, and start of a fit.
-    known : whether the load has exactly that radius, so that it is not estimated.
+    expected_radius_mm : radius of the load: reference for resolving places and radii, and start of a fit.
+    known : True if the load has exactly that radius, so that it is not estimated.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class LoadEstimator:
 
         Parameters
         ----------
-        changes : (n, m) of the used readings, at unit current and unit sheet conductance [V/A·S].
+        changes : (n, m) changes of the used readings, at unit current and unit sheet conductance [V/A·S].
         start_mm : (n, 2) starting places, such as the blobs' centres of mass.
 
         Raises

@@ -47,7 +47,7 @@ class MergedReadings:
     used : (drives, measures) bool with m True entries, in C order.
     merging : (rows, m) maps changes of the used readings to rows of unit noise.
     drive, measure : (rows,) a reading of each row, for the model.
-    weight : (rows,) by which the model's value of that reading is multiplied.
+    weight : (rows,) factor of the model's value of that reading.
     """
 
     used: Mask
@@ -70,8 +70,8 @@ def merge_reciprocal(pattern: DrivePattern, used: Mask, variance: Array) -> Merg
 
     Parameters
     ----------
-    variance : (drives, measures) of the readings' changes, independent of each other; only those of used readings
-        matter.
+    variance : (drives, measures) variance of the readings' changes, independent of each other; only those of used
+        readings matter.
 
     Raises
     ------

@@ -97,8 +97,8 @@ class Assignment:
 
     Parameters
     ----------
-    region_of : for each load the index of its own region, or None.
-    merged_with : for each load the index of the load whose region it shares, or None.
+    region_of : index of each load's own region, or None.
+    merged_with : index of the load whose region each load shares, or None.
     false : indices of the regions that belong to no load.
     """
 
@@ -210,8 +210,8 @@ def two_touch_resolution(
 
     Parameters
     ----------
-    mask : of the image's maximum, for contours; None for a watershed of the 25 % mask that separates peaks with a
-        valley of 5 % between them.
+    mask : level of the contours, as a share of the image's maximum; None for a watershed of the 25 % mask that
+        separates peaks with a valley of 5 % between them.
     furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
 
     Raises

@@ -29,7 +29,7 @@ class Raster:
     ----------
     values : (rows, columns) float64; rows rise with y, columns with x.
     pitch_mm : width of a pixel.
-    first_mm : (x, y) of the centre of pixel [0, 0].
+    first_mm : (x, y) centre of pixel [0, 0].
     """
 
     values: Array

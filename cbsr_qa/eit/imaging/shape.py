@@ -220,7 +220,7 @@ def greit_figures(image: Image, target: Footprint, *, contrast: float | None = N
 
     Parameters
     ----------
-    image : with a positive target; nothing subtracted, since ringing is negative.
+    image : image with a positive target; nothing is subtracted from it, since ringing is negative.
     contrast : relative conductance change of the target, of the sign of the image; for AR.
 
     Raises
