@@ -55,9 +55,9 @@ _RELAXATION: Final = "relaxation/"
 
 def check_counts(entries: Mapping[str, Entry]) -> None:
     """Raise CalibrationError, naming the entry, if a calibration holds more of something than any sensor has."""
-    for path, number, most in _list_counts(entries):
-        if number > most:
-            raise CalibrationError(f"{path}: {number} is too many; a calibration has at most {most}")
+    for path, number, allowed in _list_counts(entries):
+        if number > allowed:
+            raise CalibrationError(f"{path}: {number} is too many; a calibration has at most {allowed}")
 
 
 def _list_counts(entries: Mapping[str, Entry]) -> Iterator[tuple[str, int, int]]:

@@ -233,10 +233,10 @@ def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxati
 def _read_relaxations(read: Reading, group: str) -> tuple[LoadRelaxation, ...]:
     numbered: list[tuple[int, LoadRelaxation]] = []
     for signal in read.groups(group[:-1]):
-        at = f"{group}{signal}/"
-        above = {"signal": signal, "unit": read.units(f"{at}offset")}
-        members = _CODEC.read_list(read, LoadRelaxation, at, above)
-        numbered += zip(read.array(f"{at}number", np.int64).tolist(), members, strict=True)
+        group_path = f"{group}{signal}/"
+        above = {"signal": signal, "unit": read.units(f"{group_path}offset")}
+        members = _CODEC.read_list(read, LoadRelaxation, group_path, above)
+        numbered += zip(read.array(f"{group_path}number", np.int64).tolist(), members, strict=True)
     numbered.sort(key=lambda pair: pair[0])
     if [number for number, _ in numbered] != list(range(len(numbered))):
         raise CalibrationError("the numbers of the relaxations are not 0, 1, 2, … over all signals")
@@ -280,8 +280,8 @@ def _check_usable(calibration: Calibration) -> None:
 
 
 def _force_problems(model: ForceModel) -> Iterator[str]:
-    there = model.node[model.node >= 0]
-    if (model.node < -1).any() or not np.array_equal(np.sort(there), np.arange(len(model.templates))):
+    nodes_on_sheet = model.node[model.node >= 0]
+    if (model.node < -1).any() or not np.array_equal(np.sort(nodes_on_sheet), np.arange(len(model.templates))):
         yield f"force/node does not name each of {len(model.templates)} templates once, and −1 elsewhere"
     if not model.fits.any():
         yield "force/fits allows a head nowhere"

@@ -100,8 +100,8 @@ class Codec:
 
 def item_of(hint: Any) -> Any:
     """Return the dataclass of a list field, or None."""
-    item, *others = getattr(hint, "__args__", (None,))
-    return item if others == [...] and is_dataclass(item) else None
+    item, *other_items = getattr(hint, "__args__", (None,))
+    return item if other_items == [...] and is_dataclass(item) else None
 
 
 def problems(value: Any, within: str) -> Iterator[str]:

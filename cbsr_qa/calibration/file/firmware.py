@@ -134,10 +134,10 @@ def measure_loss(calibration: Calibration, thin: ForceModel) -> Loss:
         return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
 
     true, coarse = force(model, fine.match_at(rows, places)), force(thin, TemplateFilter(thin).match_at(rows, places))
-    there = np.isfinite(coarse)
-    error = coarse[there] / true[there] - 1
-    lost = int(np.count_nonzero(~there))
-    if not there.any():
+    finite_mask = np.isfinite(coarse)
+    error = coarse[finite_mask] / true[finite_mask] - 1
+    lost = int(np.count_nonzero(~finite_mask))
+    if not finite_mask.any():
         return Loss(len(places), lost, 1.0, 1.0)
     return Loss(len(places), lost, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 

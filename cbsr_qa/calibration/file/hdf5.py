@@ -85,8 +85,8 @@ def sign_calibration(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind
     CalibrationError if its content was changed since it was issued.
     """
     entries = _as_issued(calibration)
-    held = with_signature(calibration, key, at)
-    return replace(held, file=_whole_file(entries, held.digest, held.signature))
+    signed = with_signature(calibration, key, at)
+    return replace(signed, file=_whole_file(entries, signed.digest, signed.signature))
 
 
 def write_calibration(path: Path, calibration: Issued) -> str:
@@ -265,8 +265,8 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
 
 def _block(image: bytes) -> bytes:
     """Return the user block before the HDF5 file: a digest of its bytes."""
-    stated = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
-    return (BLOCK_BEGINS + stated.encode()).ljust(_BLOCK_BYTES, b"\0")
+    digest_line = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
+    return (BLOCK_BEGINS + digest_line.encode()).ljust(_BLOCK_BYTES, b"\0")
 
 
 def _check_bytes(data: bytes) -> bool:
@@ -311,8 +311,8 @@ def printable(text: str) -> str:
 
 def _read_stated_digest(file: h5py.File) -> str:
     """Return the digest stated in a file; empty if it is not one."""
-    stated = attribute(file, "digest")
-    return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
+    digest = attribute(file, "digest")
+    return digest if isinstance(digest, str) and _DIGEST.fullmatch(digest) else ""
 
 
 def _version(file: h5py.File) -> tuple[str, int]:

@@ -108,9 +108,13 @@ def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
     """Return an attribute that is a single number or UTF-8 text; None otherwise."""
     if name not in item.attrs:
         return None
-    about = item.attrs.get_id(name)
-    text = h5py.check_string_dtype(about.dtype) is not None
-    if about.shape != () or about.dtype.itemsize > _LARGEST_ATTRIBUTE or not (text or about.dtype.kind in "iufb"):
+    identifier = item.attrs.get_id(name)
+    text = h5py.check_string_dtype(identifier.dtype) is not None
+    if (
+        identifier.shape != ()
+        or identifier.dtype.itemsize > _LARGEST_ATTRIBUTE
+        or not (text or identifier.dtype.kind in "iufb")
+    ):
         return None
     value = item.attrs[name]
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):

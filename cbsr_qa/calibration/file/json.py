@@ -76,10 +76,10 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
     if isinstance(entry.value, tuple):
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
     kind, values = _kind(entry.value), entry.value
-    stated = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
+    described = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
     if values.size > spelt_out or np.isinf(values).any():  # JSON has no infinity
-        return {**stated, "base64": base64.b64encode(_bytes(values, kind)).decode()}
-    return {**stated, "values": [_number(value) for value in values.ravel().tolist()]}
+        return {**described, "base64": base64.b64encode(_bytes(values, kind)).decode()}
+    return {**described, "values": [_number(value) for value in values.ravel().tolist()]}
 
 
 def read_json_calibration(path: Path) -> Issued:
@@ -134,7 +134,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
         )
     if len(document["datasets"]) > MOST_ENTRIES:
         raise CalibrationError(f"more than {MOST_ENTRIES} datasets: no calibration has so many")
-    entries = {name: _entry(name, stated) for name, stated in document["datasets"].items()}
+    entries = {name: _entry(name, content) for name, content in document["datasets"].items()}
     digest = content_digest(entries, version)
     if digest != document.get("digest") or format_ != format_of(entries) or version != schema_version(entries):
         raise CalibrationError(
@@ -147,10 +147,10 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
 def _signature(document: dict[str, Any]) -> Signature | None:
     if "signature" not in document:
         return None
-    stated = document["signature"]
-    if not isinstance(stated, dict) or set(stated) - set(SIGNATURE) or not stated:
+    parts = document["signature"]
+    if not isinstance(parts, dict) or set(parts) - set(SIGNATURE) or not parts:
         raise CalibrationError("its signature is damaged: it has other parts than a signature", remedy=_AS_WRITTEN)
-    return read_signature(stated)
+    return read_signature(parts)
 
 
 def _document(path: Path) -> dict[str, Any]:
@@ -170,8 +170,8 @@ def _entry(path: str, stated: object) -> Entry:
         raise CalibrationError(f"{path[:_LONGEST_QUOTE]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
     if not isinstance(stated, dict):
         raise CalibrationError(f"{path} is {_quote(stated)}, not a dataset")
-    held = {"values", "base64"} & stated.keys()
-    if len(held) != 1 or stated.keys() - held != _DATASET_KEYS:
+    value_keys = {"values", "base64"} & stated.keys()
+    if len(value_keys) != 1 or stated.keys() - value_keys != _DATASET_KEYS:
         keys = ", ".join(sorted(stated)) or "none"
         raise CalibrationError(
             f"{path} is not a dataset: it has the keys {keys}; kind, shape, units and either values or base64 are"
@@ -182,8 +182,8 @@ def _entry(path: str, stated: object) -> Entry:
     _require(
         isinstance(kind, str) and (kind in _KINDS or kind == TEXT), path, "kind", kind, ", ".join([*_KINDS, TEXT])
     )
-    whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
-    _require(whole and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
+    is_shape = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+    _require(is_shape and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
     try:
         f"{path}{units}".encode()  # JSON can encode lone surrogates, which are not text
         return Entry(units, _texts(path, stated, shape) if kind == TEXT else _array(path, stated, kind, shape))
@@ -200,8 +200,8 @@ def _quote(value: object) -> str:
     """Return what a value of JSON is, as JSON writes it or in words."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
-    shown = json.dumps(value)
-    return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"
+    text = json.dumps(value)
+    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}…"
 
 
 def _texts(path: str, stated: dict[str, Any], shape: list[int]) -> Value:
@@ -218,8 +218,8 @@ def _values(path: str, stated: dict[str, Any], kinds: tuple[type, ...], what: st
     _require(isinstance(values, list), path, "values" if "values" in stated else "base64", values, "a list of values")
     assert isinstance(values, list)
     if not {type(value) for value in values} <= set(kinds):
-        number, wrong = next((n, value) for n, value in enumerate(values) if type(value) not in kinds)
-        _require(False, path, f"values[{number}]", wrong, what)
+        number, wrong_value = next((n, value) for n, value in enumerate(values) if type(value) not in kinds)
+        _require(False, path, f"values[{number}]", wrong_value, what)
     return values
 
 

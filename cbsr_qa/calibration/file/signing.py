@@ -78,9 +78,9 @@ def check_signature(calibration: Issued, pinned: str = "") -> None:
     """
     signature = calibration.signature
     if signature is None:
-        which = f"the pinned key {fingerprint(pinned)}" if pinned else "a key"
+        signer = f"the pinned key {fingerprint(pinned)}" if pinned else "a key"
         raise CalibrationError(
-            f"not signed, and a signature by {which} is required: it was removed, or there never was one",
+            f"not signed, and a signature by {signer} is required: it was removed, or there never was one",
             remedy="use a file signed by that key; `cbsr-qa calibration sign` signs one that you trust",
         )
     if not _fits(signature, content_digest(encode(calibration))):

@@ -183,9 +183,9 @@ def compare_relaxations(
     ----------
     tolerance : tolerance of the settling time, as a fraction.
     """
-    for which, measured in (("first", first), ("second", second)):
+    for ordinal, measured in (("first", first), ("second", second)):
         if measured.why_not:
-            return refuse_comparison(f"the {which} relaxation {measured.why_not}")
+            return refuse_comparison(f"the {ordinal} relaxation {measured.why_not}")
     start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
     if not start_s < end_s:
         return refuse_comparison(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
@@ -210,8 +210,8 @@ def compare_relaxations(
 
 
 def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
-    (curve, variance), (other, more) = first.relative(time_s), second.relative(time_s)
-    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(more))
+    (curve, variance), (other, other_variance) = first.relative(time_s), second.relative(time_s)
+    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(other_variance))
 
 
 def _times(

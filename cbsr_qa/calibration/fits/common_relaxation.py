@@ -116,8 +116,8 @@ def _slope(common: CommonRelaxation, index: int, settled: "partial[SettlingTime]
     step = 0.1 * float(np.sqrt(common.covariance[index, index]))
     if step == 0:
         return 0.0
-    late, early = (settled(_shift_parameter(common.fit, index, sign * step)).value_s for sign in (1, -1))
-    return 0.0 if late is None or early is None else (late - early) / (2 * step)
+    upper_s, lower_s = (settled(_shift_parameter(common.fit, index, sign * step)).value_s for sign in (1, -1))
+    return 0.0 if upper_s is None or lower_s is None else (upper_s - lower_s) / (2 * step)
 
 
 def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationFit:
@@ -125,8 +125,8 @@ def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationF
     if index == 0:
         return replace(fit, offset=fit.offset + step)
     if index <= count:
-        moved = [a + step * (k == index - 1) for k, a in enumerate(fit.amplitudes)]
-        return replace(fit, amplitudes=tuple(moved))
+        amplitudes = [a + step * (k == index - 1) for k, a in enumerate(fit.amplitudes)]
+        return replace(fit, amplitudes=tuple(amplitudes))
     taus = [tau * float(np.exp(step * (k == index - 1 - count))) for k, tau in enumerate(fit.time_constants_s)]
     return replace(fit, time_constants_s=tuple(taus))
 
@@ -147,8 +147,8 @@ def _one(traces: Sequence[TimedValues], bounds_s: tuple[float, float]) -> JointE
 
 def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: float) -> JointExponentials:
     """Start around the single time constant, which lies between the two."""
-    apart = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
-    starts = [[middle - np.log(down), middle + np.log(up), 0.4] for down, up in apart]
+    ratios = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
+    starts = [[middle - np.log(below), middle + np.log(above), 0.4] for below, above in ratios]
     return fit_joint(traces, starts, bounds_s)
 
 

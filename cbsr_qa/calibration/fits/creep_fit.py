@@ -100,9 +100,9 @@ def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
     """
     pairs = []
     for load in loads:
-        held, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
-        if held is not None and rested is not None:
-            pairs.append((end_level(rested, frames), end_level(held, frames)))
+        loaded, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
+        if loaded is not None and rested is not None:
+            pairs.append((end_level(rested, frames), end_level(loaded, frames)))
     return _ratio(pairs, "no load has frames of both its hold and its rest in which anything was sensed")
 
 
@@ -150,8 +150,8 @@ def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tu
 
 
 def _describe_missing_trace(signal: str, from_s: float) -> str:
-    what = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
-    return f"{what} that begins before {from_s:g} s and lasts clearly longer"
+    absence = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
+    return f"{absence} that begins before {from_s:g} s and lasts clearly longer"
 
 
 def _measure_held_level(load: LoadObservation, frames: int) -> float | None:

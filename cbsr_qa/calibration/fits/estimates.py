@@ -88,11 +88,17 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     share = (place[last] - place[middle]) / (place[last] - place[first])
     half_deviations = (value[middle] - share * value[first] - (1 - share) * value[last]) / 2
     worst_triple = int(np.argmax(np.abs(half_deviations)))
-    left, _, right = triples[worst_triple]
-    slope = float((value[right] - value[left]) / (place[right] - place[left]))
+    left_point, _, right_point = triples[worst_triple]
+    slope = float((value[right_point] - value[left_point]) / (place[right_point] - place[left_point]))
     of_largest = _combine_errors(error, triples[worst_triple], float(share[worst_triple]), 0.5)
     return _line(
-        slope, (place[left], value[left]), float(half_deviations[worst_triple]), place, value, order, of_largest
+        slope,
+        (place[left_point], value[left_point]),
+        float(half_deviations[worst_triple]),
+        place,
+        value,
+        order,
+        of_largest,
     )
 
 

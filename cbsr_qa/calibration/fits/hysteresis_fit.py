@@ -154,7 +154,7 @@ def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
             "the press did not go up through some strains and then down through some",
             remedy='press with sequence = "hysteresis-loop"',
         )
-    held_s = np.array([held.end_s - held.start_s for record in loop.records for held in record.held])
+    held_s = np.array([hold.end_s - hold.start_s for record in loop.records for hold in record.held])
     if np.ptp(held_s) > _ALIKE * held_s.max():
         raise NumericsError(
             f"strains were held for {held_s.min():.3g} to {held_s.max():.3g} s: creep is not alike on both ways",
@@ -164,7 +164,7 @@ def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
 
 
 def _strains(record: LoadRecord) -> Array:
-    return np.array([held.strain for held in record.held])
+    return np.array([hold.strain for hold in record.held])
 
 
 def _differences(output: Array, stress: Array, peak: int) -> Array:

@@ -85,8 +85,8 @@ class _Joint:
     def jacobian(self, shape: Array) -> Array:
         basis, scales = self._project(shape)
         slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
-        along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
-        return (basis[:, None] * self._spread(along) - slope) / self._size
+        projections = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
+        return (basis[:, None] * self._spread(projections) - slope) / self._size
 
     def assemble(self, shape: Array) -> JointExponentials:
         if len(shape) == 3 and shape[0] > shape[1]:
@@ -150,10 +150,10 @@ def _shape(time_s: Array, shape: Array) -> Array:
 def _slopes(time_s: Array, shape: Array) -> Array:
     """Derivatives of the shape with respect to log τ and, for two exponentials, the share of the first."""
     tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
-    each = np.exp(-time_s[:, None] / tau)
-    slopes: Array = each * time_s[:, None] / tau
+    decays = np.exp(-time_s[:, None] / tau)
+    slopes: Array = decays * time_s[:, None] / tau
     if len(shape) == 3:
-        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], each[:, 0] - each[:, 1]])
+        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], decays[:, 0] - decays[:, 1]])
     return slopes
 
 
@@ -168,6 +168,6 @@ def _to_amplitudes(shape: Array, scale: float) -> Array:
 
 def _block(first: Array, second: Array) -> Array:
     size = len(first) + len(second)
-    whole = np.zeros((size, size))
-    whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second
-    return whole
+    matrix = np.zeros((size, size))
+    matrix[: len(first), : len(first)], matrix[len(first) :, len(first) :] = first, second
+    return matrix

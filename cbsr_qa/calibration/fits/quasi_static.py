@@ -105,13 +105,13 @@ def fit_quasi_static(
 
 
 def _check_points(strain: Sequence[float], x: Sequence[float], change: Sequence[float]) -> tuple[Array, Array, Array]:
-    level, place, value = (np.asarray(part, dtype=np.float64) for part in (strain, x, change))
+    level, place, value = (np.asarray(numbers, dtype=np.float64) for numbers in (strain, x, change))
     if not len(level) == len(place) == len(value):
         raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
-    if not all(np.isfinite(part).all() for part in (level, place, value)):
+    if not all(np.isfinite(numbers).all() for numbers in (level, place, value)):
         raise NumericsError("a quasi-static fit was given a number that is not finite")
-    for name, part in (("x", place), ("change", value)):
-        size = float(np.abs(part).max(initial=0.0))
+    for name, numbers in (("x", place), ("change", value)):
+        size = float(np.abs(numbers).max(initial=0.0))
         if size and not 1 / _LARGEST <= size <= _LARGEST:
             raise NumericsError(
                 f"a quasi-static fit was given {name} of {size:.3g}: its square is outside the range of numbers",
@@ -129,10 +129,10 @@ def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[A
     spare = int((counts - 1).sum())
     pooled = float(np.sqrt(((counts - 1) * deviations**2).sum() / spare)) if spare else 0.0
     scatter = np.where(counts > 1, deviations, pooled)
-    stated = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
-    errors = np.maximum(scatter, stated) / np.sqrt(counts)
+    stated_rms = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
+    errors = np.maximum(scatter, stated_rms) / np.sqrt(counts)
     # Without scatter all levels have equal weight; the error is that of rounding.
-    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated.max(initial=0.0))) or _NO_ERROR
+    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated_rms.max(initial=0.0))) or _NO_ERROR
     return np.maximum(errors, least), deviations
 
 
@@ -142,7 +142,7 @@ def _fit_weighted_line(x: Array, y: Array, error: Array) -> tuple[Array, Array, 
     middle = float(np.average(x, weights=weight**2))
     q, r = np.linalg.qr(np.column_stack([x - middle, np.ones_like(x)]) * weight[:, None])
     centred = np.linalg.solve(r, q.T @ (y * weight))
-    back = np.array([[1.0, 0.0], [-middle, 1.0]])
-    inverse = back @ np.linalg.inv(r)
+    from_centred = np.array([[1.0, 0.0], [-middle, 1.0]])
+    inverse = from_centred @ np.linalg.inv(r)
     residual = (y - centred[0] * (x - middle) - centred[1]) * weight
-    return back @ centred, inverse @ inverse.T, float(residual @ residual)
+    return from_centred @ centred, inverse @ inverse.T, float(residual @ residual)

@@ -36,10 +36,10 @@ def exponentials(
     ramp_s : T, broadcast with ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
     """
-    late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
+    lateness = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
     factor, slope = observable_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
-    values = np.exp(-late) * factor
-    return values, values * (late - slope)
+    values = np.exp(-lateness) * factor
+    return values, values * (lateness - slope)
 
 
 def observable_share(

@@ -103,18 +103,18 @@ class _Reduced:
     def __init__(
         self, traces: Sequence[KernelTrace], mean: Array, frame_s: float, noise: Sequence[float] | None
     ) -> None:
-        half = len(mean) // 2
-        self.weights = mean[:half]
-        loads = [_project_trace(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
+        count = len(mean) // 2
+        self.weights = mean[:count]
+        loads = [_project_trace(trace, self.weights, np.exp(mean[count:]), frame_s) for trace in traces]
         self.data, self.level, self.parts, self.slopes, self.size = (
             np.array(row) for row in zip(*(load[:5] for load in loads), strict=True)
         )
         squares, spare = (np.array(row, dtype=np.float64) for row in zip(*(load[5:] for load in loads), strict=True))
         pooled = squares.sum() / max(float(spare.sum()), 1.0)
-        own = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
-        given = own if noise is None else np.asarray(noise, dtype=np.float64) ** 2
+        residual_variance = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
+        noise_variance = residual_variance if noise is None else np.asarray(noise, dtype=np.float64) ** 2
         least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
-        self.variance = np.maximum(given, least)
+        self.variance = np.maximum(noise_variance, least)
 
     def search_scatter(self, free: Mask, precision: Array, back: Array) -> tuple[Array, Array, Array]:
         """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
@@ -158,9 +158,9 @@ def _project_trace(
     if trace.released is not None:
         data = data - basis.T @ (trace.released * relaxing)
     coordinates = basis.T @ columns
-    half = len(weights)
+    count = len(weights)
     freedom = max(len(trace.values) - columns.shape[1], 0)
-    decays, slopes = coordinates[:, 1 : 1 + half], coordinates[:, 1:]
+    decays, slopes = coordinates[:, 1 : 1 + count], coordinates[:, 1:]
     return data, coordinates[:, 0], decays, slopes, size, float(residual @ residual), freedom
 
 
@@ -243,9 +243,9 @@ def _loads(
     for (time_s, values), ramp, change in zip(traces, ramps, changes, strict=True):
         if not (np.isfinite(ramp) and ramp >= 0 and (change is None or np.isfinite(change))):
             raise NumericsError(f"a ramp of {ramp} s, or a released change of {change}, is no finite number")
-        times, taken = check_trace(time_s, values)
+        times, numbers = check_trace(time_s, values)
         counts = times >= start_s
-        loads.append(KernelTrace(times[counts], taken[counts], ramp, change))
+        loads.append(KernelTrace(times[counts], numbers[counts], ramp, change))
     return loads
 
 

@@ -48,9 +48,9 @@ def settling_time(
         return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
     steady = fit.offset if loaded_change is None else loaded_change
     half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
-    late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
-    if late:
-        return SettlingTime(window_s, True, half_width, late)
+    why_late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
+    if why_late:
+        return SettlingTime(window_s, True, half_width, why_late)
     if fit.status is FitStatus.FLAT:
         return SettlingTime(start_s, False, half_width, "inside the band from the start")
     if half_width == 0:
@@ -89,9 +89,9 @@ def estimate_restricted_mean(times_s: Sequence[float], censored: Sequence[bool])
         alive -= share[index]
     share[-1] += alive  # survivors of the longest time count as that
     # About the shortest and then about the mean, so that a small spread of long times keeps its digits.
-    after = edges - edges[0]
-    mean = float(share @ after)
-    return float(edges[0]) + mean, float(np.sqrt(share @ (after - mean) ** 2))
+    elapsed_s = edges - edges[0]
+    mean = float(share @ elapsed_s)
+    return float(edges[0]) + mean, float(np.sqrt(share @ (elapsed_s - mean) ** 2))
 
 
 def _check(window_s: float, tolerance: float, band: str) -> None:

@@ -56,10 +56,10 @@ def predict_steady(
     values = np.atleast_2d(np.asarray(values, dtype=np.float64))
     time_s = np.broadcast_to(np.asarray(time_s, dtype=np.float64), values.shape)
     noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), values.shape)
-    seen = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
+    holds = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
     for frame in range(values.shape[1]):
-        seen.add(time_s[:, frame], values[:, frame], noise[:, frame])
-    return seen.predict(released=released, released_stderr=released_stderr, at_s=at_s)
+        holds.add(time_s[:, frame], values[:, frame], noise[:, frame])
+    return holds.predict(released=released, released_stderr=released_stderr, at_s=at_s)
 
 
 def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
@@ -85,8 +85,8 @@ def event_rate_per_min(
     """
     parts = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
-    if not (all(np.isfinite(part) and part >= 0 for part in parts) and period_s > 0):
-        raise NumericsError(f"times that give no event rate: {', '.join(f'{part:g}' for part in parts)}")
+    if not (all(np.isfinite(time_s) and time_s >= 0 for time_s in parts) and period_s > 0):
+        raise NumericsError(f"times that give no event rate: {', '.join(f'{time_s:g}' for time_s in parts)}")
     return 60 / period_s
 
 
@@ -186,10 +186,10 @@ class HoldsSoFar:
         """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
         if not len(self._kernel.weights):
             return np.concatenate([np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))], axis=1)
-        late = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
-        parts = np.where(late < _OVER, np.exp(-late) * self._share, 0.0)
+        lateness = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
+        parts = np.where(lateness < _OVER, np.exp(-lateness) * self._share, 0.0)
         weighted = parts * self._kernel.weights
-        slopes = np.concatenate([parts, weighted * (late - self._slope)], axis=1)
+        slopes = np.concatenate([parts, weighted * (lateness - self._slope)], axis=1)
         level = np.ones((len(time_s), 1))
         return np.concatenate([level, weighted.sum(axis=1, keepdims=True), slopes @ self._root], axis=1)
 
@@ -202,8 +202,8 @@ class HoldsSoFar:
         count = self._root.shape[1]
         unknown = np.zeros((len(size), 2 + count, 2 + count))
         unknown[:, 0, 0], unknown[:, 1, 0] = 1.0, transient
-        every = np.arange(count)
-        unknown[:, 2 + every, 1 + every] = size[:, None]
+        indices = np.arange(count)
+        unknown[:, 2 + indices, 1 + indices] = size[:, None]
         unknown[:, 1, -1] = stderr
         return unknown
 
@@ -249,5 +249,5 @@ def _triangle(rows: Array) -> Array:
 def _root(kernel: RelaxationKernel) -> Array:
     """A factor L (2 k, 3 k) of a new load's covariance L Lᵀ; its last k columns are the scatter's."""
     values, vectors = np.linalg.eigh(kernel.covariance)
-    between = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
-    return np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)
+    scatter_root = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
+    return np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), scatter_root], axis=1)

@@ -142,9 +142,9 @@ def _subtract_residues(steps: Sequence[StepTrace], constants_s: dict[bool, Array
         time_s = step.time_s[step.skipped :]
         values = step.values[step.skipped :] - np.exp(-time_s[:, None] / every_s) @ carried
         traces.append((time_s, values))
-        own = constants_s[step.loading]
-        place = slice(0, len(own)) if step.loading else slice(len(every_s) - len(own), None)
-        carried[place] += fit_step((time_s, values), own)[0][1:]
+        own_constants_s = constants_s[step.loading]
+        place = slice(0, len(own_constants_s)) if step.loading else slice(len(every_s) - len(own_constants_s), None)
+        carried[place] += fit_step((time_s, values), own_constants_s)[0][1:]
     return tuple(traces)
 
 
@@ -155,7 +155,7 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
 
     NumericsError if a time or value is not finite.
     """
-    time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
+    time_s, values = (finite_numbers(numbers, "times or values of a step") for numbers in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
         last = values[-max(len(values) // 4, 1) :]
         spread = float(last.std(ddof=1)) if len(last) > 1 else 0.0
@@ -213,8 +213,8 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
     _check_finite(trace)
     values, errors = [], []
     for loop in loops:
-        for held in loop.held:
-            last_values = trace.values[(trace.time_s >= held.end_s - last_s) & (trace.time_s < held.end_s)]
+        for hold in loop.held:
+            last_values = trace.values[(trace.time_s >= hold.end_s - last_s) & (trace.time_s < hold.end_s)]
             if not len(last_values):
                 raise NumericsError(f"nothing was read in the last {last_s:.3g} s of a hold")
             spread = (float(last_values.std(ddof=1)) if len(last_values) > 1 else 0.0) if noise is None else noise
@@ -288,10 +288,10 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
 
 def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:
     for loop in loops:
-        before = 0.0
-        for held in loop.held:
-            yield _step(trace, held.start_s, held.end_s, loading=held.strain > before)
-            before = held.strain
+        strain_before = 0.0
+        for hold in loop.held:
+            yield _step(trace, hold.start_s, hold.end_s, loading=hold.strain > strain_before)
+            strain_before = hold.strain
         if rests:
             step = _step(trace, loop.unloaded_s, loop.rest_end_s, loading=False)
             start = max(step.skipped, relaxation_start(step.values))
@@ -300,8 +300,8 @@ def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[S
 
 
 def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepTrace:
-    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
-    time_s, values = trace.time_s[inside] - start_s, trace.values[inside]
+    inside_mask = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    time_s, values = trace.time_s[inside_mask] - start_s, trace.values[inside_mask]
     if len(time_s) > _MOST:
         parts = np.array_split(np.arange(len(time_s)), _MOST)
         time_s, values = (np.array([samples[part].mean() for part in parts]) for samples in (time_s, values))

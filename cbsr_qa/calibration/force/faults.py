@@ -94,12 +94,15 @@ class FaultFinder:
         """Which readings (n, m) stand at one extreme value. A pair that does so with all of its own is silent."""
         clipped = np.zeros(readings.shape, dtype=np.bool_)
         for extreme in (readings.max(axis=1), readings.min(axis=1)):
-            at = readings == extreme[:, None]
-            for frame in np.flatnonzero(at.sum(axis=1) >= _CLIPPED).tolist():
-                there = at[frame]
-                there &= ~self._members[(self._members <= there).all(axis=1)].any(axis=0)
-                if there.sum() >= _CLIPPED and np.ptp(self._reference[there]) > _APART * self._noise[there].max():
-                    clipped[frame] |= there
+            extreme_mask = readings == extreme[:, None]
+            for frame in np.flatnonzero(extreme_mask.sum(axis=1) >= _CLIPPED).tolist():
+                clipped_mask = extreme_mask[frame]
+                clipped_mask &= ~self._members[(self._members <= clipped_mask).all(axis=1)].any(axis=0)
+                if (
+                    clipped_mask.sum() >= _CLIPPED
+                    and np.ptp(self._reference[clipped_mask]) > _APART * self._noise[clipped_mask].max()
+                ):
+                    clipped[frame] |= clipped_mask
         return clipped
 
     def _following(self, readings: Array, kept: Array) -> tuple[Array, Array]:

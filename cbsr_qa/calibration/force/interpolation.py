@@ -31,8 +31,8 @@ def weights_at(part: Array) -> Array:
     powers[..., 0], powers[..., 1] = 1.0, part
     np.multiply(part, part, out=powers[..., 2])
     np.multiply(powers[..., 2], part, out=powers[..., 3])
-    both: Array = powers @ _COEFFICIENTS
-    return both.reshape(*part.shape, 2, 4)
+    weights: Array = powers @ _COEFFICIENTS
+    return weights.reshape(*part.shape, 2, 4)
 
 
 def surfaces_at(tables: Array, offset: Array) -> Array:

@@ -102,15 +102,15 @@ class Forces:
 
         if not 0 < coverage < 1:
             raise ValueError(f"a coverage of {coverage} is not between 0 and 1")
-        half = float(ndtri((1 + coverage) / 2)) * self.stderr_N
-        return self.force_N - half, self.force_N + half
+        half_width_N = float(ndtri((1 + coverage) / 2)) * self.stderr_N
+        return self.force_N - half_width_N, self.force_N + half_width_N
 
 
 def join_forces(parts: Sequence[tuple[Indices, Forces]]) -> Forces:
     """Return forces of some frames each, with their numbers, in the order of the frames."""
     if len(parts) == 1:
         return parts[0][1]
-    order = np.argsort(np.concatenate([which for which, _ in parts]))
+    order = np.argsort(np.concatenate([frames for frames, _ in parts]))
     columns = ([getattr(forces, column.name) for _, forces in parts] for column in fields(Forces))
     return Forces(*(np.concatenate(values)[order] for values in columns))
 
@@ -249,10 +249,10 @@ class SizeError:
         if size == 1:
             return np.zeros(len(places_mm))
         lattice = self._model.lattice
-        at = (np.nan_to_num(places_mm) - np.array(lattice.origin_mm)) / lattice.spacing_mm
-        column, row = np.clip(np.rint(at), 0, [lattice.columns - 1, lattice.rows - 1]).astype(np.int64).T
-        beside = (self._radius_mm / self._clearance_mm[row, column]) ** 3
-        error: Array = (size - 1) ** 2 * (_EVERYWHERE + _BESIDE_EDGES * beside)
+        position = (np.nan_to_num(places_mm) - np.array(lattice.origin_mm)) / lattice.spacing_mm
+        column, row = np.clip(np.rint(position), 0, [lattice.columns - 1, lattice.rows - 1]).astype(np.int64).T
+        edge_term = (self._radius_mm / self._clearance_mm[row, column]) ** 3
+        error: Array = (size - 1) ** 2 * (_EVERYWHERE + _BESIDE_EDGES * edge_term)
         return error
 
     @cached_property

@@ -58,8 +58,8 @@ class CalibrationLoads:
 
     def subtract_residues(self) -> tuple[Array, Array]:
         """Rows (n, r) without residues of earlier loads, and their noise variance (n,)."""
-        there = self.frames_before > 0
-        share = np.where(there, RESIDUE_SHARE, 0.0)
+        before_mask = self.frames_before > 0
+        share = np.where(before_mask, RESIDUE_SHARE, 0.0)
         noise = 1 / self.frames + share**2 / np.maximum(self.frames_before, 1)
         return self.rows - share[:, None] * self.before, noise
 
@@ -168,8 +168,8 @@ def _match_loads(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
     rows, noise = loads.subtract_residues()
     matches = filter_.match_at(rows, loads.place_mm)
     strength = matches.strength
-    left = filter_.match_at(loads.before, loads.place_mm).strength
-    variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * left) ** 2
+    residue = filter_.match_at(loads.before, loads.place_mm).strength
+    variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * residue) ** 2
     return _Seen(
         2 * strength / (2 - strength),
         4 / (2 - strength) ** 2 * np.sqrt(variance),
@@ -243,9 +243,11 @@ def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
-    how = "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
+    source = (
+        "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
+    )
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
-        intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),
+        intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), source),
         covariance=by_slope * by_intercept * variance,
     )

@@ -56,10 +56,10 @@ class Heads:
         for other in range(len(self)):
             for first in range(other):
                 if not self._apart(first, other, nearest_mm):
-                    mine, theirs = (next(g for g in groups if n in g) for n in (first, other))
-                    if mine is not theirs:
-                        mine += theirs
-                        groups.remove(theirs)
+                    mine, other_group = (next(g for g in groups if n in g) for n in (first, other))
+                    if mine is not other_group:
+                        mine += other_group
+                        groups.remove(other_group)
         return [sorted(group) for group in groups]
 
     def _apart(self, first: int, other: int, nearest_mm: float) -> bool:
@@ -68,9 +68,9 @@ class Heads:
             return False
         way = self.place_mm[first] - self.place_mm[other]
         distance = float(np.hypot(*way))
-        along = np.zeros(len(self.covariance))
-        along[3 * first + 1 : 3 * first + 3], along[3 * other + 1 : 3 * other + 3] = way, -way
-        error = float(np.sqrt(max(float(along @ self.covariance @ along), 0.0))) / max(distance, 1e-9)
+        direction = np.zeros(len(self.covariance))
+        direction[3 * first + 1 : 3 * first + 3], direction[3 * other + 1 : 3 * other + 3] = way, -way
+        error = float(np.sqrt(max(float(direction @ self.covariance @ direction), 0.0))) / max(distance, 1e-9)
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
     def times(self, factor: float) -> Self:
@@ -147,45 +147,49 @@ class HeadCounter:
 
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one more head, from several starts."""
-        beside = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
-        starts = [beside, self._place_in_turn(rows, beside)]
+        with_best = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
+        starts = [with_best, self._place_in_turn(rows, with_best)]
         angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         for number in range(len(heads)):
-            apart = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
-            starts.append(apart[int(np.argmax([self._gain(rows, places) for places in apart]))])
+            splits = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
+            starts.append(splits[int(np.argmax([self._gain(rows, places) for places in splits]))])
         fits = [fit for fit in (self._fit(rows, places) for places in starts) if fit is not None]
         return max(fits, key=lambda fit: fit.gain, default=None)
 
     def _take_apart(self, places_mm: Array, number: int, angle: float) -> Array:
-        half = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
-        return np.vstack([np.delete(places_mm, number, axis=0), places_mm[number] + half, places_mm[number] - half])
+        half_mm = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
+        return np.vstack(
+            [np.delete(places_mm, number, axis=0), places_mm[number] + half_mm, places_mm[number] - half_mm]
+        )
 
     def _place_in_turn(self, rows: Array, places_mm: Array) -> Array:
         """Places on the lattice, each in turn where it explains most besides the others."""
         places = places_mm.copy()
         for _ in range(_TURNS):
-            before = places.copy()
+            last_places = places.copy()
             for number in range(len(places)):
                 places[number] = self._best_beside(rows, np.delete(places, number, axis=0))
-            if np.array_equal(before, places):
+            if np.array_equal(last_places, places):
                 break
         return places
 
     def _best_beside(self, rows: Array, places_mm: Array) -> Array:
         """Place (2,) on the lattice of the head that explains most besides others, their strengths left free."""
-        bank, there = self._filter.bank, self._filter.template(places_mm)
-        basis = np.linalg.qr(there[np.isfinite(there).all(axis=1)].T)[0]
-        beside = basis.T @ bank
-        own = np.maximum(1 - np.einsum("kn,kn->n", beside, beside), 1e-3)  # the rest is not informative
+        bank, templates = self._filter.bank, self._filter.template(places_mm)
+        basis = np.linalg.qr(templates[np.isfinite(templates).all(axis=1)].T)[0]
+        projections = basis.T @ bank
+        remaining_share = np.maximum(
+            1 - np.einsum("kn,kn->n", projections, projections), 1e-3
+        )  # the rest is not informative
         score = (rows - basis @ (basis.T @ rows)) @ bank
-        best: Array = self._filter.searched_mm[int(np.argmax(score**2 / own))]
+        best: Array = self._filter.searched_mm[int(np.argmax(score**2 / remaining_share))]
         return best
 
     def _gain(self, rows: Array, places_mm: Array) -> float:
-        there = self._filter.template(places_mm)
-        if not np.isfinite(there).all():
+        templates = self._filter.template(places_mm)
+        if not np.isfinite(templates).all():
             return -np.inf
-        basis = np.linalg.qr(there.T)[0]
+        basis = np.linalg.qr(templates.T)[0]
         return float(((basis.T @ rows) ** 2).sum())
 
     def _fit(self, rows: Array, places_mm: Array) -> Heads | None:

@@ -81,8 +81,8 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
 
 
 def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
-    apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
-    return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
+    distance_mm = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
+    return np.where(distance_mm <= max(5 * float(np.median(distance_mm)), 3.0), weight, 0.0)
 
 
 def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:

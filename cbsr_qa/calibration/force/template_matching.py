@@ -85,10 +85,10 @@ class TemplateFilter:
 
     def match_at(self, rows: Array, place_mm: Array) -> Matches:
         """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
-        given = np.asarray(place_mm, dtype=np.float64)
-        places = np.broadcast_to(given, (len(rows), 2))
-        template = self.template(given[None] if given.ndim == 1 else given)
-        number = rows @ template[0] if given.ndim == 1 else (rows * template).sum(axis=1)
+        given_mm = np.asarray(place_mm, dtype=np.float64)
+        places = np.broadcast_to(given_mm, (len(rows), 2))
+        template = self.template(given_mm[None] if given_mm.ndim == 1 else given_mm)
+        number = rows @ template[0] if given_mm.ndim == 1 else (rows * template).sum(axis=1)
         gram = np.broadcast_to((template**2).sum(axis=1), len(rows))
         covariance = np.zeros((len(rows), 3, 3))
         covariance[:, 0, 0] = 1 / gram
@@ -191,33 +191,33 @@ class TemplateFilter:
 
     def _about(self, cell: Indices, rows: Array) -> Array:
         nodes = self._stencil[cell]
-        about = np.empty((*nodes.shape, 7))
-        about[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
-        about[:, :, 1:] = self._tables[nodes]
-        return about
+        surroundings = np.empty((*nodes.shape, 7))
+        surroundings[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
+        surroundings[:, :, 1:] = self._tables[nodes]
+        return surroundings
 
     def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
         """Which frames should move to a neighbouring cell with interpolation, and which cell."""
         step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
         aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
-        there: Mask = step.any(axis=1) & self._whole[aim]
-        return there, aim
+        move_mask: Mask = step.any(axis=1) & self._whole[aim]
+        return move_mask, aim
 
     def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
         """Lower left corner of the cell of each head, and the offset in it, by parabolas through neighbours."""
         score = np.abs(score)
         frames, best = np.arange(len(score)), score.argmax(axis=1)
-        place, beside = self._coarse[best], self._next[best]
-        around = np.where(beside >= 0, score[frames[:, None], beside], -np.inf)
+        place, neighbour = self._coarse[best], self._next[best]
+        around = np.where(neighbour >= 0, score[frames[:, None], neighbour], -np.inf)
         low, high, peak = around[:, ::2], around[:, 1::2], score[frames, best][:, None]
-        both = np.isfinite(low + high)
-        bend = np.where(both, 2 * peak - low - high, 1.0)
-        part = np.where(both, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
-        shift = _STRIDE * np.minimum(np.maximum(part, -0.5), 0.5)
-        down = np.floor(shift).astype(np.int64)
-        cell = place + down[:, 0] + self.lattice.columns * down[:, 1]
-        whole = self._whole[cell]
-        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
+        finite_mask = np.isfinite(low + high)
+        bend = np.where(finite_mask, 2 * peak - low - high, 1.0)
+        fraction = np.where(finite_mask, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
+        shift = _STRIDE * np.minimum(np.maximum(fraction, -0.5), 0.5)
+        corner = np.floor(shift).astype(np.int64)
+        cell = place + corner[:, 0] + self.lattice.columns * corner[:, 1]
+        whole_mask = self._whole[cell]
+        return np.where(whole_mask, cell, place), np.where(whole_mask[:, None], shift - corner, 0.0)
 
     def _maximise_score(self, about: Array, offset: Array) -> tuple[Array, Array]:
         """Offset (n, 2) from the cell's corner, in cells, of the largest score, by Fisher scoring.
@@ -263,9 +263,9 @@ class TemplateFilter:
 
     def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
         """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
-        cell, offset, inside = cells(self.lattice, places_mm)
+        cell, offset, inside_mask = cells(self.lattice, places_mm)
         nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
-        nodes[np.logical_not(inside)] = -1
+        nodes[np.logical_not(inside_mask)] = -1
         return nodes, offset
 
 
@@ -301,8 +301,8 @@ _ONES: Final = np.eye(2)
 
 def _every(stride: int, node: Indices) -> Mask:
     rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
-    chosen: Mask = np.logical_and.outer(rows, columns).ravel()
-    return chosen
+    chosen_mask: Mask = np.logical_and.outer(rows, columns).ravel()
+    return chosen_mask
 
 
 def _pressable(node: Indices, fits: Mask) -> Mask:

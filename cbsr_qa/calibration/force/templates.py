@@ -90,9 +90,9 @@ def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
 @lru_cache(maxsize=1)  # of the last sensor and head; about 50 MB
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
-    everywhere = _lattice(model).places_mm()
-    inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
-    return tuple(_press_lattice(model, everywhere[inside], head))
+    lattice_mm = _lattice(model).places_mm()
+    inside_mask = model.surroundings.clearance_mm(lattice_mm) >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    return tuple(_press_lattice(model, lattice_mm[inside_mask], head))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,9 +117,14 @@ def _lattice(model: RoundLoadModel) -> Lattice:
     spacing = SPACING * model.surroundings.radius_mm
     low_x, high_x, low_y, high_y = model.surroundings.extent_mm
     # Relative to the middle, so that a symmetric sheet has a symmetric lattice.
-    half = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
+    half_counts = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
     x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
-    return Lattice((x - half[0] * spacing, y - half[1] * spacing), spacing, 2 * half[0] + 1, 2 * half[1] + 1)
+    return Lattice(
+        (x - half_counts[0] * spacing, y - half_counts[1] * spacing),
+        spacing,
+        2 * half_counts[0] + 1,
+        2 * half_counts[1] + 1,
+    )
 
 
 def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Array, Array, Array]:
@@ -128,10 +133,13 @@ def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Arra
     rows = readings.merge_frames(pressed.readings.change) / per + by_square * pressed.beyond_mm2[:, None]
     size = np.linalg.norm(rows, axis=1)
     rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
-    along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
-    turn_x, turn_y = (by - rows * part[:, None] for by, part in zip((by_x, by_y), along, strict=True))
+    projections = [(rows * slope_rows).sum(axis=1) for slope_rows in (by_x, by_y)]
+    turn_x, turn_y = (
+        slope_rows - rows * projection[:, None]
+        for slope_rows, projection in zip((by_x, by_y), projections, strict=True)
+    )
     pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
-    slopes = np.column_stack([*along, *((slope * other).sum(axis=1) for slope, other in pairs)])
+    slopes = np.column_stack([*projections, *((slope * other).sum(axis=1) for slope, other in pairs)])
     return rows, np.log(size), by_square * pressed.square_mm2, slopes
 
 

@@ -106,8 +106,8 @@ def _all_lost(wanted: Mask, usable: Mask, drives: Mask, measures: Mask) -> bool:
 
 def _names(loads: Sequence[LoadObservation]) -> str:
     named = [_name(load) for load in loads[:_NAMED]]
-    more = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
-    return ", ".join(named) + more
+    others_named = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
+    return ", ".join(named) + others_named
 
 
 def _name(load: LoadObservation) -> str:

@@ -71,8 +71,8 @@ class Session:
 
     def select(self, presses: Indices) -> "Session":
         """The same of some presses, in rising order."""
-        late = int(np.count_nonzero(presses >= len(self.time) - self.late))
-        return Session(self.time[presses], late)
+        recheck_count = int(np.count_nonzero(presses >= len(self.time) - self.late))
+        return Session(self.time[presses], recheck_count)
 
 
 def session_of(errors: Array, time_s: Array | None) -> Session:
@@ -163,9 +163,9 @@ class _Walk:
 
     def score(self, scaled: Array, relative: Array) -> float:
         """Slope of the likelihood of errors (n, m) by the variance of a walk of offset and gain, at none."""
-        at = self.at - self.at.mean(axis=0)
-        along = (at.T @ scaled) ** 2 + (at.T @ (scaled * relative)) ** 2
-        return float((self.variances @ along).sum())
+        centred = self.at - self.at.mean(axis=0)
+        projections = (centred.T @ scaled) ** 2 + (centred.T @ (scaled * relative)) ** 2
+        return float((self.variances @ projections).sum())
 
     def likely(self, scaled: Array, relative: Array) -> tuple[tuple[float, float], Array]:
         """Variances of offset and gain of largest marginal likelihood, in those of noise.
@@ -224,9 +224,9 @@ def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) ->
     """
     count = len(scaled)
     if time_s is None:
-        late = _late(scaled, orders)
-        time = np.linspace(0.0, 1.0, count - late)
-        return np.append(time, 1 + SESSIONS + np.arange(late) / count), late
+        recheck_count = _late(scaled, orders)
+        time = np.linspace(0.0, 1.0, count - recheck_count)
+        return np.append(time, 1 + SESSIONS + np.arange(recheck_count) / count), recheck_count
     breaks = np.diff(time_s)
     last = int(breaks.argmax())
     session = float(time_s[last] - time_s[0])
@@ -258,8 +258,8 @@ def _jumps(scaled: Array, most: int) -> Array:
     rows = scaled[::-1]
     sums = np.cumsum(rows, axis=0)
     jumps = np.empty(most + 1 - _FEWEST_LATE)
-    for at, late in enumerate(range(_FEWEST_LATE, most + 1)):
-        last = (sums[late - 1] - rows[:late]) / (late - 1)
-        before = (sums[(1 + _BEFORE) * late - 1] - sums[late - 1]) / (_BEFORE * late)
-        jumps[at] = ((last - before) ** 2).mean(axis=1).min() / (1 / (late - 1) + 1 / (_BEFORE * late))
+    for number, count in enumerate(range(_FEWEST_LATE, most + 1)):
+        last = (sums[count - 1] - rows[:count]) / (count - 1)
+        mean_before = (sums[(1 + _BEFORE) * count - 1] - sums[count - 1]) / (_BEFORE * count)
+        jumps[number] = ((last - mean_before) ** 2).mean(axis=1).min() / (1 / (count - 1) + 1 / (_BEFORE * count))
     return jumps

@@ -94,7 +94,7 @@ class PlaceEstimator:
             faults = FrameFaults(np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64))
         starts = range(0, max(len(changes), 1), _AT_ONCE)
         several = [slice(first, first + _AT_ONCE) for first in starts]
-        parts = [self._locate(changes[some], faults.left_out[some], faults.flags[some]) for some in several]
+        parts = [self._locate(changes[batch], faults.left_out[batch], faults.flags[batch]) for batch in several]
         places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         return places if self._modelled is None else self._beyond(places, self._modelled(changes))
 
@@ -112,8 +112,8 @@ class PlaceEstimator:
     def _outside(self, place_mm: Array) -> Mask:
         """Which places (n, 2) in the frame of the presses are far from all of them."""
         model = self._model
-        about = (place_mm - model.centre_mm) @ model.axes.T
-        nearest = np.sqrt(compute_squared_distances(about, model.process.places_mm).min(axis=1, initial=np.inf))
+        centred_mm = (place_mm - model.centre_mm) @ model.axes.T
+        nearest = np.sqrt(compute_squared_distances(centred_mm, model.process.places_mm).min(axis=1, initial=np.inf))
         return np.asarray(nearest > model.reach_mm)
 
     def _locate(
@@ -183,15 +183,17 @@ class PlaceEstimator:
 
     def _match(self, features: Array) -> tuple[Array, Array]:
         """Places (n, 2) about the centre, and the likeness (n,) to the templates there."""
-        place, like = self._mix(features)[0], likeness(self._expected, features)
-        return place, np.maximum(interpolate_at_places(self._model.templates.grid_mm, like, place), LEAST_LIKENESS)
+        place, grid_likeness = self._mix(features)[0], likeness(self._expected, features)
+        return place, np.maximum(
+            interpolate_at_places(self._model.templates.grid_mm, grid_likeness, place), LEAST_LIKENESS
+        )
 
     def _replace_lost(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
-        known = np.where(lost, 0.0, features)
-        new = fill_missing(self._model.templates, self._expected, known, lost)
-        factor = size_factors(known, new, self._model.scaling)
-        return new * factor[:, None], factor
+        known_features = np.where(lost, 0.0, features)
+        filled_features = fill_missing(self._model.templates, self._expected, known_features, lost)
+        factor = size_factors(known_features, filled_features, self._model.scaling)
+        return filled_features * factor[:, None], factor
 
     def _mix(self, features: Array) -> tuple[Array, Array, Array]:
         """Places (n, 2) about the centre, their covariances and misfits."""

@@ -88,9 +88,9 @@ def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
     ----------
     known, whole : (n, m) the features before, zero where they are lost, and after.
     """
-    before, after = (np.linalg.norm(features, axis=1) for features in (known, whole))
-    some = (before > 0) & (after > 0)
-    return (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
+    size_before, size_after = (np.linalg.norm(features, axis=1) for features in (known, whole))
+    sized_mask = (size_before > 0) & (size_after > 0)
+    return (np.where(sized_mask, size_before, 1.0) / np.where(sized_mask, size_after, 1.0)) ** scaling.damping
 
 
 def _roots(readings: Array, scaling: FeatureScaling) -> Array:

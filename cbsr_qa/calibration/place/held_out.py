@@ -82,8 +82,8 @@ class LeftOut:
 
     def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
         """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
-        found, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
-        error = places_mm[self.presses] - found
+        mixed_mm, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
+        error = places_mm[self.presses] - mixed_mm
         return error, mahalanobis(error, covariance)
 
 
@@ -117,18 +117,20 @@ class PressedSheet:
         """Presses that are left out together."""
         visits = self.visits
         firsts = np.unique(visits)
-        most = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
-        groups = np.array_split(firsts, min(most, len(firsts)))
+        most_blocks = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
+        groups = np.array_split(firsts, min(most_blocks, len(firsts)))
         return [np.flatnonzero(np.isin(visits, group)) for group in groups]
 
     def fill(self, missing: Mask) -> "PressedSheet":
         """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
         learning, features = self.template_learning(), self.features.copy()
         for block in self.blocks():
-            some = block[missing[block].any(axis=1)]
-            if len(some):
+            presses = block[missing[block].any(axis=1)]
+            if len(presses):
                 templates = learning.leave_out_block(block)
-                features[some] = fill_missing(templates, predict_features(templates), features[some], missing[some])
+                features[presses] = fill_missing(
+                    templates, predict_features(templates), features[presses], missing[presses]
+                )
         return replace(self, features=features)
 
     def leave_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:

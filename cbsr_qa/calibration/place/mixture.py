@@ -25,8 +25,8 @@ _FURTHEST: Final = 10.0
 
 def mix_places(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
     """Mix places (n, 2) and (n, 2); returns places (n, 2) and covariances Σ (n, 2, 2)."""
-    apart = second - first
-    return first + mixture.share * apart, _covariance(mixture.spread, apart, second_covariance)
+    difference = second - first
+    return first + mixture.share * difference, _covariance(mixture.spread, difference, second_covariance)
 
 
 def learn_mixture(
@@ -57,8 +57,8 @@ def learn_mixture(
 
 
 def _fit_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
-    share, apart = _share(first, second, places_mm), second - first
-    return share, _spread(places_mm - first - share * apart, apart, second_covariance)
+    share, difference = _share(first, second, places_mm), second - first
+    return share, _spread(places_mm - first - share * difference, difference, second_covariance)
 
 
 def mahalanobis(error: Array, covariance: Array) -> Array:
@@ -79,9 +79,9 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
     visits : (k,) one number per place, by default one press each. Every place counts as one, since its presses err
         alike (Lee, Barber & Willett 2025, hierarchical conformal prediction).
     """
-    which = np.unique(np.arange(len(ratio)) if visits is None else visits, return_inverse=True)[1]
-    presses = np.bincount(which)
-    weight = 1 / (len(presses) * presses[which])
+    place_index = np.unique(np.arange(len(ratio)) if visits is None else visits, return_inverse=True)[1]
+    presses = np.bincount(place_index)
+    weight = 1 / (len(presses) * presses[place_index])
     if level * (len(presses) + 1) <= len(presses) - 0.5:
         order = np.argsort(ratio)
         return float(np.interp(level * (1 + 1 / len(presses)), np.cumsum(weight[order]), ratio[order]))
@@ -135,6 +135,6 @@ def _invert(covariance: Array) -> tuple[Array, Array]:
 
 
 def _covariance(spread: Array, apart: Array, second_covariance: Array) -> Array:
-    between = apart[:, :, None] * apart[:, None, :]
-    covariance: Array = spread[0] * second_covariance + spread[1] * np.eye(2) + spread[2] * between
+    outer = apart[:, :, None] * apart[:, None, :]
+    covariance: Array = spread[0] * second_covariance + spread[1] * np.eye(2) + spread[2] * outer
     return covariance

@@ -102,8 +102,8 @@ def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> Mo
     """
     squares = (error_mm**2).sum(axis=1) * len(error_mm) / (len(error_mm) - _POSE / 2)
     variance = max(float(squares.mean()) / 2, np.finfo(np.float64).tiny)
-    wanted = np.array([quantile(squares / variance, level) for level in LEVELS])
-    return replace(model, variance_mm2=variance, widening=float(np.max(wanted / quantiles)))
+    needed_quantiles = np.array([quantile(squares / variance, level) for level in LEVELS])
+    return replace(model, variance_mm2=variance, widening=float(np.max(needed_quantiles / quantiles)))
 
 
 def unit_rows(rows: Array) -> Array:
@@ -122,10 +122,10 @@ def log_likelihood(alike: Array) -> Array:
 
 def log_likelihood_slopes(alike: Array) -> tuple[Array, Array]:
     """First and second derivative of :func:`log_likelihood`."""
-    inside = (alike > 0) & (alike < _MOST_ALIKE)
-    left = 1 - np.clip(alike, 0.0, _MOST_ALIKE) ** 2
-    first, second = _INDEPENDENT * alike / left, _INDEPENDENT * (2 - left) / left**2
-    return np.where(inside, first, 0.0), np.where(inside, second, 0.0)
+    inside_mask = (alike > 0) & (alike < _MOST_ALIKE)
+    unexplained = 1 - np.clip(alike, 0.0, _MOST_ALIKE) ** 2
+    first, second = _INDEPENDENT * alike / unexplained, _INDEPENDENT * (2 - unexplained) / unexplained**2
+    return np.where(inside_mask, first, 0.0), np.where(inside_mask, second, 0.0)
 
 
 def most_alike(node: Indices, alike: Array) -> Array:

@@ -30,6 +30,6 @@ class Places:
     @property
     def in_model(self) -> Mask:
         """Whether each frame (n,) is one touch similar to the learned ones, or of the modelled sheet."""
-        beside = int(Flag.NOT_DETECTED | Flag.MORE_THAN_ONE | Flag.UNREADABLE | Flag.NOT_AS_MODELLED)
-        inside: Mask = (self.flags & beside) == 0
-        return inside
+        other_flags = int(Flag.NOT_DETECTED | Flag.MORE_THAN_ONE | Flag.UNREADABLE | Flag.NOT_AS_MODELLED)
+        model_mask: Mask = (self.flags & other_flags) == 0
+        return model_mask

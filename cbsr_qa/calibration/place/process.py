@@ -162,13 +162,13 @@ def frames_likelihoods(
     """
     factor = cholesky(_covariance(scales, turns, features), lower=True, check_finite=False)
     likelihoods, centres = np.empty(len(axes)), np.empty((len(axes), 2))
-    for number, each in enumerate(axes):
-        both = np.column_stack([(places_mm @ each.T).ravel(), np.tile(each, (len(places_mm), 1))])
-        white = solve_triangular(factor, both, lower=True, check_finite=False)
+    for number, frame_axes in enumerate(axes):
+        columns = np.column_stack([(places_mm @ frame_axes.T).ravel(), np.tile(frame_axes, (len(places_mm), 1))])
+        white = solve_triangular(factor, columns, lower=True, check_finite=False)
         precision = white[:, 1:].T @ white[:, 1:] + np.eye(2) / centre_stderr_mm**2
-        along = white[:, 1:].T @ white[:, 0]
-        centres[number] = np.linalg.solve(precision, along)
-        likelihoods[number] = -0.5 * (white[:, 0] @ white[:, 0] - along @ centres[number])
+        projections = white[:, 1:].T @ white[:, 0]
+        centres[number] = np.linalg.solve(precision, projections)
+        likelihoods[number] = -0.5 * (white[:, 0] @ white[:, 0] - projections @ centres[number])
     return likelihoods - np.log(np.diag(factor)).sum(), centres
 
 
@@ -189,8 +189,8 @@ class _Likelihood:
                 for among in (self._orbit == number for number in range(self._orbits))
             ]
         )
-        apart = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
-        different = apart[apart > _ALIKE * apart.max()]
+        squared_distances = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
+        different = squared_distances[squared_distances > _ALIKE * squared_distances.max()]
         self._log_scale = -float(np.log(np.median(different))) if len(different) else 0.0
         self._log_variance = float(np.log(np.mean(self._y**2)))
 
@@ -203,9 +203,9 @@ class _Likelihood:
 
     def scales(self, logs: Array) -> PlaceScales:
         """Scales from their logarithms: three variances, the readings', and the orbits'."""
-        own, turning, noise = np.exp(logs[:3]).tolist()
-        each = np.exp(logs[3 : 3 + self._readings])
-        return PlaceScales(own, turning, noise, each, np.exp(logs[3 + self._readings :])[self._orbit])
+        own_variance, turning, noise = np.exp(logs[:3]).tolist()
+        own_scales = np.exp(logs[3 : 3 + self._readings])
+        return PlaceScales(own_variance, turning, noise, own_scales, np.exp(logs[3 + self._readings :])[self._orbit])
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
         scales = self.scales(logs)
@@ -250,16 +250,16 @@ class _Likelihood:
 
     def _differentiate_by_scale(self, slope: Array) -> Array:
         """Σᵢⱼ slopeᵢⱼ (xᵢ − xⱼ)² for every reading, of a symmetric slope."""
-        by: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
+        derivative: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
             "nm,nm->m", self._features, slope @ self._features
         )
-        return 2 * by
+        return 2 * derivative
 
     def _prior(self, logs: Array) -> tuple[float, Array]:
-        own, turning = logs[3 : 3 + self._readings], logs[3 + self._readings :]
+        own_logs, turning_logs = logs[3 : 3 + self._readings], logs[3 + self._readings :]
         gradient = np.zeros_like(logs)
-        deviation = own - own.mean()
-        length, scales = own.mean() - self._log_scale, turning - self._log_scale
+        deviation = own_logs - own_logs.mean()
+        length, scales = own_logs.mean() - self._log_scale, turning_logs - self._log_scale
         variances = logs[:3] - [self._log_variance, self._log_variance, self._log_variance + np.log(_NOISE_SHARE)]
         spread = np.array([_SPREAD_OF_VARIANCE, _SPREAD_OF_VARIANCE, _SPREAD_OF_NOISE])
         gradient[:3] = -variances / spread**2

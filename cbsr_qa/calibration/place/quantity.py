@@ -193,9 +193,9 @@ def _errors(data: "_Data", visits: Indices) -> Array:
     """Errors (n,) of presses left out with all at their place, with hyperparameters of half of the other places."""
     errors = np.empty(len(visits))
     for half in (0, 1):
-        here = np.flatnonzero(visits % 2 == half)
+        half_presses = np.flatnonzero(visits % 2 == half)
         process = _Process(_likely_scales(data, np.flatnonzero(visits % 2 != half)), data)
-        errors[here] = process.leave_out(visits)[0][here]
+        errors[half_presses] = process.leave_out(visits)[0][half_presses]
     return errors
 
 
@@ -245,11 +245,13 @@ class _Process:
 
     def predict(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         """Scaled values (k,) and their standard errors."""
-        u, about = self._scale(strength, places_mm)
-        near = _covariance(self._scales, u, about, self._u, self._about)
-        alone = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
-        known = np.einsum("kn,kn->k", near @ self._inverse, near)
-        return near @ self._weights, np.sqrt(np.maximum(alone - known, 0.0) + _noise(self._scales, u))
+        u, centred = self._scale(strength, places_mm)
+        covariance = _covariance(self._scales, u, centred, self._u, self._about)
+        prior_variance = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
+        explained_variance = np.einsum("kn,kn->k", covariance @ self._inverse, covariance)
+        return covariance @ self._weights, np.sqrt(
+            np.maximum(prior_variance - explained_variance, 0.0) + _noise(self._scales, u)
+        )
 
     def change(self, strength: Array, places_mm: Array, deviation: Array | float) -> Array:
         """Change (k,) of scaled values by a standard deviation of the logarithm of the strength."""

@@ -61,10 +61,12 @@ def fill_missing(templates: PlaceTemplates, expected: Array, features: Array, mi
     if not len(features):
         return features
     for _ in range(_FILLINGS):
-        about = _posterior(templates, features)[0] @ expected
-        known = np.where(missing, 0.0, about)
-        like = (features * known).sum(axis=1) / np.maximum((known**2).sum(axis=1), np.finfo(float).tiny)
-        features = np.where(missing, like[:, None] * about, features)
+        estimated = _posterior(templates, features)[0] @ expected
+        known_features = np.where(missing, 0.0, estimated)
+        factor = (features * known_features).sum(axis=1) / np.maximum(
+            (known_features**2).sum(axis=1), np.finfo(float).tiny
+        )
+        features = np.where(missing, factor[:, None] * estimated, features)
     return features
 
 
@@ -91,9 +93,9 @@ def likeness(expected: Array, features: Array) -> Array:
 def interpolate_at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
     """Values (n, k) over a grid at a place (n, 2) each: a mean with Gaussian weights."""
     spacing_mm = float(np.diff(np.unique(grid_mm[:, 0])).min())
-    apart = compute_squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
-    near = np.exp(apart.min(axis=1, keepdims=True) - apart)
-    mean: Array = (near * values).sum(axis=1) / near.sum(axis=1)
+    scaled_distance = compute_squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
+    weights = np.exp(scaled_distance.min(axis=1, keepdims=True) - scaled_distance)
+    mean: Array = (weights * values).sum(axis=1) / weights.sum(axis=1)
     return mean
 
 
@@ -148,11 +150,11 @@ class TemplateLearning:
 
     def _subtract_shared(self, block: Indices) -> tuple[Array, Array]:
         """What the shared part of all presses but a block leaves of features (n, m), and that part on the grid."""
-        there, on_grid = self._shared.leave_out_block(block)
-        rest = self._features - there
-        others = len(rest) - len(block)
-        offset = (rest.sum(axis=0) - rest[block].sum(axis=0)) / (others + _TRUST)
-        return rest - offset, on_grid + offset
+        at_presses, on_grid = self._shared.leave_out_block(block)
+        residual = self._features - at_presses
+        other_count = len(residual) - len(block)
+        offset = (residual.sum(axis=0) - residual[block].sum(axis=0)) / (other_count + _TRUST)
+        return residual - offset, on_grid + offset
 
     def _errors(self, block: Indices, weights: Array) -> Array:
         """What each press that is not in a block differs by from templates of all others that are not in it."""
@@ -259,16 +261,16 @@ class _Nodes:
     """Functions of place that have covariances with few nodes alone."""
 
     def __init__(self, radius_mm: float) -> None:
-        apart = radius_mm / _NODES_ALONG_RADIUS
-        self._nodes_mm = _disc(radius_mm + 1.2 * apart, apart)
+        spacing_mm = radius_mm / _NODES_ALONG_RADIUS
+        self._nodes_mm = _disc(radius_mm + 1.2 * spacing_mm, spacing_mm)
         self._length_mm = _SHARED_LENGTH * radius_mm
         covariance = _covariance_between(self._nodes_mm, self._nodes_mm, self._length_mm)
         self._factor = cholesky(covariance + 1e-6 * np.eye(len(covariance)), lower=True)
 
     def basis(self, places_mm: Array) -> Array:
         """Values (n, nodes) at places (n, 2) of functions that are independent of one another, of variance one."""
-        near = _covariance_between(self._nodes_mm, places_mm, self._length_mm)
-        return solve_triangular(self._factor, near, lower=True, check_finite=False).T
+        covariance = _covariance_between(self._nodes_mm, places_mm, self._length_mm)
+        return solve_triangular(self._factor, covariance, lower=True, check_finite=False).T
 
 
 def _ridge(squares: Array, along: Array, total: Array, count: int, presses: int) -> Array:
@@ -301,9 +303,9 @@ def _shrunk_covariance(errors: Array) -> Array:
     scaled = errors / deviation
     correlation = scaled.T @ scaled / count
     variance = ((scaled**2).T @ scaled**2 / count - correlation**2) / count
-    apart = np.logical_not(np.eye(readings, dtype=bool))
-    squared = max(float((correlation[apart] ** 2).sum()), np.finfo(float).tiny)
-    shrinkage = min(max(float(variance[apart].sum()) / squared, 0.01), 1.0)
+    off_diagonal = np.logical_not(np.eye(readings, dtype=bool))
+    squared = max(float((correlation[off_diagonal] ** 2).sum()), np.finfo(float).tiny)
+    shrinkage = min(max(float(variance[off_diagonal].sum()) / squared, 0.01), 1.0)
     shrunk = (1 - shrinkage) * correlation + shrinkage * np.eye(readings)
     covariance: Array = shrunk * np.outer(deviation, deviation)
     return covariance
@@ -315,8 +317,8 @@ def _covariance_between(a: Array, b: Array, length_mm: float) -> Array:
 
 def _disc(radius_mm: float, spacing_mm: float) -> Array:
     """Places (k, 2) on a square lattice within a radius."""
-    along = np.arange(np.floor(radius_mm / spacing_mm) + 1) * spacing_mm
-    along = np.concatenate([-along[:0:-1], along])
-    places: Array = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-    inside: Array = places[np.linalg.norm(places, axis=1) <= radius_mm * (1 + 1e-9)]
-    return inside
+    axis_mm = np.arange(np.floor(radius_mm / spacing_mm) + 1) * spacing_mm
+    axis_mm = np.concatenate([-axis_mm[:0:-1], axis_mm])
+    places: Array = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
+    inside_mm: Array = places[np.linalg.norm(places, axis=1) <= radius_mm * (1 + 1e-9)]
+    return inside_mm

@@ -45,8 +45,8 @@ def _steps(slope: Array, bend: Array, stiffness: Array) -> Array:
     curvature, axes = np.linalg.eigh(bend)
     size = np.abs(curvature)
     size += stiffness[:, None] * np.maximum(size.max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    along = (slope[:, None, :] @ axes)[:, 0] / size
-    step: Array = (axes @ along[..., None])[..., 0]
+    slope_along = (slope[:, None, :] @ axes)[:, 0] / size
+    step: Array = (axes @ slope_along[..., None])[..., 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
     shortened: Array = step * (_LONGEST / np.maximum(length, _LONGEST))
     return shortened

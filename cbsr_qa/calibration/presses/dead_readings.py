@@ -91,10 +91,10 @@ def find_dead_readings(
     dead_mask |= constant_mask
     if constant_mask.any():
         pair_list = "; ".join(",".join(map(str, pair)) for pair in pairs[constant_mask][:_MOST_NAMED].tolist())
-        more = "; …" if constant_mask.sum() > _MOST_NAMED else ""
+        ellipsis = "; …" if constant_mask.sum() > _MOST_NAMED else ""
         findings.append(
             f"{int(constant_mask.sum())} of {len(pairs)} readings never change, and are left out"
-            f" (source,sink,plus,minus): {pair_list}{more}"
+            f" (source,sink,plus,minus): {pair_list}{ellipsis}"
         )
     spike_mask &= ~dead_mask
     if spike_mask.mean() > SPIKY:
@@ -119,15 +119,15 @@ def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | N
     """Readings (n, m) that faults spoil in single presses, flags (n,), and spikes (n, m)."""
     faulty, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
     if rest is not None:
-        found = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
-        faulty, flags = found.left_out, found.flags
+        frame_faults = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
+        faulty, flags = frame_faults.left_out, frame_faults.flags
     changes = np.where(faulty, 0.0, changes)
     spikes = spikes_among(changes)
     ceiling, lost = safe_ceilings(np.where(spikes, 0.0, changes)), faulty | spikes
-    further, flags_of = FaultyGroups(pairs)(
+    group_faults, flags_of = FaultyGroups(pairs)(
         changes, ceiling, lost, np.zeros_like(lost)
     )  # spikes have their own words
-    return faulty | further, flags | flags_of, spikes
+    return faulty | group_faults, flags | flags_of, spikes
 
 
 def _fault_words(flags: int) -> str:
@@ -155,7 +155,7 @@ def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
     if len(values) < 3:
         return 0.0
     ends = [(values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2])]
-    cut = [count for value, count, beside in ends if value and count > _TIMES_NEXT * beside]
+    cut = [count for value, count, next_count in ends if value and count > _TIMES_NEXT * next_count]
     return float(sum(count for count in cut if count > _CLIPPED * frames.size)) / frames.size
 
 
@@ -168,6 +168,6 @@ def _share_of_neighbours(changes: Array, place_mm: Array) -> Array:
     size = np.median(np.abs(roots), axis=1, keepdims=True)
     roots = roots / np.where(size > 0, size, 1.0)
     nearest = np.asarray(cKDTree(place_mm).query(place_mm, k=_NEIGHBOURS + 1)[1])[:, 1:]
-    apart = ((roots[:, None] - roots[nearest]) ** 2).mean(axis=(0, 1))
-    followed: Array = 1 - apart / np.maximum(2 * roots.var(axis=0), np.finfo(float).tiny)
+    difference = ((roots[:, None] - roots[nearest]) ** 2).mean(axis=(0, 1))
+    followed: Array = 1 - difference / np.maximum(2 * roots.var(axis=0), np.finfo(float).tiny)
     return followed

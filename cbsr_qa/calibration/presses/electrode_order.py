@@ -61,10 +61,10 @@ def find_electrode_order(
     order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
     order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
     for _ in range(_MOST_EXCHANGES):
-        better = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
-        if better is None:
+        exchanged = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
+        if exchanged is None:
             break
-        order = better
+        order = exchanged
     return order
 
 
@@ -126,10 +126,10 @@ def _leaves_out_driven(pairs: Indices) -> bool:
 
     Then driving and measuring electrodes are numbered alike: by another numbering it would measure at driven ones.
     """
-    drives, measures = (np.unique(part, axis=0) for part in (pairs[:, :2], pairs[:, 2:]))
+    drives, measures = (np.unique(columns, axis=0) for columns in (pairs[:, :2], pairs[:, 2:]))
     at_driven = (drives[:, None, :, None] == measures[None, :, None, :]).any(axis=(2, 3))
-    clear = len(np.unique(pairs, axis=0)) == np.count_nonzero(~at_driven)
-    return bool(at_driven.any()) and clear and not measures_at_driven(pairs).any()
+    is_distinct = len(np.unique(pairs, axis=0)) == np.count_nonzero(~at_driven)
+    return bool(at_driven.any()) and is_distinct and not measures_at_driven(pairs).any()
 
 
 def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
@@ -139,8 +139,8 @@ def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
                 continue
             measured = ((-pairs[:, 2:] if reverse else pairs[:, 2:]) + shift) % count
             way = "the other way round, " if reverse else ""
-            words = f"measuring electrodes seem to be numbered {way}from electrode {shift} of the driving ones"
-            yield np.column_stack([pairs[:, :2], measured]), words
+            finding = f"measuring electrodes seem to be numbered {way}from electrode {shift} of the driving ones"
+            yield np.column_stack([pairs[:, :2], measured]), finding
 
 
 def _swap(pairs: Indices, exchange: tuple[int, int]) -> Indices:
@@ -158,8 +158,8 @@ class _Evidence:
 
     def __call__(self, pairs: Indices) -> Array:
         answers = answering_side(self._sheet, pairs, self._changes).answers
-        alike = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
-        return log_likelihood(alike)
+        correlation = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
+        return log_likelihood(correlation)
 
 
 def _clearly_better(
@@ -168,10 +168,10 @@ def _clearly_better(
     before, after = order.registered.registration, other.registration
     if not after.trusted or 1 - after.signal_share > _LESS_LEFT * (1 - before.signal_share):
         return False
-    inside = sheet.clear(order.registered.places) & sheet.clear(other.places)
-    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _TRIED)]
-    gain = _Evidence(sheet, other, changes, chosen)(pairs)
-    gain = gain - _Evidence(sheet, order.registered, changes, chosen)(order.pairs)
+    inside_mask = sheet.clear(order.registered.places) & sheet.clear(other.places)
+    chosen_presses = np.flatnonzero(inside_mask)[evenly(int(inside_mask.sum()), _TRIED)]
+    gain = _Evidence(sheet, other, changes, chosen_presses)(pairs)
+    gain = gain - _Evidence(sheet, order.registered, changes, chosen_presses)(order.pairs)
     spread = float(gain.std(ddof=1)) if len(gain) > 1 else np.inf
     return bool(gain.mean() > _CLEAR * spread / np.sqrt(len(gain)))
 

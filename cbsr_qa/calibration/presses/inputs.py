@@ -78,9 +78,9 @@ class LabelledPresses:
         time = np.arange(len(x)) if self.presses.time_s is None else self.presses.time_s
         design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
         design /= np.maximum(np.abs(design).max(axis=0), np.finfo(float).tiny)
-        rest = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
+        residual = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
         degrees = len(x) - design.shape[1]
-        unexplained = float(np.sum(rest**2) / np.sum((time - time.mean()) ** 2))
+        unexplained = float(np.sum(residual**2) / np.sum((time - time.mean()) ** 2))
         if degrees < 1 or unexplained > _UNORDERED:
             return False
         ratio = (1 - unexplained) / max(unexplained, 1e-12) * degrees / (design.shape[1] - 1)
@@ -175,14 +175,14 @@ def _refuse_tiny(readings: PressReadings) -> None:
 
 def check_near(presses: PressTable, radius_mm: float) -> None:
     """Check that presses may lie within a sheet at any position; RecordingError names file, rows and places."""
-    away = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
-    _refuse_outside(presses, away > 2 * _BEYOND * radius_mm, radius_mm)
+    distance_mm = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
+    _refuse_outside(presses, distance_mm > 2 * _BEYOND * radius_mm, radius_mm)
 
 
 def check_inside(presses: PressTable, registration: SheetRegistration) -> None:
     """Check that presses lie on the registered sheet; RecordingError names file, rows and places."""
-    away = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
-    _refuse_outside(presses, away > _BEYOND * registration.radius_mm, registration.radius_mm)
+    distance_mm = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
+    _refuse_outside(presses, distance_mm > _BEYOND * registration.radius_mm, registration.radius_mm)
 
 
 def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> None:
@@ -212,8 +212,8 @@ def _columns(path: Path, count: int) -> Array:
 
 def _find_repeated(rows: Array) -> Iterator[tuple[int, int]]:
     """Yield rows that are equal to an earlier one, as (earlier, later)."""
-    seen: dict[bytes, int] = {}
+    row_by_bytes: dict[bytes, int] = {}
     for number, row in enumerate(np.ascontiguousarray(rows + 0.0)):
-        first = seen.setdefault(row.tobytes(), number)
+        first = row_by_bytes.setdefault(row.tobytes(), number)
         if first != number:
             yield first, number

@@ -239,8 +239,8 @@ def _model_place(
     step_mm = STEP * registered.registration.radius_mm
     templates = registered.sign * lattice.readings(order.pairs) * answers
     model = ModelledPlace(lattice.node, step_mm, templates, 1.0, 1.0, noise)
-    found = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
-    return with_variance(model, found - labelled.presses.place_mm, quantiles)
+    found_mm = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
+    return with_variance(model, found_mm - labelled.presses.place_mm, quantiles)
 
 
 def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> LearnedQuantity:

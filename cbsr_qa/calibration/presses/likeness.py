@@ -108,10 +108,10 @@ class Likeness:
 
     def select(self, presses: Indices) -> "Likeness":
         """The same for some of the presses."""
-        some = copy(self)
-        some._maps, some._alike = self._maps[presses], self._alike[presses]
-        some._rough = self._rough[presses]
-        return some
+        selected = copy(self)
+        selected._maps, selected._alike = self._maps[presses], self._alike[presses]
+        selected._rough = self._rough[presses]
+        return selected
 
     def roughly(self, places: Array) -> Array:
         """Log likelihood of each press, linear between nodes: a fifth of the work, to choose where to begin."""
@@ -148,7 +148,7 @@ class Likeness:
         )
 
     def _interpolate(self, maps: Array, between: Array, first: Indices, polynomials: Array) -> Array:
-        """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`at`.
+        """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`evaluate`.
 
         Parameters
         ----------
@@ -170,10 +170,10 @@ class Likeness:
 
     def _locate_in_grid(self, places: Array) -> tuple[Array, Indices]:
         """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
-        at = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
-        node = at.astype(np.int64)
+        position = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
+        node = position.astype(np.int64)
         press = np.arange(len(self._maps))
-        return np.moveaxis(at - node, -1, 0), (press * self._width + node[..., 0]) * self._width + node[..., 1]
+        return np.moveaxis(position - node, -1, 0), (press * self._width + node[..., 0]) * self._width + node[..., 1]
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""

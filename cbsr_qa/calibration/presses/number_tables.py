@@ -65,10 +65,10 @@ class NumberTable:
 
     def numbers(self, names: Sequence[str] | None = None) -> Array:
         """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
-        chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
-        values: Array = self.values if names is None else self.values[:, chosen]
+        chosen_columns = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
+        values: Array = self.values if names is None else self.values[:, chosen_columns]
         unusable = np.argwhere(~(np.abs(values) <= _LARGEST))
-        described = [self._describe_cell(row, chosen[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
+        described = [self._describe_cell(row, chosen_columns[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
         self.refuse(described, more=len(unusable) - len(described))
         return values
 
@@ -85,8 +85,8 @@ class NumberTable:
 def _refuse(path: Path, problems: Sequence[str], remedy: str, more: int = 0) -> None:
     if problems:
         more += max(len(problems) - _MOST_LISTED, 0)
-        others = f"; and {more} more" if more else ""
-        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{others}", remedy=remedy)
+        other_problems = f"; and {more} more" if more else ""
+        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{other_problems}", remedy=remedy)
 
 
 def read_table(path: Path) -> NumberTable:
@@ -241,8 +241,8 @@ class _Numbers:
         for column in (k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MOST_LISTED):
             self._shown[column] += 1
             cell = cells[column]
-            odd = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
-            self._odd_cells[self._rows, column] = odd
+            description = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
+            self._odd_cells[self._rows, column] = description
         self._rows += 1
 
     def content(self, columns: Sequence[str]) -> _Content:

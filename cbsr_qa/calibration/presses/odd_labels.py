@@ -46,18 +46,18 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
         row_list = _name_rows(
             rows[odd_presses], [f" by {error:.3g} mm" for error in error_mm[odd_presses[:_MOST_NAMED]]]
         )
-        others = "the other presses place it" if len(odd_presses) == 1 else "the others place them"
+        placing = "the other presses place it" if len(odd_presses) == 1 else "the others place them"
         yield (
-            f"{_count(odd_presses)} far from where {others}, {row_list}; the median is {usual_mm:.2g} mm:"
+            f"{_count(odd_presses)} far from where {placing}, {row_list}; the median is {usual_mm:.2g} mm:"
             " check the labels and the readings"
         )
 
 
 def list_ignored_columns(presses: PressTable) -> Iterator[str]:
     """Name columns of the table that are no labels."""
-    others = [name for name in presses.table.columns if name not in LABELS]
-    if others:
-        yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, others[:_MOST_NAMED]))}"
+    ignored = [name for name in presses.table.columns if name not in LABELS]
+    if ignored:
+        yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, ignored[:_MOST_NAMED]))}"
 
 
 def list_unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
@@ -77,5 +77,5 @@ def _count(rows: Indices) -> str:
 
 
 def _name_rows(rows: Indices, words: list[str]) -> str:
-    more = ", …" if len(rows) > len(words) else ""
-    return ", ".join(f"row {row + 1}{each}" for row, each in zip(rows, words, strict=False)) + more
+    ellipsis = ", …" if len(rows) > len(words) else ""
+    return ", ".join(f"row {row + 1}{remark}" for row, remark in zip(rows, words, strict=False)) + ellipsis

@@ -95,9 +95,9 @@ class PoseSearch:
         starts = np.tile(pose.numbers, (_BOOTSTRAPS, 1))
         drawn = self._refine(likeness, starts, mirrored=pose.mirrored, times=times, radius_off=radius_off)[0]
         low, high = np.quantile(drawn - pose.numbers, [0.16, 0.84], axis=0)
-        half: Array = (high - low) / 2
-        half[3] = np.hypot(half[3], _HEAD_ERROR)
-        return half
+        half_width: Array = (high - low) / 2
+        half_width[3] = np.hypot(half_width[3], _HEAD_ERROR)
+        return half_width
 
     def _candidates(self, likeness: Likeness, *, mirrored: bool) -> Array:
         """Numbers (k, 4) of the poses on the lattice to begin from."""
@@ -161,10 +161,10 @@ class PoseSearch:
         factor = np.exp(-1j * angle - size)
         z = (self.labelled - x - 1j * y) * factor
         factor = np.broadcast_to(factor, z.shape)
-        moved = np.stack([-factor, -1j * factor, -1j * z, -z], axis=-1)
+        derivatives = np.stack([-factor, -1j * factor, -1j * z, -z], axis=-1)
         if mirrored:
-            z, moved = z.conj(), moved.conj()
-        return np.stack([z.real, z.imag], axis=-1), (moved.real, moved.imag)
+            z, derivatives = z.conj(), derivatives.conj()
+        return np.stack([z.real, z.imag], axis=-1), (derivatives.real, derivatives.imag)
 
     def _prior(self, size: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k,) of the logarithm of a size, its slope and its bend.
@@ -174,10 +174,10 @@ class PoseSearch:
         if self._stated_mm is None:
             none = np.zeros_like(size)
             return none, none, none
-        away = (size - np.log(self._stated_mm)) / _RADIUS_ERROR
-        spread = 1 + away**2 / 4
-        slope = -away / spread / _RADIUS_ERROR
-        return -2 * np.log(spread), slope, (away**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
+        deviation = (size - np.log(self._stated_mm)) / _RADIUS_ERROR
+        spread = 1 + deviation**2 / 4
+        slope = -deviation / spread / _RADIUS_ERROR
+        return -2 * np.log(spread), slope, (deviation**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
 
 
 def to_complex(places: Array) -> Complex:

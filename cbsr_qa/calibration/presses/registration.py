@@ -73,9 +73,9 @@ def register_presses(
     side = answering_side(sheet, pairs, changes)
     pairs, changes = pairs[side.answers], changes[:, side.answers]
     stated_mm = sheet.radius_mm if radius_stated else None
-    chosen = evenly(len(changes), _REFINED)
-    search = PoseSearch(place_mm[chosen], stated_mm)
-    likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen]) for sign in (1, -1)}
+    chosen_presses = evenly(len(changes), _REFINED)
+    search = PoseSearch(place_mm[chosen_presses], stated_mm)
+    likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen_presses]) for sign in (1, -1)}
     cases = [(sign, mirrored) for sign in likeness for mirrored in (False, True)]
     best = {case: search.best(likeness[case[0]], mirrored=case[1]) for case in cases}
     sign, mirrored = max(best, key=lambda case: best[case][1])
@@ -177,15 +177,15 @@ def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
 
 def _place_share(seen: Complex, labelled: Complex) -> float:
     """Share of the spread of places explained by an estimate, by medians of squared distances."""
-    apart = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
-    return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(apart**2))
+    spread = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
+    return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(spread**2))
 
 
 def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: Array) -> float:
     """Share of the changes' energy explained by a load at its place, median over the presses on the sheet."""
-    inside = sheet.clear(places)
-    if not inside.any():
+    inside_mask = sheet.clear(places)
+    if not inside_mask.any():
         return 0.0
-    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _REFINED)]
-    alike = alikeness(changes[chosen], sheet.loads(places[chosen]).readings(pairs))
-    return float(np.median(np.maximum(alike, 0.0) ** 2))
+    chosen_presses = np.flatnonzero(inside_mask)[evenly(int(inside_mask.sum()), _REFINED)]
+    correlation = alikeness(changes[chosen_presses], sheet.loads(places[chosen_presses]).readings(pairs))
+    return float(np.median(np.maximum(correlation, 0.0) ** 2))

@@ -67,9 +67,9 @@ def read_presses(path: Path) -> PressTable:
     table.refuse(
         list(_header_problems(table.columns)), remedy="name columns with their units: x_mm, y_mm, force_N, …"
     )
-    others = [name for name in _OPTIONAL if name in table.columns]
-    values = table.numbers([*_PLACE, *others])
-    by_name = dict(zip(others, values[:, 2:].T, strict=True))
+    optional_names = [name for name in _OPTIONAL if name in table.columns]
+    values = table.numbers([*_PLACE, *optional_names])
+    by_name = dict(zip(optional_names, values[:, 2:].T, strict=True))
     for name in _OPTIONAL:
         column = by_name.get(name)
         if column is not None and len(column) > 1 and np.ptp(column) == 0:
@@ -164,9 +164,9 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
-    drives, odd_drives = (len(np.unique(some[:, :2], axis=0)) for some in (values, values[at_driven]))
-    few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
-    if few and odd_drives <= max(_FEW_AT_DRIVEN * drives, 1) and odd_drives < drives:
+    drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
+    is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
+    if is_few and odd_drives <= max(_FEW_AT_DRIVEN * drives, 1) and odd_drives < drives:
         for row in at_driven.tolist():
             yield (
                 f"row {row + 1}: {','.join(f'{number:g}' for number in values[row])} measures at an electrode that it"

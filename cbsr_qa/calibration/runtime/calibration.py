@@ -56,8 +56,8 @@ class Calibration(HeadForces):
     def __repr__(self) -> str:
         validity, head = self.issued.validity, self.issued.indenter.words()
         force = "" if validity.force_N is None else ", {:.3g} to {:.3g} N".format(*validity.force_N)
-        where = f"within {validity.radius_mm:.3g} mm of the centre"
-        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {where}, head: {head}>"
+        area = f"within {validity.radius_mm:.3g} mm of the centre"
+        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {area}, head: {head}>"
 
     @classmethod
     def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
@@ -159,9 +159,11 @@ class _Sequence:
         if self.settling is None:
             return _make_touches(self.calibration.force(voltages, place_mm=self.place_mm), None)
         in_turn = zip(frames.time_s.tolist(), voltages, strict=True)
-        found = [self.settling.add_frame(time_s, frame, place_mm=self.place_mm) for time_s, frame in in_turn]
-        forces = join_forces([(np.array([number]), each) for number, (each, _) in enumerate(found)])
-        return _make_touches(forces, np.concatenate([settled_in_s for _, settled_in_s in found]))
+        estimates = [self.settling.add_frame(time_s, frame, place_mm=self.place_mm) for time_s, frame in in_turn]
+        forces = join_forces(
+            [(np.array([number]), frame_forces) for number, (frame_forces, _) in enumerate(estimates)]
+        )
+        return _make_touches(forces, np.concatenate([settled_in_s for _, settled_in_s in estimates]))
 
 
 def _make_touches(forces: Forces, settled_in_s: Array | None) -> Touches:

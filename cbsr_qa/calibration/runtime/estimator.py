@@ -181,8 +181,8 @@ class Touches:
     @property
     def in_model(self) -> Mask:
         """Which frames (n,) are of one touch like those that calibrated."""
-        inside: Mask = (self.flags & _UNLIKE) == 0
-        return inside
+        model_mask: Mask = (self.flags & _UNLIKE) == 0
+        return model_mask
 
 
 class FrameSequence(Protocol):
@@ -314,8 +314,14 @@ def read_value(quantity: TouchValues | None, frame: int) -> tuple[float | None, 
     """Return what one frame tells of a quantity, else None: its value, and the intervals of 68 and 95 %."""
     if quantity is None or not np.isfinite(quantity.values[frame]):
         return None, None, None
-    within = (None if each is None else each[frame].tolist() for each in (quantity.within_68, quantity.within_95))
-    inner, outer = (None if each is None or not np.isfinite(each).all() else (each[0], each[1]) for each in within)
+    intervals = (
+        None if interval is None else interval[frame].tolist()
+        for interval in (quantity.within_68, quantity.within_95)
+    )
+    inner, outer = (
+        None if interval is None or not np.isfinite(interval).all() else (interval[0], interval[1])
+        for interval in intervals
+    )
     return float(quantity.values[frame]), inner, outer
 
 

@@ -33,25 +33,32 @@ def reading_noise(merging: Array) -> Array:
 def drop_readings(model: ForceModel, kept: Mask) -> ForceModel:
     """Return the model of frames with fewer readings: ``kept`` (m,) bool of its own."""
     weight = np.abs(model.merging)
-    whole = weight.sum(axis=1)  # the root of a row's precision
-    left = np.sqrt((weight * kept).sum(axis=1) / whole)
-    rows = left > 0
-    merging = model.merging[rows][:, kept] / left[rows, None]
-    return _with_rows(model, merging, model.templates[:, rows] * left[rows], model.size_slope[:, rows] * left[rows])
+    precision = weight.sum(axis=1)  # the root of a row's precision
+    remaining_root = np.sqrt((weight * kept).sum(axis=1) / precision)
+    rows = remaining_root > 0
+    merging = model.merging[rows][:, kept] / remaining_root[rows, None]
+    return _with_rows(
+        model,
+        merging,
+        model.templates[:, rows] * remaining_root[rows],
+        model.size_slope[:, rows] * remaining_root[rows],
+    )
 
 
 def ignore_offset(model: ForceModel) -> ForceModel:
     """Return the model of frames with an unknown offset on all readings."""
-    along = offset_row(model)
-    merging = model.merging - np.outer(along, along @ model.merging)
-    templates, size_slope = (each - np.outer(each @ along, along) for each in (model.templates, model.size_slope))
+    unit_row = offset_row(model)
+    merging = model.merging - np.outer(unit_row, unit_row @ model.merging)
+    templates, size_slope = (
+        rows - np.outer(rows @ unit_row, unit_row) for rows in (model.templates, model.size_slope)
+    )
     return _with_rows(model, merging, templates, size_slope)
 
 
 def offset_row(model: ForceModel) -> Array:
     """Rows (r,) of one offset on all readings, of unit length."""
-    along = model.merging.sum(axis=1)
-    row: Array = along / np.linalg.norm(along)
+    offset = model.merging.sum(axis=1)
+    row: Array = offset / np.linalg.norm(offset)
     return row
 
 
@@ -59,9 +66,9 @@ def offset_between(model: ForceModel, difference: Array) -> Mask:
     """Whether differences (n, m) of two frames each are one offset on all readings, and little else."""
     rows = difference @ model.merging.T / np.sqrt(2)
     size = (rows @ offset_row(model)) ** 2
-    rest = (rows**2).sum(axis=1) - size
-    even: Mask = (size > LEAST_OFFSET) & ~unlike_model(size, rest, rows.shape[1], 1 - BY_OFFSET)
-    return even
+    residual_square = (rows**2).sum(axis=1) - size
+    offset_mask: Mask = (size > LEAST_OFFSET) & ~unlike_model(size, residual_square, rows.shape[1], 1 - BY_OFFSET)
+    return offset_mask
 
 
 def _with_rows(model: ForceModel, merging: Array, templates: Array, size_slope: Array) -> ForceModel:

@@ -128,8 +128,8 @@ class SensorFrames:
             return
         patterns, number = np.unique(faults.left_out, axis=0, return_inverse=True)
         for pattern, left_out in enumerate(patterns):
-            which = np.flatnonzero(number.ravel() == pattern)
-            yield self._with(~left_out), which, faults.flags[which]
+            frame_indices = np.flatnonzero(number.ravel() == pattern)
+            yield self._with(~left_out), frame_indices, faults.flags[frame_indices]
 
     def _with(self, kept: Mask) -> Self:
         if kept.all():

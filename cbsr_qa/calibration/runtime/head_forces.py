@@ -310,25 +310,25 @@ class HeadForces(SensorFrames):
         stderr[~usable] = np.nan
         place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
-        where = matches.place_mm
+        place_mm = matches.place_mm
         if searched:  # searched in vain in an unusable frame
-            where[~usable] = np.nan
+            place_mm[~usable] = np.nan
             place_stderr[~usable] = np.nan
-        return Forces(force, stderr, where, place_stderr, detectability, flags)
+        return Forces(force, stderr, place_mm, place_stderr, detectability, flags)
 
     def _least_force_N(self) -> float:
         model = self.model
         places = model.lattice.places_mm()[model.node.ravel() >= 0]
-        near = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
-        where = near if near.any() else model.fits
-        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
+        near_mask = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
+        node_mask = near_mask if near_mask.any() else model.fits
+        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[node_mask]), places[node_mask])))
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> Indices:
         level = self.model.threshold if searched else _CLEAR
-        there = detectability >= level
+        detected_mask = detectability >= level
         flags: Indices = (detectability < level) * int(Flag.NOT_DETECTED)
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
-        flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
+        flags |= (detected_mask & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
 
 

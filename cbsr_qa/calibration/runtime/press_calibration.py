@@ -76,7 +76,9 @@ class PressCalibration:
         self.q68, self.q95 = float(self._locate.q68), float(self._locate.q95)
         self.regions = Regions(self.q68, self.q95)
         learned = {name: getattr(issued, name) for name in PRESS_QUANTITIES}
-        self._quantities = {name: QuantityEstimator(each) for name, each in learned.items() if each is not None}
+        self._quantities = {
+            name: QuantityEstimator(quantity) for name, quantity in learned.items() if quantity is not None
+        }
         missing = PRESS_QUANTITIES.keys() - self._quantities.keys()
         self.lacks: Mapping[Ability, str] = _LACKS | {
             Ability(name): f"was learned from presses that had no {name}" for name in missing

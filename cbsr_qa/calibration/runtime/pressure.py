@@ -84,8 +84,8 @@ class _Homogeneous:
 
     def __call__(self, places_mm: Array) -> Array:
         """At places (n, 2); where no head fits, at the nearest place where one does."""
-        between: Array = self._between(places_mm)
-        return np.where(np.isfinite(between), between, self._nearest(places_mm))
+        interpolated: Array = self._between(places_mm)
+        return np.where(np.isfinite(interpolated), interpolated, self._nearest(places_mm))
 
 
 def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
@@ -107,5 +107,5 @@ def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
 
 def _every(stride: int, model: ForceModel) -> Mask:
     rows, columns = np.nonzero(model.node >= 0)
-    chosen: Mask = (rows % stride == 0) & (columns % stride == 0)
-    return chosen
+    chosen_mask: Mask = (rows % stride == 0) & (columns % stride == 0)
+    return chosen_mask

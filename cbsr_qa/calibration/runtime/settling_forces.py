@@ -72,10 +72,12 @@ class SettlingForces:
         force, stderr, flags = float(single.force_N[0]), float(single.stderr_N[0]), int(single.flags[0])
         if flags & (NO_FORCE | Flag.NOT_DETECTED) or not loads:
             return force, stderr, flags, 0.0
-        apart = np.array([np.hypot(*(load.place_mm - single.place_mm[0])) for load in loads])
-        pressing = [load for load, mm in zip(loads, apart, strict=True) if _presses(load) and mm < self._diameter_mm]
-        load = pressing[-1] if pressing else loads[int(apart.argmin())]
-        if len(pressing) > 1 or (flags & Flag.MORE_THAN_ONE and any(each.settled_in_s != 0 for each in loads)):
+        distance_mm = np.array([np.hypot(*(load.place_mm - single.place_mm[0])) for load in loads])
+        pressing = [
+            load for load, mm in zip(loads, distance_mm, strict=True) if _presses(load) and mm < self._diameter_mm
+        ]
+        load = pressing[-1] if pressing else loads[int(distance_mm.argmin())]
+        if len(pressing) > 1 or (flags & Flag.MORE_THAN_ONE and any(track.settled_in_s != 0 for track in loads)):
             return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, np.nan
         if load.settled_in_s != 0 and _presses(load) and self._calibration.model.loading is None:
             return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, load.settled_in_s

@@ -22,10 +22,10 @@ class SpikeFilter:
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:
         pairs, sign = pattern.reciprocal_pairs()
-        both = used.ravel()[pairs].all(axis=1)
+        both_used = used.ravel()[pairs].all(axis=1)
         number = np.cumsum(used.ravel()) - 1
-        self._first, self._other = number[pairs[both]].T
-        self._sign = sign[both]
+        self._first, self._other = number[pairs[both_used]].T
+        self._sign = sign[both_used]
         noise = reading_noise(merging)
         self._noise = np.hypot(noise[self._first], noise[self._other])
 

@@ -207,8 +207,8 @@ class Track:
             return max(self.since_s + _PATIENCE_S - self._now_s, 0.0) or float("nan")
         after_s = np.linspace(0.0, _FADED * _slowest_s(model.unloading), _STEPS)
         held_s = self._now_s - self.since_s
-        left = _remaining_share(model.unloading, held_s + after_s)
-        faded = np.flatnonzero(abs(self.strength) * left <= least * left[0])
+        remaining = _remaining_share(model.unloading, held_s + after_s)
+        faded = np.flatnonzero(abs(self.strength) * remaining <= least * remaining[0])
         return float(after_s[faded[0]]) if len(faded) else float("nan")
 
     def steady(self, model: ForceModel) -> tuple[float, float]:
@@ -355,6 +355,6 @@ def _remaining_share(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
 
 
 def _transient(weights: Array, kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
-    late = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)
-    total: Array = np.sum(weights * np.exp(-late[..., None] / kernel.time_constants_s), axis=-1)
+    elapsed_s = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)
+    total: Array = np.sum(weights * np.exp(-elapsed_s[..., None] / kernel.time_constants_s), axis=-1)
     return total

@@ -133,8 +133,8 @@ class ForceStream:
 
     def _rows(self, usable: HeadForces, changes: Array) -> Array:
         """Rows (r,) of the usable readings of a frame, less an offset on all of them if there was one."""
-        (alike, before), self._before = self._before, (usable, changes)
-        jumped = alike is usable and bool(offset_between(usable.model, changes - before)[0])
+        (last_usable, last_changes), self._before = self._before, (usable, changes)
+        jumped = last_usable is usable and bool(offset_between(usable.model, changes - last_changes)[0])
         if jumped or not (self._moved or self._tracks or not usable.moved(changes)[0]):
             self.flags |= Flag.OFFSET
             self._moved = True
@@ -171,10 +171,10 @@ class ForceStream:
         return self._residual(rows)
 
     def _residual(self, rows: Array) -> Array:
-        left = rows.copy()
+        residual = rows.copy()
         for track in self._tracks:
-            left -= track.strength * track.template
-        return left
+            residual -= track.strength * track.template
+        return residual
 
     def _place_anew(self, rows: Array) -> Matches:
         """Move a load whose first frame, of a moving head, gave another place; return what is in the residual.
@@ -219,8 +219,8 @@ class ForceStream:
         if not self._another(match) or float(match.strength[0]) * sign < 0:
             return False
         pressing = [track for track in self._tracks if track.pressing]
-        near = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
-        if near < self._calibration.issued.indenter.radius_mm:
+        nearest_mm = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
+        if nearest_mm < self._calibration.issued.indenter.radius_mm:
             return False
         template = self._filter.template(match.place_mm)[0]
         if not np.isfinite(template).all():
@@ -237,8 +237,8 @@ class ForceStream:
         for track in self._tracks:
             if not track.pressing:
                 continue
-            alone = self._residual(rows) + track.strength * track.template - track.base_now * track.template
-            match = self._filter.search(alone[None])
+            load_rows = self._residual(rows) + track.strength * track.template - track.base_now * track.template
+            match = self._filter.search(load_rows[None])
             if track.distance_mm(match.place_mm[0]) < self._calibration.issued.indenter.diameter_mm:
                 track.add_place(match.place_mm[0], match.covariance[0, 1:, 1:])
                 template = self._filter.template(track.place_mm[None])[0]

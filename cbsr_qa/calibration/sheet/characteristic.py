@@ -159,9 +159,9 @@ def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple
     loads = tuple(load for load in loads if load.stress_kPa is not None) or loads
     places: dict[tuple[str, float, float], list[tuple[LoadObservation, float]]] = defaultdict(list)
     for load in loads:
-        change, wanted = load_change(load, main_mask), load.record.load
+        change, nominal = load_change(load, main_mask), load.record.load
         if change is not None:
-            places[(wanted.label, wanted.x_mm, wanted.y_mm)].append((load, change))
+            places[(nominal.label, nominal.x_mm, nominal.y_mm)].append((load, change))
     return tuple(_characteristic(place, members) for place, members in places.items())
 
 

@@ -117,8 +117,16 @@ class _Family:
 
     def member(self, d: int, s: int) -> _Member:
         solved = self.solved[d, s]
-        chosen = (self.smooth, self.length_mm, float(_DEVIATIONS[d]), float(self.scatter[s]), self.root_weight[s])
-        return _Member(*chosen, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s])
+        hyperparameters = (
+            self.smooth,
+            self.length_mm,
+            float(_DEVIATIONS[d]),
+            float(self.scatter[s]),
+            self.root_weight[s],
+        )
+        return _Member(
+            *hyperparameters, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +166,9 @@ class ResponseMap:
         if self.members[0].drift.shape[1] < 2:
             return 0.0, 0.0
         values = np.array([member.mean[1] for member in self.members])
-        own = np.array([_variances(member)[1] for member in self.members])
+        own_variances = np.array([_variances(member)[1] for member in self.members])
         mean = float(self.weights @ values)
-        return mean, float(self.weights @ (own + (values - mean) ** 2))
+        return mean, float(self.weights @ (own_variances + (values - mean) ** 2))
 
 
 def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
@@ -273,9 +281,11 @@ def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: A
     weight = 1 / variance
     total = np.bincount(which, weight)
     means = np.column_stack([np.bincount(which, weight * column) / total for column in columns.T])
-    left = (columns - means[which]) * np.sqrt(weight)[:, None]
+    residual = (columns - means[which]) * np.sqrt(weight)[:, None]
     root_weight = np.sqrt(total)
-    return _Data(root_weight, means * root_weight[:, None], left.T @ left, float(np.log(variance).sum()), known)
+    return _Data(
+        root_weight, means * root_weight[:, None], residual.T @ residual, float(np.log(variance).sum()), known
+    )
 
 
 def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: float) -> _Family:
@@ -287,8 +297,8 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     # No eigenvalue below one: nearly coinciding places, and loads without noise, do no harm.
     root, solved = _solve(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
     products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
-    known = next(iter(data.values())).known
-    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + known)
+    prior_precision = next(iter(data.values())).known
+    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + prior_precision)
     pull = np.linalg.solve(mean_root, products[..., :-1, -1:])
     mean = np.linalg.solve(np.swapaxes(mean_root, -1, -2), pull)[..., 0]
     misfit = products[..., -1, -1] - (pull**2).sum(axis=(-1, -2))
@@ -361,8 +371,8 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
 
 def sheet_places(model: ForceModel, *, stride: int = 4) -> Array:
     """Every ``stride``-th place (n, 2) of the lattice, along both axes, with the head clear of edge and pins."""
-    kept = np.full(model.node.shape, -1)
-    kept[::stride, ::stride] = model.node[::stride, ::stride]
-    there = kept.ravel() >= 0
-    there[there] = model.fits[kept.ravel()[there]]
-    return model.lattice.places_mm()[there]
+    node = np.full(model.node.shape, -1)
+    node[::stride, ::stride] = model.node[::stride, ::stride]
+    chosen_mask = node.ravel() >= 0
+    chosen_mask[chosen_mask] = model.fits[node.ravel()[chosen_mask]]
+    return model.lattice.places_mm()[chosen_mask]

@@ -99,8 +99,8 @@ def characterise(
     lines = work.lines(levels)
     modulus, offset, why_no_modulus = fit_modulus(work.cycles, specimen.source)
     loading, unloading, stress = work.kernels()
-    kept = [level.strain for level in levels if not level.why]
-    lowest = lowest_clear_strain(lines["local_against_strain"].line, kept)
+    used_strains = [level.strain for level in levels if not level.why]
+    lowest = lowest_clear_strain(lines["local_against_strain"].line, used_strains)
     material = Characterisation(
         settings=settings,
         strip=work.facts(),
@@ -225,8 +225,8 @@ class _Work:
         return StripFacts(specimen.resistance_ohm, specimen.relative_noise, strip.squares, share, strip.share)
 
     def _select_cycles(self, levels: Sequence[StrainLevel]) -> list[int]:
-        kept = {level.strain for level in levels if not level.why}
-        return [k for k, cycle in enumerate(self.cycles) if cycle.strain in kept]
+        used_strains = {level.strain for level in levels if not level.why}
+        return [k for k, cycle in enumerate(self.cycles) if cycle.strain in used_strains]
 
     def _values_before(self, of_steps: Array) -> Array:
         return np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]

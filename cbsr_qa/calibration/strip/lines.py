@@ -133,8 +133,8 @@ def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> f
     """Least of some strains at which α ε + β is three of its standard errors from zero, or None."""
     if line is None:
         return None
-    clear = [strain for strain in sorted(strains) if _is_clear(line, strain)]
-    return clear[0] if clear else None
+    clear_strains = [strain for strain in sorted(strains) if _is_clear(line, strain)]
+    return clear_strains[0] if clear_strains else None
 
 
 def _is_clear(line: QuasiStatic, strain: float) -> bool:
@@ -197,8 +197,8 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
     reasons = [f"left out: {level.why}" for level in material.levels if level.why]
     reasons += why_no_stress
     reasons += _short(material)
-    kept = [level.strain for level in material.levels if not level.why]
-    if material.lowest_strain is not None and material.lowest_strain > min(kept):
+    used_strains = [level.strain for level in material.levels if not level.why]
+    if material.lowest_strain is not None and material.lowest_strain > min(used_strains):
         reasons.append(
             f"α ε + β is clear of zero from {100 * material.lowest_strain:g} % strain on: below, it says nothing"
         )

@@ -254,10 +254,10 @@ class KernelCurve:
 
     def relative(self, time_s: Array) -> tuple[Array, Array]:
         """Return the curve and its variance, (n,) each."""
-        each = np.exp(-time_s[:, None] / self.time_constants_s)
-        gradient = np.column_stack([each, each * self.weights * time_s[:, None] / self.time_constants_s])
+        decays = np.exp(-time_s[:, None] / self.time_constants_s)
+        gradient = np.column_stack([decays, decays * self.weights * time_s[:, None] / self.time_constants_s])
         variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
-        return self.level + each @ self.weights, np.maximum(variance, 0.0)
+        return self.level + decays @ self.weights, np.maximum(variance, 0.0)
 
     def settling_time(self, tolerance: float) -> tuple[float, float] | None:
         """Return the last time outside ± ``tolerance`` of the change, and its standard error [s]."""

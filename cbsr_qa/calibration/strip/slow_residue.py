@@ -49,8 +49,8 @@ class SlowResidue:
 
 def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
     """Steady change (presses,) from the final level of the rest before a press to that of its hold."""
-    before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
-    changes: Array = separated.levels[0::2] - before
+    levels_before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
+    changes: Array = separated.levels[0::2] - levels_before
     return changes
 
 
@@ -58,8 +58,8 @@ def subtract_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowRe
     """Subtract a residue of known changes from all steps."""
     if residue is None:
         return list(steps)
-    left = _unit_residues(steps, changes, residue.decay_s)
-    return [replace(step, values=step.values - residue.share * rest) for step, rest in zip(steps, left, strict=True)]
+    units = _unit_residues(steps, changes, residue.decay_s)
+    return [replace(step, values=step.values - residue.share * unit) for step, unit in zip(steps, units, strict=True)]
 
 
 def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, SlowResidue | None]:
@@ -89,8 +89,8 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
     target = levels / errors
 
     def model(log_s: float) -> Array:
-        left = _unit_residues(steps, changes, float(np.exp(log_s)))
-        units = [replace(step, values=unit) for step, unit in zip(steps, left, strict=True)]
+        residues = _unit_residues(steps, changes, float(np.exp(log_s)))
+        units = [replace(step, values=unit) for step, unit in zip(steps, residues, strict=True)]
         return separate_with_constants(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
 
     def misfit_at(log_s: float) -> float:

@@ -62,8 +62,8 @@ class LoadFitter:
         """Rows (n, rows) of loads (n, 4), and their slopes (n, rows, 4)."""
         change, slope = [], []
         for first in range(0, len(parameters), _AT_ONCE):
-            part = parameters[first : first + _AT_ONCE]
-            loaded = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
+            batch = parameters[first : first + _AT_ONCE]
+            loaded = self.model.readings(RoundLoads(batch[:, :2], batch[:, 2], batch[:, 3]))
             change.append(self.readings.merge_frames(loaded.change))
             slope.append(self.readings.merge_frames(loaded.slope).swapaxes(1, 2))
         return np.concatenate(change), np.concatenate(slope)
@@ -189,8 +189,8 @@ def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
     """Information (n, 4, 4) scaled to unit diagonal, with ones for fixed parameters, and the scale (n, 4)."""
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
-    both = free[:, :, None] & free[:, None]
-    return np.where(both, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
+    both_free = free[:, :, None] & free[:, None]
+    return np.where(both_free, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
 
 
 def _invert(information: Array, *, square: bool) -> Array:

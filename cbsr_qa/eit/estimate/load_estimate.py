@@ -193,8 +193,8 @@ class LoadEstimator:
         unsure = seen[detectability[seen] < SURE]
         if not unsure.size:
             return fits.covariance
-        chosen = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
-        spread = spread_covariance(self._fitter, chosen, detectability[unsure], square=not self.known)
+        unsure_fits = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
+        spread = spread_covariance(self._fitter, unsure_fits, detectability[unsure], square=not self.known)
         return _replace_rows(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
@@ -279,13 +279,13 @@ def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
     """Response to weak loads, smaller near an electrode."""
-    clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
-    radius = np.minimum(radius_mm, _SMALL * clear)
+    clearance_mm = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
+    radius = np.minimum(radius_mm, _SMALL * clearance_mm)
     changes = np.empty((len(places_mm), *model.pattern.shape))
-    order = np.argsort(-clear, kind="stable")  # places of similar clearance need similar numbers of terms
+    order = np.argsort(-clearance_mm, kind="stable")  # places of similar clearance need similar numbers of terms
     for first in range(0, len(order), _AT_ONCE):
-        part = order[first : first + _AT_ONCE]
-        changes[part] = model.weak(places_mm[part], radius[part])
+        batch = order[first : first + _AT_ONCE]
+        changes[batch] = model.weak(places_mm[batch], radius[batch])
     return changes
 
 

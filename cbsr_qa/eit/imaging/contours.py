@@ -127,14 +127,14 @@ def _fit_at_nodes(mesh: Mesh) -> csr_array:
     """Weights of :func:`nodal_values`; rows are nodes, columns elements."""
     element, node = np.repeat(np.arange(len(mesh.elements)), 3), mesh.elements.ravel()
     share = mesh.areas_mm2[element] / np.bincount(node, mesh.areas_mm2[element])[node]
-    centre = np.column_stack([np.bincount(node, share * along) for along in mesh.centroids_mm[element].T])
+    centre = np.column_stack([np.bincount(node, share * coordinate) for coordinate in mesh.centroids_mm[element].T])
     off_x, off_y = (mesh.centroids_mm[element] - centre[node]).T
     move_x, move_y = (mesh.nodes_mm[: len(centre)] - centre).T
     xx, xy, yy = (np.bincount(node, share * product) for product in (off_x**2, off_x * off_y, off_y**2))
     spread = xx * yy - xy**2
-    moved = spread > _ALIGNED * (xx + yy) ** 2
-    moved[mesh.outline] = False
-    per_spread = np.where(moved, 1 / np.where(moved, spread, 1.0), 0.0)
+    fitted_mask = spread > _ALIGNED * (xx + yy) ** 2
+    fitted_mask[mesh.outline] = False
+    per_spread = np.where(fitted_mask, 1 / np.where(fitted_mask, spread, 1.0), 0.0)
     slope_x, slope_y = (yy * move_x - xy * move_y) * per_spread, (xx * move_y - xy * move_x) * per_spread
     weight = share * (1 + off_x * slope_x[node] + off_y * slope_y[node])
     return csr_array((weight, (node, element)), shape=(len(mesh.nodes_mm), len(mesh.elements)))

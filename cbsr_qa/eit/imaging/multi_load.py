@@ -110,7 +110,7 @@ class Assignment:
     def missed(self) -> tuple[int, ...]:
         """Loads with neither their own region nor a share in another's."""
         pairs = zip(self.region_of, self.merged_with, strict=True)
-        return tuple(load for load, (own, shared) in enumerate(pairs) if own is None and shared is None)
+        return tuple(load for load, (region, shared) in enumerate(pairs) if region is None and shared is None)
 
     @property
     def merged(self) -> tuple[int, ...]:

@@ -99,9 +99,9 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     if not keep.any():
         return ()
     smooth = gaussian_filter(raster.values, separation_mm / 4 / raster.pitch_mm)
-    apart = max(round(separation_mm / raster.pitch_mm / 2), 1)
+    distance = max(round(separation_mm / raster.pitch_mm / 2), 1)
     joined = _measure.label(keep, connectivity=1)
-    peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
+    peaks = _feature.peak_local_max(smooth, min_distance=distance, labels=joined, exclude_border=False)
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     # A flat image has no peak, but its pixels are a region all the same.
@@ -152,7 +152,7 @@ def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion
             np.where(pixels | (raster.values < level), raster.values, 0.0), raster.pitch_mm, raster.first_mm
         )
         pieces = outlines(masked, level)
-        start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
+        start, end = (np.concatenate([piece[ends] for piece in pieces]) for ends in (slice(-1), slice(1, None)))
         nonzero_mask = (start != end).any(axis=1)
         # Relative to one corner: products of places far from the origin would cancel in a small area.
         u, v = start - start[0], end - start[0]

@@ -125,8 +125,8 @@ def _deviations_mm2(
     if mode != "length":
         raise NumericsError(f"unknown perimeter mode {mode!r}", remedy="use 'length' or 'nodes'")
     start, end, first = _join_rims(rims)
-    along = end - start
-    length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
+    edge = end - start
+    length = np.sqrt(edge[:, 0] ** 2 + edge[:, 1] ** 2)
     mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first) / np.add.reduceat(length, first)
     deviations: list[float] = mean.tolist()
     return deviations
