@@ -25,7 +25,7 @@ def load_calibration(path: str | Path, *, public_key: str | Path | None = None) 
     """Read a calibration file, of a run or of labelled presses.
 
     Apply it to frames with :meth:`Estimator.estimate`. ``Calibration.load`` and ``PressCalibration.load`` read one
-    kind of file and refuse the other: what they return has more to offer.
+    kind of file and refuse the other: their objects have more methods.
 
     Parameters
     ----------

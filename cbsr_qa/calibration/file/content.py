@@ -219,7 +219,7 @@ def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> 
 
 
 def record_digest(entries: Mapping[str, Entry]) -> str:
-    """Return the same over the entries that are not recomputed."""
+    """Return the digest over the entries that are not recomputed."""
     if format_of(entries) == PRESS_FORMAT:
         return content_digest(entries)
     recorded = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}

@@ -1,4 +1,4 @@
-"""How many of everything a calibration holds at most: checked before any work that grows faster than the file."""
+"""Largest numbers of everything in a calibration, checked before any work that grows faster than the file."""
 
 from collections.abc import Iterator, Mapping
 from typing import Final

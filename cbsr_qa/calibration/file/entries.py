@@ -1,4 +1,4 @@
-"""A calibration as entries of its file, and back; an entry that a later version added may be missing."""
+"""A calibration to entries of its file, and back. An entry that a later version added may be missing."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -132,7 +132,7 @@ def _place_problems(place: LearnedPlace, readings: int, stated: str) -> Iterator
 
 
 def _quantity_problem(quantity: LearnedQuantity) -> str:
-    """Say what makes force and depth impossible to compute; empty otherwise."""
+    """Return the reason why force and depth cannot be computed; empty if they can."""
     values, (low, high) = quantity.values, quantity.quantiles.tolist()
     if not (len(values) > 1 and np.ptp(values) > 0):
         return "values are all alike"

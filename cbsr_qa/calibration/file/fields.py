@@ -1,4 +1,4 @@
-"""Any dataclass to entries and back, by the types of its fields and :class:`~cbsr_qa.domain.kept.Kept`."""
+"""Converts any dataclass to entries and back, by the types of its fields and :class:`~cbsr_qa.domain.kept.Kept`."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass

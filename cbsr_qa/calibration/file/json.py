@@ -1,4 +1,4 @@
-"""A calibration as JSON and back, without loss, for users without HDF5.
+"""Conversion of a calibration to JSON and back, without loss, for users without HDF5.
 
 One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: for each path in the HDF5 file its
 ``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or for

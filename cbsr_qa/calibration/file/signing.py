@@ -1,9 +1,9 @@
 """Signatures of calibrations: what is signed, how a file states it, and what is checked.
 
-Signed are the UTF-8 bytes of four lines, each ended by NEWLINE: ``cbsr-qa calibration signature``, the ``digest`` of
-the content, the time of signing and the public key. The digest covers every value that is read from a file with its
-path, unit, kind and shape, and is the same in HDF5 and JSON. So a signature does not cover bytes that no reader uses,
-and stays valid in a file that is written again.
+A signature covers the UTF-8 bytes of four lines, each ended by NEWLINE: ``cbsr-qa calibration signature``, the
+``digest`` of the content, the time of signing and the public key. The digest covers every value that is read from a
+file with its path, unit, kind and shape, and is the same in HDF5 and JSON. So a signature does not cover bytes that
+no reader uses, and stays valid in a file that is written again.
 """
 
 import re

@@ -117,7 +117,7 @@ def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, t
 
 
 def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, float]]:
-    """The same of the stress under the head [kPa]."""
+    """Stress under the head at the end of these cycles, by location [kPa]; see :func:`last_cycles`."""
     return _last_two(loads, lambda load: load.stress_kPa)
 
 

@@ -35,8 +35,8 @@ def predict_steady(
     """Predict the end of holds or releases from their observed part.
 
     Bayesian linear regression of the steady change A and its weights A w, with the kernel as prior of the weights and
-    no prior of A; the kernel's own uncertainty enters to first order. For a release it is the residue R that has no
-    prior. Once settled, the result is the noise-weighted mean.
+    no prior of A; the kernel's own uncertainty enters to first order. For a release, the residue R has no prior. Once
+    settled, the result is the noise-weighted mean.
 
     Parameters
     ----------

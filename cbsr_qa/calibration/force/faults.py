@@ -1,6 +1,6 @@
 """Faults of a front end in single frames, found against the unloaded sheet. Numpy alone.
 
-A load changes the readings of a pair of electrodes by a part of them, each by another. A pair without current, or
+A load changes each reading of a pair of electrodes by a different part of it. A pair without current, or
 without contact, reads a fraction of all its readings; a clipped front end gives several readings one and the same
 extreme value.
 """
@@ -91,7 +91,7 @@ class FaultFinder:
         return FrameFaults(left_out, flags)
 
     def _find_clipped(self, readings: Array) -> Mask:
-        """Which readings (n, m) stand at one extreme value. A pair that does so with all of its own is silent."""
+        """Mask (n, m) of readings at one extreme value. A pair with all of its readings there is silent."""
         clipped = np.zeros(readings.shape, dtype=np.bool_)
         for extreme in (readings.max(axis=1), readings.min(axis=1)):
             extreme_mask = readings == extreme[:, None]
@@ -106,7 +106,7 @@ class FaultFinder:
         return clipped
 
     def _following(self, readings: Array, kept: Array) -> tuple[Array, Array]:
-        """How readings of each pair follow the unloaded ones: slope (n, pairs), and their spread over that of those.
+        """Slope (n, pairs) of each pair's readings against the unloaded ones, and the ratio of their spreads.
 
         Parameters
         ----------

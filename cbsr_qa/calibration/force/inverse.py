@@ -90,7 +90,7 @@ class Forces:
         return f"<Forces in {len(detected_N)} of {len(self.force_N)} frames{force}{flagged}>"
 
     def part(self, frames: slice) -> "Forces":
-        """Those of some of the frames."""
+        """Forces of some of the frames."""
         return Forces(*(getattr(self, column.name)[frames] for column in fields(Forces)))
 
     def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:

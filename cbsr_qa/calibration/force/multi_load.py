@@ -74,18 +74,18 @@ class Heads:
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
     def times(self, factor: float) -> Self:
-        """The same with strengths in another unit."""
+        """Heads with strengths in another unit."""
         scale = np.tile([factor, 1.0, 1.0], len(self))
         return replace(self, strength=factor * self.strength, covariance=self.covariance * scale[:, None] * scale)
 
     def unsure(self, error: Array) -> Self:
-        """The same with additional relative errors (k,) of strengths."""
+        """Heads with additional relative errors (k,) of strengths."""
         variance = np.zeros((len(self), 3))
         variance[:, 0] = (error * self.strength) ** 2
         return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
 
     def add_scatter(self, size_slope: Array, scatter_mm: float) -> Self:
-        """The same with additional scatter of places beyond noise, as by ``scattered`` for one head."""
+        """Heads with additional scatter of places beyond noise, as by ``scattered`` for one head."""
         covariance = self.covariance.copy()
         for k, slope in enumerate(size_slope):
             towards = np.vstack([-self.strength[k] * slope, np.eye(2)])
@@ -93,7 +93,7 @@ class Heads:
         return replace(self, covariance=covariance)
 
     def sort_by_detectability(self) -> Self:
-        """The same, the most detectable first."""
+        """Heads, the most detectable first."""
         order = np.argsort(-self.detectability)
         entries = (3 * order[:, None] + np.arange(3)).ravel()
         return replace(
@@ -178,9 +178,8 @@ class HeadCounter:
         bank, templates = self._filter.bank, self._filter.template(places_mm)
         basis = np.linalg.qr(templates[np.isfinite(templates).all(axis=1)].T)[0]
         projections = basis.T @ bank
-        remaining_share = np.maximum(
-            1 - np.einsum("kn,kn->n", projections, projections), 1e-3
-        )  # the rest is not informative
+        # Less than the least share is not informative.
+        remaining_share = np.maximum(1 - np.einsum("kn,kn->n", projections, projections), 1e-3)
         score = (rows - basis @ (basis.T @ rows)) @ bank
         best: Array = self._filter.searched_mm[int(np.argmax(score**2 / remaining_share))]
         return best

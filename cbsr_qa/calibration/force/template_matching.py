@@ -197,7 +197,7 @@ class TemplateFilter:
         return surroundings
 
     def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
-        """Which frames should move to a neighbouring cell with interpolation, and which cell."""
+        """Mask of frames that should move to a neighbouring cell with interpolation, and that cell."""
         step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
         aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
         move_mask: Mask = step.any(axis=1) & self._whole[aim]
@@ -306,6 +306,6 @@ def _every(stride: int, node: Indices) -> Mask:
 
 
 def _pressable(node: Indices, fits: Mask) -> Mask:
-    """Which places (rows · columns,) a head fits on, with neighbours for interpolation."""
+    """Mask (rows · columns,) of places that a head fits on, with neighbours for interpolation."""
     fitting = np.where(node >= 0, fits[node], False)
     return (stencils(node) >= 0).all(axis=1) & fitting.ravel()

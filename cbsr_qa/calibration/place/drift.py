@@ -1,9 +1,9 @@
-"""Drift of readings over presses: presses are brought forward to the last of them, and drift further from there.
+"""Drift of readings over presses: presses are brought to the last of them, and readings may drift further.
 
-Of every reading an offset and a gain walk at random. Both are fitted to what presses differ by from the templates of
-all others, as the first functions of the Karhunen–Loève series of a random walk (Wiener process), with the variances
-of largest marginal likelihood. So a few presses made much later, a re-check, tell where the readings have gone.
-Presses in random order show no drift, and get none.
+An offset and a gain of every reading walk at random. Both are fitted to the differences of presses from the templates
+of all others, as the first functions of the Karhunen–Loève series of a random walk (Wiener process), with the
+variances of largest marginal likelihood. So a few presses made much later, a re-check, tell where the readings have
+gone. Presses in random order show no drift, and get none.
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """When presses were made.
+    """Times at which presses were made.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Session:
         return 1.0 if self.late else SESSIONS
 
     def select(self, presses: Indices) -> "Session":
-        """The same of some presses, in rising order."""
+        """Session of some presses, in rising order."""
         recheck_count = int(np.count_nonzero(presses >= len(self.time) - self.late))
         return Session(self.time[presses], recheck_count)
 
@@ -162,15 +162,15 @@ class _Walk:
         return cls(functions, 1 / frequency**2)
 
     def score(self, scaled: Array, relative: Array) -> float:
-        """Slope of the likelihood of errors (n, m) by the variance of a walk of offset and gain, at none."""
+        """Slope of the likelihood of errors (n, m) with the variance of a walk of offset and gain, at zero."""
         centred = self.at - self.at.mean(axis=0)
         projections = (centred.T @ scaled) ** 2 + (centred.T @ (scaled * relative)) ** 2
         return float((self.variances @ projections).sum())
 
     def likely(self, scaled: Array, relative: Array) -> tuple[tuple[float, float], Array]:
-        """Variances of offset and gain of largest marginal likelihood, in those of noise.
+        """Variances of offset and gain with the largest marginal likelihood, in variances of noise.
 
-        And the means (2,) over all, in squared errors, of which features have one on average.
+        The second result is their mean (2,) over all candidates, in squared errors, whose mean over features is one.
         """
         problem = self._problem(scaled, relative)
         candidates = [(offset, gain) for offset in _WALKS for gain in _WALKS]
@@ -236,7 +236,7 @@ def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) ->
 
 
 def _late(scaled: Array, orders: Sequence[Indices]) -> int:
-    """How many presses at the end are a re-check: they jump more than in random orders, and than any before."""
+    """Number of presses at the end that are a re-check: they jump more than in random orders, and than any before."""
     count = len(scaled)
     largest_count = max(int(_LATE_SHARE * count), _FEWEST_LATE)
     fewest = (1 + _BEFORE) * largest_count

@@ -110,7 +110,7 @@ class PlaceEstimator:
         return replace(places, place_mm=place, covariance_mm2=covariance, misfit=misfit, flags=flags)
 
     def _outside(self, place_mm: Array) -> Mask:
-        """Which places (n, 2) in the frame of the presses are far from all of them."""
+        """Mask (n,) of places (n, 2), in the frame of the presses, that are far from all presses."""
         model = self._model
         centred_mm = (place_mm - model.centre_mm) @ model.axes.T
         nearest = np.sqrt(compute_squared_distances(centred_mm, model.process.places_mm).min(axis=1, initial=np.inf))
@@ -152,7 +152,7 @@ class PlaceEstimator:
         return place, turned, misfit / model.misfit, strength, flags, log_strength_error
 
     def _unsure(self, lost: Mask) -> tuple[Array, float]:
-        """How much less certain a frame is without some readings (m,).
+        """Uncertainty that a frame gains without some readings (m,).
 
         From presses that were learned from, found without these readings, and with them: the covariance (2, 2) of
         the place, and the standard deviation of the logarithm of the strength.
@@ -164,9 +164,8 @@ class PlaceEstimator:
             process, scaling = self._model.process, self._model.scaling
             full_features = process.features[evenly(len(process.features), _PRESSES)]
             known_features = np.where(lost, 0.0, full_features)
-            known_size_ratio = size_factors(
-                known_features, full_features, scaling
-            )  # such a frame is divided by the size of its known readings
+            # A frame without these readings is divided by the size of its known ones.
+            known_size_ratio = size_factors(known_features, full_features, scaling)
             filled_features, filled_size_ratio = self._replace_lost(
                 known_features / known_size_ratio[:, None], np.tile(lost, (len(full_features), 1))
             )

@@ -77,7 +77,7 @@ class FaultyGroups:
 
 
 def _offset(changes: Array, ceiling: Array) -> Mask:
-    """Which frames (n,) have changes beyond the ceilings (m,) in half of the used readings, all to one side."""
+    """Mask (n,) of frames with changes beyond the ceilings (m,) in half of the used readings, all to one side."""
     if not (ceiling > 0).any():
         return np.zeros(len(changes), dtype=np.bool_)
     relative = changes[:, ceiling > 0] / ceiling[ceiling > 0]

@@ -22,7 +22,7 @@ _SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
 def safe_ceilings(changes: Array) -> Array:
-    """Like :func:`ceilings_of`, but sound if up to a fifth of the presses are faulty."""
+    """Ceilings (m,) of :func:`ceilings_of` that stay sound if up to a fifth of the presses are faulty."""
     return _ceilings(changes, _SAFE, _SAFE_CEILING)
 
 
@@ -37,7 +37,7 @@ def _ceilings(changes: Array, level: float, times: float) -> Array:
 
 
 def spikes_among(changes: Array) -> Mask:
-    """Which readings (n, m) of presses are spikes, by the other presses."""
+    """Mask (n, m) of readings of presses that are spikes, judged by the other presses."""
     spikes = spikes_in(changes, ceilings_of(changes))
     if spikes.mean() > SPIKY:
         spikes |= spikes_in(changes, safe_ceilings(changes))
@@ -46,7 +46,7 @@ def spikes_among(changes: Array) -> Mask:
 
 
 def spikes_in(changes: Array, ceiling: Array) -> Mask:
-    """Which readings (n, m) are spikes: far larger than in other presses, and than most of the same press."""
+    """Mask (n, m) of readings that are spikes: far larger than in other presses, and than most of the same press."""
     sizes = np.abs(changes) / np.where(ceiling > 0, ceiling, np.inf)
     return sizes > _SPIKE * np.maximum(np.quantile(sizes, 0.9, axis=1, keepdims=True), 1.0)
 
@@ -75,7 +75,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
 
 
 def more_than_spikes(lost: Mask, used: Mask) -> Mask:
-    """Which frames (n,) lost so many of the used readings (m,) that their size tells less; ``lost`` is (n, m)."""
+    """Mask (n,) of frames that lost so many of the used readings (m,) that sizes tell less; ``lost`` is (n, m)."""
     return np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
 
 

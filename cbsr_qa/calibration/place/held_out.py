@@ -61,7 +61,7 @@ class HeldOut:
 class LeftOut:
     """Both estimates (k, 2) of presses (k,) from others.
 
-    Of the second also its covariance (k, 2, 2), misfit (k,), and the likeness (k, g) to templates over the grid.
+    The second has a covariance (k, 2, 2), a misfit (k,), and the likeness (k, g) to templates over the grid.
     """
 
     presses: Indices
@@ -97,7 +97,7 @@ class PressedSheet:
 
     @property
     def radius_mm(self) -> float:
-        """Of the circle about the centre that holds all presses."""
+        """Radius of the circle about the centre that holds all presses."""
         return float(np.linalg.norm(self.places_mm, axis=1).max())
 
     @property
@@ -110,7 +110,7 @@ class PressedSheet:
         return likely_scales(self.turns, self.features[presses], self.places_mm[presses])
 
     def template_learning(self) -> TemplateLearning:
-        """What learns the templates of the presses."""
+        """Learning of the templates of the presses."""
         return TemplateLearning(self.turns, self.features, self.places_mm, self.radius_mm)
 
     def blocks(self) -> list[Indices]:
@@ -122,7 +122,7 @@ class PressedSheet:
         return [np.flatnonzero(np.isin(visits, group)) for group in groups]
 
     def fill(self, missing: Mask) -> "PressedSheet":
-        """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
+        """Sheet whose missing features (n, m) follow from presses of other blocks, as in frames to come."""
         learning, features = self.template_learning(), self.features.copy()
         for block in self.blocks():
             presses = block[missing[block].any(axis=1)]
@@ -232,8 +232,8 @@ def mean_by_place(values: Array, visits: Indices) -> tuple[float, float]:
 def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm: Array) -> float:
     """Factor by which squared errors of late presses exceed those of earlier ones, at least 1.
 
-    The mean of what the readings' misfit says, which few presses tell, and of what the places say, on a scale of
-    logarithms: there no single press counts much.
+    Geometric mean of the factor by the readings' misfit, for which few presses suffice, and of the factor by the
+    places. On a scale of logarithms no single press counts much.
     """
     misfit, ratio = (
         [np.log(np.maximum(each, np.finfo(float).tiny)).mean() for each in pair]

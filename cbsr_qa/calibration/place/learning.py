@@ -203,7 +203,7 @@ def learn_place(
 def _sheet(
     turns: PatternTurns, changes: Array, places_mm: Array, missing: Mask, scaling: FeatureScaling
 ) -> tuple[PressedSheet, Array]:
-    """Features of presses, whose missing readings (n, m) are filled in, and how much less their sizes are (n,)."""
+    """Features of presses, whose missing readings (n, m) are filled in, and the factors (n,) of their sizes."""
     sheet, size_ratio = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
     missing = missing & (scaling.ceiling > 0)
     if missing.any():

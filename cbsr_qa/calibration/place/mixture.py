@@ -89,7 +89,7 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
 
 
 def few_presses_tell(count: int) -> Array:
-    """Factors (2,) by which regions of normal errors grow where their variance is told by few presses."""
+    """Factors (2,) by which regions of normal errors grow if few presses determine their variance."""
     levels = np.array(LEVELS)
     # Quantiles of F, and of chi-squared per degree of freedom. Loading scipy.stats for them would slow every run.
     return np.asarray(fdtri(2, 2 * count, levels) / gammaincinv(1, levels))

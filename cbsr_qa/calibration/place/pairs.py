@@ -49,7 +49,7 @@ class DistinctPairs:
 
 
 def measures_at_driven(pairs: Indices) -> Mask:
-    """Which of pairs (m, 4) measure at an electrode that they drive."""
+    """Mask (m,) of pairs (m, 4) that measure at an electrode that they drive."""
     at_driven: Mask = (pairs[:, :2, None] == pairs[:, None, 2:]).any(axis=(1, 2))
     return at_driven
 

@@ -144,12 +144,12 @@ class TemplateLearning:
         return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
 
     def leave_out_each(self) -> tuple[Array, Array]:
-        """What every press (n, m) differs by from the templates of all others, and those templates."""
+        """Difference (n, m) of every press from the templates of all others, and those templates."""
         errors = self._errors(NO_PRESS, self._inverse @ self._subtract_shared(NO_PRESS)[0])
         return errors, self._features - errors
 
     def _subtract_shared(self, block: Indices) -> tuple[Array, Array]:
-        """What the shared part of all presses but a block leaves of features (n, m), and that part on the grid."""
+        """Features (n, m) less the shared part of all presses but a block, and that part on the grid."""
         at_presses, on_grid = self._shared.leave_out_block(block)
         residual = self._features - at_presses
         other_count = len(residual) - len(block)
@@ -157,7 +157,7 @@ class TemplateLearning:
         return residual - offset, on_grid + offset
 
     def _errors(self, block: Indices, weights: Array) -> Array:
-        """What each press that is not in a block differs by from templates of all others that are not in it."""
+        """Difference of each press outside a block from the templates of all others outside it."""
         other_presses = np.setdiff1d(np.arange(len(weights)), block)
         cross_precision = self._inverse[np.ix_(other_presses, block)]
         block_solution = np.linalg.solve(
@@ -215,9 +215,8 @@ class _Shared:
         nodes = _Nodes(radius_mm)
         orbit = turns.orbits()
         first_readings = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
-        turn_by_reading = np.zeros(
-            len(orbit), dtype=np.int64
-        )  # the turn that makes the first of an orbit that reading
+        # The turn that maps the first reading of an orbit to each reading.
+        turn_by_reading = np.zeros(len(orbit), dtype=np.int64)
         self._sign = np.empty(len(orbit))
         for number in reversed(range(len(turns))):
             turned_readings = turns.permuted[number][first_readings]

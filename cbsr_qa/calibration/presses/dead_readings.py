@@ -35,7 +35,7 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReadings:
-    """What presses do not tell.
+    """Readings that tell nothing of the place.
 
     Parameters
     ----------
@@ -124,9 +124,8 @@ def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | N
     changes = np.where(faulty, 0.0, changes)
     spikes = spikes_among(changes)
     ceiling, lost = safe_ceilings(np.where(spikes, 0.0, changes)), faulty | spikes
-    group_faults, flags_of = FaultyGroups(pairs)(
-        changes, ceiling, lost, np.zeros_like(lost)
-    )  # spikes have their own words
+    # Spikes are left out here: they have their own words.
+    group_faults, flags_of = FaultyGroups(pairs)(changes, ceiling, lost, np.zeros_like(lost))
     return faulty | group_faults, flags | flags_of, spikes
 
 

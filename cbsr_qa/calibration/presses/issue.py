@@ -75,7 +75,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressesLearned:
-    """What was learned from labelled presses.
+    """Results of learning from labelled presses.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ class Likeness:
         self._rough = np.where(self._on_sheet > 0, log_likelihood(self._maps), _OFF_SHEET)
 
     def select(self, presses: Indices) -> "Likeness":
-        """The same for some of the presses."""
+        """Likeness of some of the presses."""
         selected = copy(self)
         selected._maps, selected._alike = self._maps[presses], self._alike[presses]
         selected._rough = self._rough[presses]
@@ -169,7 +169,7 @@ class Likeness:
         return derivatives
 
     def _locate_in_grid(self, places: Array) -> tuple[Array, Indices]:
-        """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
+        """Offsets (2, …, n) of places (…, n, 2) from a node, and the number of that node in all maps (…, n)."""
         position = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
         node = position.astype(np.int64)
         press = np.arange(len(self._maps))

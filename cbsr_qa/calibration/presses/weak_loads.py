@@ -88,7 +88,7 @@ class ModelledSheet:
         return self.loads(places[self.clear(places)])
 
     def clear(self, places: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which places (k, 2) in radii are clear of edge and electrodes."""
+        """Mask (k,) of places (k, 2) in radii that are clear of edge and electrodes."""
         room = self._model.surroundings.clearance_mm(places * self.radius_mm)
         return room > _CLEAR * self.radius_mm
 

@@ -82,7 +82,7 @@ class Calibration(HeadForces):
 
     @property
     def identity(self) -> CalibrationIdentity:
-        """Which calibration it is."""
+        """Identity of the calibration."""
         issued = self.issued
         return CalibrationIdentity(
             issued.sensor.serial,
@@ -114,7 +114,7 @@ class Calibration(HeadForces):
         return _make_touches(self.force(frames), None)
 
     def prepare(self) -> None:
-        """Work out what is worked out once."""
+        """Compute what is computed only once."""
         self.force(self.issued.reference)
 
     def check_recording(self, recording: Recording) -> None:

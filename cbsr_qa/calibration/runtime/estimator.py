@@ -1,7 +1,7 @@
-"""What a calibration in use does: frames in; force, place, their errors and flags out. Numpy alone.
+"""A calibration in use: frames in; force, place, their errors and flags out. Numpy alone.
 
-An :class:`Estimator` is made by :mod:`cbsr_qa.calibration.loading`. Whoever applies calibrations knows nothing else
-of them, so another way to learn one is another class behind this Protocol.
+An :class:`Estimator` is made by :mod:`cbsr_qa.calibration.loading`. Code that applies calibrations knows this
+Protocol alone, so another way to learn a calibration is another class that implements it.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _UNLIKE: Final = int(
 
 
 class Ability(StrEnum):
-    """What a calibration may be unable to do or tell; then :attr:`Estimator.lacks` says why."""
+    """Something that a calibration may be unable to do; then :attr:`Estimator.lacks` says why."""
 
     FORCE = "force"  #: the force of a touch
     FORCE_68, FORCE_95 = "force_68", "force_95"  #: the interval that holds the force with that probability
@@ -47,7 +47,7 @@ class Ability(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationIdentity:
-    """Which calibration it is, of which sensor.
+    """Identity of a calibration and of its sensor.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Regions:
 
 @dataclass(frozen=True, slots=True)
 class UnloadedFrames:
-    """What frames are compared with; at most one is given. By default it is the calibration's own unloaded frame.
+    """Unloaded frames to compare with; at most one kind is given. The default is the calibration's own frame.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class TouchValues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledTouches:
-    """The same places by a modelled sheet alone.
+    """Places of the touches by a modelled sheet alone.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class ModelledTouches:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Touches:
-    """What n frames tell of one touch each. What the calibration cannot tell is None; what a frame does not is NaN.
+    """One touch in each of n frames: None for what the calibration cannot tell, NaN for what a frame does not.
 
     Parameters
     ----------
@@ -174,13 +174,13 @@ class Touches:
 
     @property
     def readable(self) -> Mask:
-        """Which frames (n,) tell whether something presses."""
+        """Mask (n,) of frames that tell whether something presses."""
         readable: Mask = (self.flags & NO_FORCE) == 0
         return readable
 
     @property
     def in_model(self) -> Mask:
-        """Which frames (n,) are of one touch like those that calibrated."""
+        """Mask (n,) of frames of one touch like those of the calibration."""
         model_mask: Mask = (self.flags & _UNLIKE) == 0
         return model_mask
 
@@ -245,7 +245,7 @@ class Estimator(Protocol):
         ...
 
     def prepare(self) -> None:
-        """Work out what is worked out once, so that no frame waits for it.
+        """Compute what is computed only once, so that no frame waits for it.
 
         CalibrationError if it cannot be applied to frames.
         """

@@ -1,8 +1,8 @@
 """A force model for frames in which some readings say nothing, or an offset is added to all. Numpy alone.
 
 Rows of merged readings keep what their other readings say, with the noise of those; rows without any are taken away.
-Of frames with an offset, only what no offset can be is compared. In both cases templates, and with them the errors of
-place and strength, become those of what is left.
+In frames with an offset, only the part that no offset explains is compared. In both cases templates, and with them
+the errors of place and strength, become those of the remaining part.
 """
 
 from dataclasses import replace

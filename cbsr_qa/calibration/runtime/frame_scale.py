@@ -22,7 +22,7 @@ _REFERENCE: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameScale:
-    """What turns readings into voltages at the calibration's current.
+    """Scale and offset that turn readings into voltages at the calibration's current.
 
     Parameters
     ----------

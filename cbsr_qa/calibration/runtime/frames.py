@@ -1,4 +1,4 @@
-"""Frames of one sensor as changes of its readings, with what is left where some say nothing. Numpy alone."""
+"""Frames of one sensor as changes of its readings, without readings that say nothing. Numpy alone."""
 
 from collections.abc import Iterator
 from copy import copy
@@ -97,7 +97,7 @@ class SensorFrames:
         return voltages.reshape(-1, *shape)
 
     def changes_of(self, voltages: Array) -> tuple[Array, Indices]:
-        """Changes as in :meth:`changes`, of :meth:`voltages` whose readings can all be used."""
+        """Changes of :meth:`changes` for :meth:`voltages` whose readings can all be used."""
         changes = voltages[:, self._used] - self._reference
         flags = np.zeros(len(changes), dtype=np.int64)
         readable_mask = np.isfinite(changes).all(axis=1) & (len(self._merging.T) >= FEWEST_ROWS)

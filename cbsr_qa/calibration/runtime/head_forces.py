@@ -210,7 +210,7 @@ class HeadForces(SensorFrames):
         )
 
     def moved(self, changes: Array, matches: Matches | None = None, head: Indenter | None = None) -> Mask:
-        """Which frames (n,) leave of one head what one offset on all readings, and little else, explains."""
+        """Mask (n,) of frames in which one offset on all readings explains the residual of one head."""
         head = head or self.issued.indenter
         matches = matches or self._filter(head).search(changes @ self._merging)
         offset_mask = np.zeros(len(changes), dtype=np.bool_)

@@ -54,7 +54,7 @@ _UNCHECKED: Final = "a calibration from presses states no serial number: that it
 
 
 class PressCalibration:
-    """What was learned from labelled presses, ready to be applied.
+    """Calibration learned from labelled presses, ready to be applied.
 
     An :class:`~cbsr_qa.calibration.runtime.estimator.Estimator`. Changes of the calibrated readings alone are located
     by :meth:`places`; faults are found in whole frames only.
@@ -121,7 +121,7 @@ class PressCalibration:
 
     @property
     def identity(self) -> CalibrationIdentity:
-        """Which calibration it is."""
+        """Identity of the calibration."""
         issued = self.issued
         return CalibrationIdentity(
             "", issued.calibration, issued.digest, "presses", issued.sensor_type, issued.electrodes, _AXES
@@ -162,7 +162,7 @@ class PressCalibration:
         return self._estimate_selected(rows, self._selection)
 
     def prepare(self) -> None:
-        """Work out what is worked out once. CalibrationError if its readings are not those of frames."""
+        """Compute what is computed only once. CalibrationError if its readings are not those of frames."""
         self.places(np.zeros((1, self._selection.shape[1])))
 
     def check_recording(self, recording: Recording) -> None:

@@ -1,4 +1,4 @@
-"""Places of one head by what a run's presses taught, for frames like these presses."""
+"""Places of one head, learned from a run's presses, for frames like these presses."""
 
 from dataclasses import replace
 from typing import Final
@@ -41,8 +41,8 @@ class PressedPlace:
     def __call__(self, rows: Array, found: Matches, modelled: Matches, finder: TemplateFilter) -> Matches:
         """Matches of rows (n, r): at the learned place if the frame is like the presses, else those by the model.
 
-        A frame is not if it has no load, readings unlike those of one press (noisy, or of two heads), or a place
-        beyond the presses.
+        A frame is unlike them if it has no load, readings unlike those of one press (noisy, or of two heads), or a
+        place beyond the presses.
 
         Parameters
         ----------

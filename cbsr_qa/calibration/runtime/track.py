@@ -228,7 +228,7 @@ class Track:
         return value, stderr**2 + base
 
     def _find_change_s(self) -> float | None:
-        """When the load itself changed; now where its last frame alone says so."""
+        """Time when the load itself changed; the present time if its last frame alone says so."""
         if self._changed is not None:
             return self._changed[0]
         return self._now_s if self._off else None

@@ -93,7 +93,7 @@ def _flood_basins(values: Array, around: list[list[int]], depth: float) -> Indic
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """Which region belongs to which load.
+    """Assignment of regions to loads.
 
     Parameters
     ----------
