@@ -59,7 +59,7 @@ def issue_calibration(
     noise_figure : noise figure measured on this sensor; None if the recipe did not request it.
     learned : force model of the sensor; its line replaces the material's α, β against stress, since its map was
         learned with it. None for the reason ``no_force``.
-    learned_from : used and refused loads, in the order of ``learned.refused``.
+    learned_from : loads that were used or refused, in the order of ``learned.refused``.
     confirmed : other loads whose force it predicted within its stated error: they widen the range.
     place : learned from the run's presses; None to locate by the model of the sheet.
 

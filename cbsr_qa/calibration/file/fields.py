@@ -16,7 +16,7 @@ Pairs = tuple[tuple[int, int], ...]
 Points = tuple[tuple[float, float], ...]
 
 Entries = dict[str, Entry]
-#: How a type that is not one dataset per field is written and read: both get the path of its group.
+#: Functions that write and read a type that is not one dataset per field; both get the path of its group.
 Irregular = tuple[Callable[[Entries, str, Any], None], Callable[[Reading, str], Any]]
 
 _INTEGERS: Final = (int, int | None, Pairs, Indices)

@@ -21,7 +21,7 @@ from cbsr_qa.domain.results.signature import Signature, fingerprint
 
 _Kind = TypeVar("_Kind", bound=Issued)
 
-#: How a file states each part of a signature.
+#: Form of each part of a signature in a file.
 SIGNATURE: Final[Mapping[str, re.Pattern[str]]] = {
     "public_key": re.compile("[0-9a-f]{64}"),
     "signed_at": re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", re.ASCII),

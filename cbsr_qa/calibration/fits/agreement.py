@@ -110,7 +110,7 @@ class ComparedCurves:
 
     Parameters
     ----------
-    time_s : (n,) from the end of the ramp.
+    time_s : (n,) times from the end of the ramp.
     first, first_stderr, second, second_stderr : (n,).
     """
 

@@ -27,8 +27,8 @@ class CommonRelaxation:
     Parameters
     ----------
     fit : fit of the mean trace; time constants and shares of the amplitudes are those of every trace.
-    offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty without
-        a curve.
+    offsets, scales : (traces,) offset and scale of each trace: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂
+        e^(−t/τ₂)); empty without a curve.
     shares : (k,) shares of the exponentials; they add to 1.
     covariance : (1 + 2 k, 1 + 2 k) covariance of the mean trace's offset, amplitudes and log τ.
     traces : number of traces used.

@@ -33,7 +33,7 @@ class LoopCurve:
     cycles, hold_s : number of loops, and time each strain was held.
     peak : index of the deepest strain; up to it the strain rises, after it it falls.
     strain, stress_kPa, output : (n,) float64 in order of holding; the output relative to that at the peak.
-    difference, stderr : (n − 1 − peak,) of the falling strains: output less that of the way up at the same stress,
+    difference, stderr : (n − 1 − peak,) output at the falling strains less that of the way up at the same stress,
         and one standard error.
     """
 

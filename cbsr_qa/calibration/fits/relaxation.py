@@ -31,7 +31,7 @@ def exponentials(
 
     Parameters
     ----------
-    time_s : (...,) from the end of the ramp.
+    time_s : (...,) times from the end of the ramp.
     time_constants_s : (k,).
     ramp_s : T, broadcast with ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
@@ -86,7 +86,7 @@ def _power_series(coefficients: Array, x: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(np.minimum(x, _SERIES), coefficients), dtype=np.float64)
 
 
-#: Below, the derivatives are differences of nearly equal numbers, and Taylor's series is used instead.
+#: Number below which Taylor's series is used, as the derivatives are differences of nearly equal numbers.
 _SERIES: Final = 0.5
 _TERMS: Final = 16  # 0.5¹⁶/16! is rounding
 _DECAY: Final = np.array([(-1) ** k / factorial(k + 1) for k in range(_TERMS)])

@@ -14,7 +14,7 @@ from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
 
 #: Candidate relative scatters, uniform a priori up to 1.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
-#: From so many residual degrees of freedom on a load's own noise is used instead of the pooled one.
+#: Residual degrees of freedom from which a load's own noise is used instead of the pooled one.
 _OWN_NOISE: Final = 8
 #: Lower bound of a value's noise, as a share of its load, to keep covariances invertible.
 _LEAST_NOISE: Final = 1e-6

@@ -115,7 +115,7 @@ class HoldsSoFar:
         # All rows and values as the triangle of their QR: sums of squares would keep half of the digits.
         self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
-        #: What :meth:`_predict_from_holds` regressed, up to the last frame, whatever the time that is predicted.
+        #: Regression of :meth:`_predict_from_holds` up to the last frame; it serves any time that is predicted.
         self._regression: tuple[Array, tuple[Array, Array, Array]] | None = None
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:

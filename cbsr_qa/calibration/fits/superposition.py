@@ -179,7 +179,7 @@ def _alike(before: dict[bool, CommonRelaxation], after: dict[bool, CommonRelaxat
 
 #: Fewest values of a hold that determine a level, an amplitude and a scatter.
 _FEWEST: Final = 6
-#: Longer holds are averaged into so many values: load cells sample fast.
+#: Largest number of values of a hold; longer holds are averaged into so many, since load cells sample fast.
 _MOST: Final = 60
 #: Default time constant, as a share of the hold, if noise hides it: a hidden relaxation decays neither at once nor
 #: beyond the hold, and its amplitude stays free.

@@ -25,7 +25,7 @@ _APART: Final = 6.0
 _MOST: Final = 0.75
 #: Largest share of lost readings of a frame that is read.
 _MOST_MISSING: Final = 0.5
-#: Larger readings than this, in the largest unloaded one, are of no pair's spread, and their squares may overflow.
+#: Limit of readings, in the largest unloaded one: larger ones belong to no pair's spread, and squares may overflow.
 _LARGEST: Final = 1e6
 
 

@@ -22,7 +22,7 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel, Validity
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
-#: Larger strengths are limited: here the sheet conducts 200 times as well under the head.
+#: Largest strength; larger ones are limited. Here the sheet conducts 200 times as well under the head.
 _STRONGEST = 1.98
 
 

@@ -15,10 +15,10 @@ import numpy as np
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.domain.numbers import Array
 
-_STEPS: Final = 25  # of scoring; it usually ends earlier
+_STEPS: Final = 25  # steps of scoring; it usually ends earlier
 _STILL: Final = 0.01  # change of the squared residuals, in units of a reading's noise, that ends it
 _LONGEST_MM: Final = 3.0  # step of a place
-_TURNS: Final = 4  # of finding one head again with the others fixed
+_TURNS: Final = 4  # rounds of finding each head again with the others fixed
 #: Initial distance between halves of a head, of the head's diameter, and number of directions.
 _APART: Final = 1.3
 _DIRECTIONS: Final = 4
@@ -56,9 +56,9 @@ class Heads:
         for other in range(len(self)):
             for first in range(other):
                 if not self._apart(first, other, nearest_mm):
-                    mine, other_group = (next(g for g in groups if n in g) for n in (first, other))
-                    if mine is not other_group:
-                        mine += other_group
+                    first_group, other_group = (next(g for g in groups if n in g) for n in (first, other))
+                    if first_group is not other_group:
+                        first_group += other_group
                         groups.remove(other_group)
         return [sorted(group) for group in groups]
 

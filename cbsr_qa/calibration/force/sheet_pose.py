@@ -96,7 +96,7 @@ def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Arra
     shift = seen_middle - np.exp(1j * angle) * middle
     squared_residual = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
     count = int((weight > 0).sum())
-    variance = float(weight @ squared_residual) / (2 * count - 3)  # of one coordinate, of weight one
+    variance = float(weight @ squared_residual) / (2 * count - 3)  # variance of one coordinate of weight one
     angle_stderr = float(np.sqrt(variance / size))
     shift_stderr = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
     is_clear = abs(shift) > _CLEAR * shift_stderr or abs(angle) > _CLEAR * angle_stderr

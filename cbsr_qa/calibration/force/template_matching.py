@@ -16,10 +16,10 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel
 
-_STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
+_STEPS: Final = 4  # steps of Fisher scoring; the last is below 0.01 mm
 _FURTHEST: Final = 0.25  # cells that scoring may move beyond its cell
 _NOTHING: Final = 1e-30  # least squared score: a frame without change has no place
-_MOVES: Final = 4  # to a neighbouring cell
+_MOVES: Final = 4  # moves to a neighbouring cell
 _STRIDE: Final = 2  # nodes between the searched ones
 _AT_ONCE: Final = 512  # frames compared with the bank together, so that data stay in the processor's cache
 
@@ -254,7 +254,7 @@ class TemplateFilter:
         place[:, 0, 0], place[:, 1, 1] = yy, xx
         place[:, 0, 1] = place[:, 1, 0] = -xy
         place /= ((xx * yy - xy**2) * squared)[:, None, None]
-        place_slope = -(place @ log_size_slope[:, :, None])[:, :, 0]  # of ln strength with the place
+        place_slope = -(place @ log_size_slope[:, :, None])[:, :, 0]  # of ln strength
         covariance = np.empty((len(there), 3, 3))
         covariance[:, 0, 0] = strength**2 * (1 / squared - (place_slope * log_size_slope).sum(axis=1))
         covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * place_slope
@@ -286,8 +286,8 @@ def add_scatter(matches: Matches, size_slope: Array, scatter_mm: float) -> Match
 
     Parameters
     ----------
-    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes are
-        larger seems correspondingly weaker.
+    size_slope : (n, 2) slopes at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes
+        are larger seems correspondingly weaker.
     scatter_mm : standard deviation along an axis.
     """
     towards = np.empty((len(size_slope), 3, 2))

@@ -87,7 +87,7 @@ def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
-@lru_cache(maxsize=1)  # of the last sensor and head; about 50 MB
+@lru_cache(maxsize=1)  # keeps those of the last sensor and head, about 50 MB
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
     lattice_mm = _lattice(model).places_mm()

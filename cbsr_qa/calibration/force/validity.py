@@ -10,7 +10,7 @@ from cbsr_qa.domain.numbers import Mask
 from cbsr_qa.domain.results.observation import LoadObservation
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
-#: With fewer places most of the map is its mean. Chosen by us.
+#: Number of places below which most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
 #: Number of loads named one by one; the rest are counted.
 _NAMED: Final = 6

@@ -12,11 +12,12 @@ from cbsr_qa.calibration.place.templates import TemplateLearning, fill_missing, 
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
-#: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
+#: Largest number of presses that are left out in blocks of a few, with hyperparameters from nine tenths of the
+#: presses; number of these blocks, and of the sets that hyperparameters leave out.
 _FEW: Final = 120
 _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
-#: Larger sets are left out in turn in this many blocks, in the order in which they were made.
+#: Number of blocks in which larger sets are left out in turn, in the order in which they were made.
 _BLOCKS: Final = 20
 #: Presses closer than this share of the radius are at the same place.
 _ONE_PLACE: Final = 0.01
@@ -36,7 +37,7 @@ class HeldOut:
     ----------
     mean_mm, stderr_mm : distance of the found from the true places.
     count : presses.
-    presses : (count,) their indices.
+    presses : (count,) indices of the presses.
     found_mm : (count, 2) places found.
     levels, held : (k,) nominal and actual coverage of regions; the sizes of the regions were found with other
         presses.
@@ -236,7 +237,7 @@ def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm:
     places. On a scale of logarithms no single press counts much.
     """
     misfit, ratio = (
-        [np.log(np.maximum(each, np.finfo(float).tiny)).mean() for each in pair]
+        [np.log(np.maximum(factors, np.finfo(float).tiny)).mean() for factors in pair]
         for pair in (
             (early.misfit, late.misfit),
             (early.apart(mixture, places_mm)[1], late.apart(mixture, places_mm)[1]),

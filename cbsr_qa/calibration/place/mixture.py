@@ -16,7 +16,7 @@ _FOLDS: Final = 5
 #: Prior share, and the number of presses that the prior counts as.
 _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
-#: Larger errors, in units of their median, as of spiky frames, are limited to this in the share.
+#: Limit of errors in the share, in units of their median; spiky frames have larger ones.
 _LARGE: Final = 3.0
 #: Largest distance of the logarithm of a weight from its initial value: beyond, covariances of rank one have no
 #: inverse in floats.

@@ -19,7 +19,7 @@ from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceProcess, PlaceScales
 
 _ITERATIONS: Final = 25  # L-BFGS steps; further ones gain less than 0.01 mm on left-out presses
-_FURTHEST: Final = 12.0  # of a logarithm from its initial value
+_FURTHEST: Final = 12.0  # largest distance of a logarithm from its initial value
 #: Weak log-normal priors: standard deviations of logarithms.
 _SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: prevents 192 scales from fitting 100 presses
 _SPREAD_OF_LENGTH: Final = 1.4
@@ -81,19 +81,19 @@ def leave_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) 
 
 def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Array:
     count = len(features)
-    own = features * np.sqrt(scales.own)
+    own_features = features * np.sqrt(scales.own)
     covariance = np.zeros((count, 2, count, 2))
-    near = scales.own_variance * matern(compute_squared_distances(own, own))
-    covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = near
+    correlation = scales.own_variance * matern(compute_squared_distances(own_features, own_features))
+    covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = correlation
     scaled = features * np.sqrt(scales.turning)
     for number, turn in enumerate(turns.turns):
         opposite = int(np.abs(turns.turns - turn.T).sum(axis=(1, 2)).argmin())
         if number > opposite:
             continue
-        near = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
-        covariance += near[:, None, :, None] * turn[None, :, None, :]
+        correlation = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
+        covariance += correlation[:, None, :, None] * turn[None, :, None, :]
         if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
-            covariance += near.T[:, None, :, None] * turn.T[None, :, None, :]
+            covariance += correlation.T[:, None, :, None] * turn.T[None, :, None, :]
     full: Array = covariance.reshape(2 * count, 2 * count)
     full[np.diag_indices(2 * count)] += scales.noise_variance
     return full

@@ -41,7 +41,7 @@ _LINE: Final = 30.0
 #: pressed, and standard deviations of the logarithms.
 _MEDIANS: Final = np.array([1.0, 0.2, 0.05, 0.01, 0.01, 0.5])
 _DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
-_FURTHEST: Final = 4.0  # in those deviations
+_FURTHEST: Final = 4.0  # largest distance from a median, in those deviations
 #: Standard deviations that hold 68 and 95 % of a normal distribution: how far lost readings may move a value.
 _NORMAL: Final = np.array([0.9945, 1.9600])
 #: Frames with one of these flags have no press to measure.
@@ -58,7 +58,7 @@ class Quantities:
     ----------
     values : (n,) values in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability; NaN where the value is.
-    below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
+    below, above : (n,) masks of values beyond all learned presses. Its intervals then reach back to them, and as
         far the other way, as the slope of the continuation is unknown.
     """
 
@@ -130,7 +130,7 @@ def learn_quantity(
     strength, places_mm : (n,) strength and (n, 2) place found for each press when it was left out.
     centre_mm : (2,) centre of the sheet in the frame of the presses.
     visits : (n,) number of the place, the same for presses at one place; by default all are at different places.
-    session : when they were made; without it no drift is searched for.
+    session : times when they were made; without it no drift is searched for.
     drifts : True if other features of the presses are known to drift.
     """
     recheck_count = 0 if session is None else session.late

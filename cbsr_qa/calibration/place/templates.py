@@ -26,7 +26,7 @@ _NODES_ALONG_RADIUS: Final = 5.5
 #: Correlation lengths of readings that are tried, in radii of the pressed area.
 _LENGTHS: Final = (0.35, 0.5, 0.65, 1.0)
 _SHARED_LENGTH: Final = 0.65
-_RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as variances
+_RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # ratios of noise to signal, as variances
 _MARGIN: Final = 1.05
 #: Standard deviation of the weights of places beside one, in spacings of the grid.
 _SMOOTH: Final = 0.6

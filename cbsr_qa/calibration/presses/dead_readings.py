@@ -41,7 +41,7 @@ class DeadReadings:
     ----------
     dead : (n, m) uninformative readings.
     findings : remarks on them for a person.
-    left_out : (n,) why a press is left out; empty for others.
+    left_out : (n,) reason why a press is left out; empty for others.
     """
 
     dead: Mask

@@ -127,7 +127,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
     learned = _learn_place(labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell)
     if readings.noise is not None:
-        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
+        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
         least = max(learned.model.least_size, noise_size(noise))
         learned = replace(learned, model=replace(learned.model, least_size=least))
     quantities = {

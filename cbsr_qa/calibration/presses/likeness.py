@@ -60,7 +60,7 @@ def compare_sides(answer: Array, positive: Mask) -> AnsweringSide:
     Parameters
     ----------
     answer : (m,) size of each reading over the modelled one, any unit.
-    positive : (m,) whether its modelled voltage is.
+    positive : (m,) mask of readings whose modelled voltage is positive.
     """
     if positive.all() or not positive.any():
         return AnsweringSide(np.ones_like(positive))
@@ -152,7 +152,7 @@ class Likeness:
 
         Parameters
         ----------
-        between : (2, …) how far the point is beyond a node, in steps.
+        between : (2, …) offset of the point from a node, in steps.
         first : (…) the number of the first node of a square that counts.
         polynomials : (p, k) coefficients of the powers of that distance, for the weight of each of the k nodes.
         """

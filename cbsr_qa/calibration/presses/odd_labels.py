@@ -36,7 +36,7 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
     Parameters
     ----------
     rows : (k,) rows of the presses left out.
-    found_mm : (k, 2) where they were found.
+    found_mm : (k, 2) places where they were found.
     """
     error_mm = np.linalg.norm(found_mm - presses.place_mm[rows], axis=1)
     usual_mm = float(np.median(error_mm))

@@ -21,7 +21,7 @@ from cbsr_qa.domain.results.press_calibration import SheetRegistration
 _REFINED: Final = 300
 #: Fewest different places that determine a similarity and its errors.
 FEWEST_PLACES: Final = 4
-#: Smaller second over first singular value of the places: they lie on a line.
+#: Ratio of the second to the first singular value of places below which they lie on a line.
 _LINE: Final = 0.02
 #: Shares of the spread of places and of the readings' changes that a trusted modelled sheet must explain, and log
 #: likelihood by which its mirror image must be less likely.

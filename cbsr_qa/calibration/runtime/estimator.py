@@ -107,7 +107,7 @@ class TouchValues:
     values : (n,) force [N] or depth [mm]; NaN in frames that do not tell it.
     within_68, within_95 : (n, 2) lowest and highest of the interval that holds it with that probability, NaN where
         there is none; None where that ability is lacking.
-    stderr : (n,) its standard error.
+    stderr : (n,) standard error of the value.
     """
 
     values: Array
@@ -124,7 +124,7 @@ class ModelledTouches:
     ----------
     place_mm, covariance_mm2 : (n, 2) and (n, 2, 2); NaN in frames that do not tell it.
     explained : (n,) share of the readings' squares that a touch there explains.
-    in_model : (n,) whether that is enough for the place to be relied on.
+    in_model : (n,) mask of frames in which that is enough for the place to be relied on.
     """
 
     place_mm: Array
@@ -139,9 +139,9 @@ class Touches:
 
     Parameters
     ----------
-    touch : (n,) whether something presses; it means nothing where not :attr:`readable`.
+    touch : (n,) mask of frames in which something presses; it means nothing where not :attr:`readable`.
     place_mm : (n, 2) place of the touch, in the axes of :attr:`CalibrationIdentity.axes`.
-    place_stderr_mm : (n,) its standard error, root mean square over two axes.
+    place_stderr_mm : (n,) standard error of the place, root mean square over two axes.
     radius_68_mm, radius_95_mm : (n,) radii of circles about the place that hold it at least with that probability.
     covariance_mm2 : (n, 2, 2) covariances of the place; see :class:`Regions`.
     force, depth : force [N] and depth [mm] of the touch.

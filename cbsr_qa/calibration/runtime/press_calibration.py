@@ -225,7 +225,7 @@ class PressCalibration:
             faults = self._find_faults(self._require_rest() + changes)
             sound_changes = np.where(faults.left_out, np.nan, changes)
         places = self._locate(changes, faults)
-        with np.errstate(over="ignore"):  # of frames without a touch, which have none
+        with np.errstate(over="ignore"):  # frames without a touch have no quantities
             quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
         modelled = None if self._modelled is None else self._modelled(sound_changes)
         return _make_touches(places, self.regions, quantities, modelled)

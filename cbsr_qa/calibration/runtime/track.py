@@ -63,8 +63,8 @@ _PARTIAL: Final = 0.75
 #: when it moves by so much since.
 _OFF: Final = 5.0
 _OFF_SHARE: Final = 0.05
-#: Not checked before this share of the slowest time constant, while place and trajectory are still being learned, nor
-#: accepted from a single frame.
+#: Share of the slowest time constant before which changes are not checked, since place and trajectory are still being
+#: learned; and number of successive frames that confirm a change.
 _EARLY: Final = 0.5
 _BELIEVED: Final = 2
 _MOVED: Final = 0.1
@@ -76,15 +76,15 @@ _SHARE_TOGETHER: Final = 0.025
 _STAYS: Final = 0.2
 #: Uncertainty of a decaying strength from frame to frame.
 _FADING_ERROR: Final = 0.1
-_FADING_NOISE: Final = 0.1  # of a single frame
+_FADING_NOISE: Final = 0.1  # relative to the noise of a single frame
 #: Share of a released change that may persist for minutes: an order of magnitude (paper 4.2).
 _RESIDUE: Final = 0.02
-#: Without a kernel: duration of a load's settling, and possible later change of its strength.
+#: Duration of a load's settling, and possible later change of its strength, without a kernel.
 _PATIENCE_S: Final = 60.0
 _UNKNOWN_CHANGE: Final = 0.3
 #: Released loads have faded after so many times the slowest constant; and times that are tried.
 _FADED: Final = 3.0
-#: What is left of a load shows in single frames until it is so many standard errors below the threshold of a load.
+#: Standard errors below the threshold of a load until which the residue of a load shows in single frames.
 _ROOM: Final = 2.0
 _STEPS: Final = 200
 #: Frames after which a place is no longer updated.
@@ -125,7 +125,7 @@ class Track:
         self._released = 0.0
         self._first: tuple[float, float, float] | None = None
         self._hold: UnsureHold | None = None
-        self._promise: UnsureHold | None = None  # of all but the last frames
+        self._promise: UnsureHold | None = None  # hold of all but the last frames
         self._last: list[tuple[float, float, float]] = []
         self._changed: tuple[float, float] | None = None
         self._now_s = self._pressed_s = since_s

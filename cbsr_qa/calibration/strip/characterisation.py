@@ -51,7 +51,7 @@ class Specimen:
     Parameters
     ----------
     strip : model with the assumed contacts.
-    other_contacts : the same with contacts one standard error higher.
+    other_contacts : model with contacts one standard error higher.
     resistance_ohm : resistance between the pins of the rested strip.
     relative_noise : rms of one reading over their mean, rested.
     declared : response by the sensor type.

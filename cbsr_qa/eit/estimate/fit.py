@@ -20,7 +20,7 @@ _EASIER: Final = 0.1
 _HARDER: Final = 8.0
 _LARGEST_DAMPING: Final = 1e8
 _AT_ONCE: Final = 128  # loads evaluated together, so that data stay in the processor's cache
-_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: loads closer to an electrode or the edge are not followed
+_LEAST_CLEARANCE: Final = 0.02  # radii of the sheet: loads closer to an electrode or edge are not followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +33,10 @@ class Fits:
     covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of given parameters are zero.
     residual : (n, rows) residuals in units of the noise.
     misfit : (n,) sum of its squares.
-    empty_misfit : (n,) the same without a load.
+    empty_misfit : (n,) misfit without a load.
     steps : (n,) tried.
     converged : (n,) False where the last step was not small.
-    held : (n,) whether the load would have grown into an electrode or over the edge; its square is at the bound.
+    held : (n,) mask of loads that would have grown into an electrode or over the edge; their square is at the bound.
     excess : (n,) increase of the square of those without the bound, to first order; else 0.
     """
 

@@ -36,10 +36,10 @@ _SHARE: Final = 1 / 3
 _SPARE: Final = 1.15
 #: Least probability of a misfit that is not attributed to the model.
 _IMPROBABLE: Final = 1e-3
-_COVERED: Final = 0.6827  # by one standard deviation to each side
-_SMALL: Final = 0.6  # of the clearance: largest initial radius of a load
+_COVERED: Final = 0.6827  # coverage of one standard deviation to each side
+_SMALL: Final = 0.6  # largest initial radius of a load, over its clearance
 _AT_ONCE: Final = 64
-_GRID: Final = 0.08  # of the sheet's radius, between places of the matched filter
+_GRID: Final = 0.08  # spacing of the matched filter's places, in radii of the sheet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class LoadFits:
     finding : (n,) indices into :class:`~cbsr_qa.domain.readings.load_estimates.LoadFinding`'s order.
     detectability : (n,) d′.
     place_stderr_mm : (n,) root mean square over two axes.
-    has_radius : (n,) whether the radius is determined.
+    has_radius : (n,) mask of loads whose radius is determined.
     inflation, probability : (n,) inflation by the misfit, and its probability.
     explained, explained_unweighted : (n,) shares of the signal, weighed by its noise and not.
     """

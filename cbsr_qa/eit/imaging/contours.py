@@ -18,8 +18,8 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
 
-_SPECK: Final = 1e-9  # of a mean element's area
-_ALIGNED: Final = 1e-9  # of a line: elements around a node in a flatter arrangement give no slope across it
+_SPECK: Final = 1e-9  # largest area that is left out, in mean areas of an element
+_ALIGNED: Final = 1e-9  # flatness of a line: elements around a node in a flatter arrangement give no slope across it
 
 
 @dataclass(frozen=True, eq=False)

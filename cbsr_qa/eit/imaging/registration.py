@@ -10,8 +10,8 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 
 _FEWEST: Final = 3  # places: any two are fitted exactly by a similarity
-_ROUNDING: Final = 1e-12  # of squared distances
-_SEEN_APART: Final = 1e-9  # of the pressed distances; less is a single place
+_ROUNDING: Final = 1e-12  # share of squared distances that is rounding
+_SEEN_APART: Final = 1e-9  # share of the pressed distances; less is a single place
 _MIRRORED: Final = 0.9  # least share that a mirror image must explain …
 _CLEARLY: Final = 0.1  # … and largest share that it may leave of what a rotation leaves unexplained
 
@@ -76,7 +76,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     _refuse_mirrored(factor, complex((nominal_centred * seen_centred).sum() / size), seen_size / size)
     offset = complex(q.mean() - factor * p.mean())
     residual = seen_centred - factor * nominal_centred
-    variance = float((np.abs(residual) ** 2).sum()) / (2 * count - 4)  # of one coordinate
+    variance = float((np.abs(residual) ** 2).sum()) / (2 * count - 4)  # variance of one coordinate
     factor_stderr = float(np.sqrt(variance / size))
     offset_stderr = float(np.sqrt(variance * (1 / count + abs(p.mean()) ** 2 / size)))
     nominal_residual = residual / factor
