@@ -105,7 +105,7 @@ def thin_model(model: ForceModel, stride: int) -> ForceModel:
     first_node = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
     coarse_node = model.node[first_node[1] :: stride, first_node[0] :: stride]
     kept_nodes = coarse_node[coarse_node >= 0]
-    steps = np.round(model.templates[kept_nodes] * _STEPS) / _STEPS
+    quantised = np.round(model.templates[kept_nodes] * _STEPS) / _STEPS
     x_mm, y_mm = (
         origin_mm + k * lattice.spacing_mm for origin_mm, k in zip(lattice.origin_mm, first_node, strict=True)
     )
@@ -114,7 +114,7 @@ def thin_model(model: ForceModel, stride: int) -> ForceModel:
         model,
         lattice=Lattice((x_mm, y_mm), stride * lattice.spacing_mm, coarse_node.shape[1], coarse_node.shape[0]),
         node=np.where(coarse_node >= 0, np.cumsum(coarse_node >= 0).reshape(coarse_node.shape) - 1, -1),
-        **{name: getattr(model, name)[kept_nodes] for name in of_nodes} | {"templates": steps},
+        **{name: getattr(model, name)[kept_nodes] for name in of_nodes} | {"templates": quantised},
         loading=None,
         unloading=None,
     )
@@ -136,10 +136,10 @@ def measure_loss(calibration: Calibration, thin: ForceModel) -> Loss:
     true, coarse = force(model, fine.match_at(rows, places)), force(thin, TemplateFilter(thin).match_at(rows, places))
     finite_mask = np.isfinite(coarse)
     error = coarse[finite_mask] / true[finite_mask] - 1
-    lost = int(np.count_nonzero(~finite_mask))
+    lost_count = int(np.count_nonzero(~finite_mask))
     if not finite_mask.any():
-        return Loss(len(places), lost, 1.0, 1.0)
-    return Loss(len(places), lost, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+        return Loss(len(places), lost_count, 1.0, 1.0)
+    return Loss(len(places), lost_count, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
 def _model(calibration: Calibration) -> ForceModel:
@@ -173,18 +173,18 @@ def _find_calibrated_places(calibration: Calibration, model: ForceModel, fine: T
     near_mask = np.hypot(*lattice_mm.T) <= calibration.validity.radius_mm
     # Between nodes, where interpolation is worst.
     places = lattice_mm[fits & near_mask] + model.lattice.spacing_mm / 2
-    reached = places[np.isfinite(fine.template(places)).all(axis=1)]
-    if not len(reached):
+    reached_mm = places[np.isfinite(fine.template(places)).all(axis=1)]
+    if not len(reached_mm):
         raise CalibrationError("no calibrated place lies on its lattice")
-    return np.asarray(reached, dtype=np.float64)
+    return np.asarray(reached_mm, dtype=np.float64)
 
 
 def _quantise(templates: Array) -> dict[str, Any]:
-    steps = np.round(templates * _STEPS).astype(np.int64)
+    quantised = np.round(templates * _STEPS).astype(np.int64)
     return {
         "units": "1",
         "kind": "i2",
-        "shape": list(steps.shape),
+        "shape": list(quantised.shape),
         "scale": 1 / _STEPS,
-        "values": steps.ravel().tolist(),
+        "values": quantised.ravel().tolist(),
     }

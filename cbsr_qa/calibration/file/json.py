@@ -123,11 +123,13 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     if unknown := document.keys() - _KEYS:
         raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
-    first, latest = FIRST_VERSION[format_], latest_version(format_)
+    first_version, latest = FIRST_VERSION[format_], latest_version(format_)
     if type(version) is int:
         check_released(format_, version)
     if type(version) is not int or version > latest:
-        known_versions = f"version {first}" if first == latest else f"versions {first} to {latest}"
+        known_versions = (
+            f"version {first_version}" if first_version == latest else f"versions {first_version} to {latest}"
+        )
         raise CalibrationError(
             f"schema_version is {_quote(version)}; this program knows {known_versions}",
             remedy="update cbsr-qa, if a later one wrote the file",

@@ -218,10 +218,10 @@ def _times(
     first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
     """Ratio of the settling times, its standard error, its bound, and the conclusion."""
-    earlier, other = first.settling_time(tolerance), second.settling_time(tolerance)
-    if earlier is None or other is None:
+    first_time, second_time = first.settling_time(tolerance), second.settling_time(tolerance)
+    if first_time is None or second_time is None:
         return None, None, None, Agreement.UNDECIDED
-    (one_s, one_stderr), (other_s, other_stderr) = earlier, other
+    (one_s, one_stderr), (other_s, other_stderr) = first_time, second_time
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(TIME_MARGIN))

@@ -156,13 +156,13 @@ def _why_not_two(
     single: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
 ) -> str:
     """Why the second exponential cannot be kept; empty if it can."""
-    first, second = two.time_constants_s
+    fast_s, slow_s = two.time_constants_s
     chance = chance_of_gain(single.residual, two.residual, parameters, 2)
     checks = (
         (np.abs(single.residual).max() <= rounding, "one exponential explains the traces to rounding"),
         (chance > SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
-        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
-        (second > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
+        (slow_s < SEPARATION * fast_s, f"time constants {fast_s:.3g} s and {slow_s:.3g} s cannot be told apart"),
+        (slow_s > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
         (bool(two.log_stderr[1] > LOG_ERROR), "the data do not determine a second time constant"),
     )
     return next((why for failed, why in checks if failed), "")

@@ -176,10 +176,10 @@ def check_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
         )
     backward = np.flatnonzero(np.diff(time_s) <= 0)
     if backward.size:
-        first = int(backward[0])
+        first_backward = int(backward[0])
         raise NumericsError(
-            f"time stamps repeat or step back: sample {first + 1} at {time_s[first + 1]:.13g} s"
-            f" follows {time_s[first]:.13g} s",
+            f"time stamps repeat or step back: sample {first_backward + 1} at {time_s[first_backward + 1]:.13g} s"
+            f" follows {time_s[first_backward]:.13g} s",
             remedy="drop or re-time the repeated samples before fitting",
         )
     _check_range(time_s, values)
@@ -209,15 +209,15 @@ def _bounds_s(time_s: Array) -> tuple[float, float]:
 
 
 def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
-    first, second = two.time_constants_s
-    at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
+    fast_s, slow_s = two.time_constants_s
+    at_bound = slow_s > 0.99 * bounds_s[1] or fast_s < 1.01 * bounds_s[0]
     chance = chance_of_gain(single.residual, two.residual, 5, 2)
     checks = (
         (
             single.sum_of_squares <= len(single.residual) * rounding**2,
             "one exponential explains the trace to rounding",
         ),
-        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
+        (slow_s < SEPARATION * fast_s, f"time constants {fast_s:.3g} s and {slow_s:.3g} s cannot be told apart"),
         (at_bound, f"a second time constant would lie at a bound ({bounds_s[0]:.3g} s to {bounds_s[1]:.3g} s)"),
         (bool((two.stderr[3:] > LOG_ERROR).any()), "the data do not determine a second time constant"),
         (

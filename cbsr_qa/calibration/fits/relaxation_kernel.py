@@ -63,16 +63,16 @@ def _estimate_shared_kernel(
     start_s : start of the kernel.
     """
     mean = start = np.concatenate([weights, np.log(time_constants_s)])
-    free = prior_stderr > 0
-    precision = 1 / prior_stderr[free] ** 2
+    free_mask = prior_stderr > 0
+    precision = 1 / prior_stderr[free_mask] ** 2
     for _ in range(_ROUNDS):
         reduced = _Reduced(traces, mean, frame_s, noise)
-        steps, inverse, likelihood = reduced.search_scatter(free, precision, (start - mean)[free])
+        steps, inverse, likelihood = reduced.search_scatter(free_mask, precision, (start - mean)[free_mask])
         mean = mean.copy()
-        mean[free] += likelihood @ steps
+        mean[free_mask] += likelihood @ steps
     deviation = steps - likelihood @ steps
     covariance = np.zeros((len(mean), len(mean)))
-    covariance[np.ix_(free, free)] = (
+    covariance[np.ix_(free_mask, free_mask)] = (
         np.einsum("g,gij->ij", likelihood, inverse) + (likelihood[:, None] * deviation).T @ deviation
     )
     scatter, freedom = _as_variance(likelihood)
@@ -219,13 +219,13 @@ def learn_kernel(
     loads, unit = _scale_loads(_loads(traces, ramp_s, released, start_s))
     usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
     used_loads = [loads[index] for index in usable]
-    common = fit_common_relaxation([(load.time_s, load.values) for load in used_loads])
-    why = common.fit.why if common.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
-    if not why and not _stands_out(used_loads, common):
+    common_fit = fit_common_relaxation([(load.time_s, load.values) for load in used_loads])
+    why = common_fit.fit.why if common_fit.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
+    if not why and not _stands_out(used_loads, common_fit):
         why = "no load stands out of its noise"
     if why:
         return _refuse_kernel(released is None, len(used_loads), start_s, why)
-    weights, time_constants_s, prior = _beginning(used_loads, common, frame_s)
+    weights, time_constants_s, prior = _beginning(used_loads, common_fit, frame_s)
     used_noise = None if noise is None else [noise[index] * unit for index in usable]
     return _estimate_shared_kernel(
         used_loads, weights, time_constants_s, prior, frame_s=frame_s, noise=used_noise, start_s=start_s

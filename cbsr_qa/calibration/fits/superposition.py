@@ -77,15 +77,15 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     SeparatedSteps. If a direction has no exponential, a step's level is the mean of its last quarter.
     """
     traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
-    common = _fit_directions(steps, traces)
+    common_fits = _fit_directions(steps, traces)
     for _ in range(_PASSES):
-        traces = _subtract_residues(steps, constants_of(common))
+        traces = _subtract_residues(steps, constants_of(common_fits))
         refitted = _fit_directions(steps, traces)
-        settled = _alike(common, refitted)
-        common = refitted
+        settled = _alike(common_fits, refitted)
+        common_fits = refitted
         if settled:
             break
-    return separate_with_constants(steps, common, constants_of(common))
+    return separate_with_constants(steps, common_fits, constants_of(common_fits))
 
 
 def separate_with_constants(
@@ -157,10 +157,10 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
     """
     time_s, values = (finite_numbers(numbers, "times or values of a step") for numbers in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
-        last = values[-max(len(values) // 4, 1) :]
-        spread = float(last.std(ddof=1)) if len(last) > 1 else 0.0
-        level = float(last.mean()) if len(last) else 0.0
-        return np.concatenate([[level], np.zeros(len(constants_s))]), spread / max(len(last), 1) ** 0.5
+        last_quarter = values[-max(len(values) // 4, 1) :]
+        spread = float(last_quarter.std(ddof=1)) if len(last_quarter) > 1 else 0.0
+        level = float(last_quarter.mean()) if len(last_quarter) else 0.0
+        return np.concatenate([[level], np.zeros(len(constants_s))]), spread / max(len(last_quarter), 1) ** 0.5
     design = np.column_stack([np.ones_like(time_s), np.exp(-time_s[:, None] / constants_s)])
     inverse = np.linalg.pinv(design)
     coefficients = inverse @ values
@@ -255,11 +255,12 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
             remedy="hold each strain longer; 60 s and more",
         )
     separated = separate_steps(steps)
-    for loading, common in separated.common.items():
-        if common.fit.status is FitStatus.DRIFTING:
+    for loading, relaxation in separated.common.items():
+        if relaxation.fit.status is FitStatus.DRIFTING:
             way = "up" if loading else "down"
             raise NumericsError(
-                f"creep cannot be separated from hysteresis: on the way {way} the {trace.name} is {common.fit.why}",
+                f"creep cannot be separated from hysteresis: on the way {way} the"
+                f" {trace.name} is {relaxation.fit.why}",
                 remedy="hold each strain longer",
             )
     held_s = float(np.median([step.time_s[-1] for step in steps]))

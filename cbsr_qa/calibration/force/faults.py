@@ -92,18 +92,18 @@ class FaultFinder:
 
     def _find_clipped(self, readings: Array) -> Mask:
         """Mask (n, m) of readings at one extreme value. A pair with all of its readings there is silent."""
-        clipped = np.zeros(readings.shape, dtype=np.bool_)
+        clipped_mask = np.zeros(readings.shape, dtype=np.bool_)
         for extreme in (readings.max(axis=1), readings.min(axis=1)):
             extreme_mask = readings == extreme[:, None]
             for frame in np.flatnonzero(extreme_mask.sum(axis=1) >= _CLIPPED).tolist():
-                clipped_mask = extreme_mask[frame]
-                clipped_mask &= ~self._members[(self._members <= clipped_mask).all(axis=1)].any(axis=0)
+                frame_mask = extreme_mask[frame]
+                frame_mask &= ~self._members[(self._members <= frame_mask).all(axis=1)].any(axis=0)
                 if (
-                    clipped_mask.sum() >= _CLIPPED
-                    and np.ptp(self._reference[clipped_mask]) > _APART * self._noise[clipped_mask].max()
+                    frame_mask.sum() >= _CLIPPED
+                    and np.ptp(self._reference[frame_mask]) > _APART * self._noise[frame_mask].max()
                 ):
-                    clipped[frame] |= clipped_mask
-        return clipped
+                    clipped_mask[frame] |= frame_mask
+        return clipped_mask
 
     def _following(self, readings: Array, kept: Array) -> tuple[Array, Array]:
         """Slope (n, pairs) of each pair's readings against the unloaded ones, and the ratio of their spreads.

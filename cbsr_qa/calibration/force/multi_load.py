@@ -66,10 +66,13 @@ class Heads:
         deviation = np.sqrt(np.diag(self.covariance).reshape(-1, 3)[[first, other], 0])
         if (np.abs(self.strength[[first, other]]) < _RESOLVED * deviation).any():
             return False
-        way = self.place_mm[first] - self.place_mm[other]
-        distance = float(np.hypot(*way))
+        displacement_mm = self.place_mm[first] - self.place_mm[other]
+        distance = float(np.hypot(*displacement_mm))
         direction = np.zeros(len(self.covariance))
-        direction[3 * first + 1 : 3 * first + 3], direction[3 * other + 1 : 3 * other + 3] = way, -way
+        direction[3 * first + 1 : 3 * first + 3], direction[3 * other + 1 : 3 * other + 3] = (
+            displacement_mm,
+            -displacement_mm,
+        )
         error = float(np.sqrt(max(float(direction @ self.covariance @ direction), 0.0))) / max(distance, 1e-9)
         return distance > _RESOLVED * error and distance + error > nearest_mm
 

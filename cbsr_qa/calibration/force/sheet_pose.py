@@ -87,18 +87,18 @@ def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: A
 
 def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
     total = float(weight.sum())
-    middle, seen_middle = complex(weight @ p) / total, complex(weight @ q) / total
-    size = float(weight @ np.abs(p - middle) ** 2)
+    nominal_middle, seen_middle = complex(weight @ p) / total, complex(weight @ q) / total
+    size = float(weight @ np.abs(p - nominal_middle) ** 2)
     if not size > 0:
         return AS_PLACED
-    turn = complex(weight @ ((p - middle).conj() * (q - seen_middle)))
+    turn = complex(weight @ ((p - nominal_middle).conj() * (q - seen_middle)))
     angle = float(np.angle(turn))
-    shift = seen_middle - np.exp(1j * angle) * middle
+    shift = seen_middle - np.exp(1j * angle) * nominal_middle
     squared_residual = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
     count = int((weight > 0).sum())
     variance = float(weight @ squared_residual) / (2 * count - 3)  # variance of one coordinate of weight one
     angle_stderr = float(np.sqrt(variance / size))
-    shift_stderr = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
+    shift_stderr = float(np.sqrt(variance * (1 / total + abs(nominal_middle) ** 2 / size)))
     is_clear = abs(shift) > _CLEAR * shift_stderr or abs(angle) > _CLEAR * angle_stderr
     furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
     return SheetPose(

@@ -63,11 +63,11 @@ def list_untrained_ranges(used: Sequence[LoadObservation], confirmed: Sequence[L
             f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; {len(forces_tested)} further loads"
             f" from {min(forces_tested):.3g} to {max(forces_tested):.3g} N agree with it within three standard errors"
         )
-    radii, reached = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
-    if radii and reached and max(reached) > max(radii):
+    radii, radii_tested = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
+    if radii and radii_tested and max(radii_tested) > max(radii):
         yield (
             f"force was learned up to {max(radii):.3g} mm from the centre;"
-            f" loads up to {max(reached):.3g} mm agree with it"
+            f" loads up to {max(radii_tested):.3g} mm agree with it"
         )
 
 
@@ -84,18 +84,22 @@ def list_missing_forces(loads: Sequence[LoadObservation]) -> Iterator[str]:
 def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
     """Yield unusable readings of a sensor, and electrodes without usable readings."""
     expected_mask = pattern.usable()
-    missing = int((expected_mask & ~usable).sum())
-    if not missing:
+    missing_count = int((expected_mask & ~usable).sum())
+    if not missing_count:
         return
-    yield f"{missing} readings were not imaged: saturated, constant or not connected"
+    yield f"{missing_count} readings were not imaged: saturated, constant or not connected"
     drive, measure = np.array(pattern.drive), np.array(pattern.measure)
-    dead = [
+    dead_electrodes = [
         electrode
         for electrode in range(pattern.electrode_count)
         if _all_lost(expected_mask, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
     ]
-    if dead:
-        subject = f"electrode {dead[0]} is" if len(dead) == 1 else f"electrodes {', '.join(map(str, dead))} are"
+    if dead_electrodes:
+        subject = (
+            f"electrode {dead_electrodes[0]} is"
+            if len(dead_electrodes) == 1
+            else f"electrodes {', '.join(map(str, dead_electrodes))} are"
+        )
         yield f"{subject} dead: not one of its readings could be used, and forces beside it are less certain"
 
 

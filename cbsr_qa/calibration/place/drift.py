@@ -228,10 +228,10 @@ def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) ->
         time = np.linspace(0.0, 1.0, count - recheck_count)
         return np.append(time, 1 + SESSIONS + np.arange(recheck_count) / count), recheck_count
     breaks = np.diff(time_s)
-    last = int(breaks.argmax())
-    session = float(time_s[last] - time_s[0])
-    if 0 < session < breaks[last]:
-        return (time_s - time_s[0]) / session, count - last - 1
+    last_before_break = int(breaks.argmax())
+    session = float(time_s[last_before_break] - time_s[0])
+    if 0 < session < breaks[last_before_break]:
+        return (time_s - time_s[0]) / session, count - last_before_break - 1
     return (time_s - time_s[0]) / max(float(np.ptp(time_s)), np.finfo(float).tiny), 0
 
 

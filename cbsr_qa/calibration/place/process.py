@@ -42,12 +42,12 @@ def locate(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array
     places: Array = scales.own_variance * correlation @ process.weights
     turning_scale = np.sqrt(scales.turning)
     learned_features = process.features * turning_scale
-    step = max(_AT_ONCE // (len(turns) * len(learned_features)), 1)
-    for first in range(0, len(features), step):
-        turned = features[first : first + step, turns.permuted] * (turns.signs * turning_scale)
+    chunk = max(_AT_ONCE // (len(turns) * len(learned_features)), 1)
+    for start in range(0, len(features), chunk):
+        turned = features[start : start + chunk, turns.permuted] * (turns.signs * turning_scale)
         correlation = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned_features))
         by_turn = (correlation @ process.weights).reshape(-1, len(turns), 2)
-        places[first : first + step] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
+        places[start : start + chunk] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
     return places
 
 
@@ -181,11 +181,11 @@ class _Likelihood:
         self._orbit = turns.orbits()
         self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
         # Squared distances (orbits, n n g) in each orbit's readings, from every press to every press in every turn.
-        turned = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
-        turned = turned.reshape(-1, self._readings)
+        turned_features = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
+        turned_features = turned_features.reshape(-1, self._readings)
         self._apart = np.stack(
             [
-                compute_squared_distances(features[:, among], turned[:, among]).ravel()
+                compute_squared_distances(features[:, among], turned_features[:, among]).ravel()
                 for among in (self._orbit == number for number in range(self._orbits))
             ]
         )

@@ -63,23 +63,23 @@ def find_dead_readings(
     faulty_mask, flags, spike_mask = _faulty(pairs, changes, rest, noise)
     constant_mask = np.ptp(changes, axis=0) == 0
     changes = np.where(spike_mask | faulty_mask, 0.0, changes)
-    followed = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
-    followed[constant_mask] = 0.0
-    followed[faulty_mask.mean(axis=0) > _MOSTLY] = 0.0
+    followed_share = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
+    followed_share[constant_mask] = 0.0
+    followed_share[faulty_mask.mean(axis=0) > _MOSTLY] = 0.0
     dead_mask, findings = np.zeros(len(pairs), dtype=np.bool_), []
     mask_by_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
     while not dead_mask.all():  # worst first: its neighbours' readings involve it too
         shares_by_electrode = {
-            electrode: followed[electrode_mask & ~dead_mask]
+            electrode: followed_share[electrode_mask & ~dead_mask]
             for electrode, electrode_mask in mask_by_electrode.items()
             if (electrode_mask & ~dead_mask).any()
         }
         mean_by_electrode = {electrode: float(np.mean(shares)) for electrode, shares in shares_by_electrode.items()}
-        worst, middle = (
+        worst, median_share = (
             min(mean_by_electrode, key=lambda electrode: mean_by_electrode[electrode]),
             float(np.median(list(mean_by_electrode.values()))),
         )
-        if not (mean_by_electrode[worst] < _LEAST * middle and middle > _FOLLOWS):
+        if not (mean_by_electrode[worst] < _LEAST * median_share and median_share > _FOLLOWS):
             break
         electrode_mask = mask_by_electrode[worst]
         reason = "never change" if constant_mask[electrode_mask].all() else "do not follow the place of the press"
@@ -117,16 +117,16 @@ def find_dead_readings(
 
 def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | None) -> tuple[Mask, Indices, Mask]:
     """Readings (n, m) that faults spoil in single presses, flags (n,), and spikes (n, m)."""
-    faulty, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
+    faulty_mask, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
     if rest is not None:
         frame_faults = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
-        faulty, flags = frame_faults.left_out, frame_faults.flags
-    changes = np.where(faulty, 0.0, changes)
-    spikes = spikes_among(changes)
-    ceiling, lost = safe_ceilings(np.where(spikes, 0.0, changes)), faulty | spikes
+        faulty_mask, flags = frame_faults.left_out, frame_faults.flags
+    changes = np.where(faulty_mask, 0.0, changes)
+    spike_mask = spikes_among(changes)
+    ceiling, lost_mask = safe_ceilings(np.where(spike_mask, 0.0, changes)), faulty_mask | spike_mask
     # Spikes are left out here: they have their own words.
-    group_faults, flags_of = FaultyGroups(pairs)(changes, ceiling, lost, np.zeros_like(lost))
-    return faulty | group_faults, flags | flags_of, spikes
+    group_faults, flags_of = FaultyGroups(pairs)(changes, ceiling, lost_mask, np.zeros_like(lost_mask))
+    return faulty_mask | group_faults, flags | flags_of, spike_mask
 
 
 def _fault_words(flags: int) -> str:

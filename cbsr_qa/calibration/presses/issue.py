@@ -115,7 +115,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     dead_readings = find_dead_readings(
         readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
     )
-    clipped = estimate_clipped_share(readings.changes, readings.rest)
+    clipped_share = estimate_clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
     order = _check_electrode_order(replace(labelled, readings=readings), sheet)
@@ -125,18 +125,20 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     used_mask = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used_mask]
     place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
-    learned = _learn_place(labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell)
+    learned_place = _learn_place(
+        labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell
+    )
     if readings.noise is not None:
-        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
-        least = max(learned.model.least_size, noise_size(noise))
-        learned = replace(learned, model=replace(learned.model, least_size=least))
+        noise = np.where(learned_place.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
+        least = max(learned_place.model.least_size, noise_size(noise))
+        learned_place = replace(learned_place, model=replace(learned_place.model, least_size=least))
     quantities = {
-        name: _quantity(name, values[used_mask], learned, tell)
+        name: _quantity(name, values[used_mask], learned_place, tell)
         for name, unit in PRESS_QUANTITIES.items()
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
     weak_findings = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
-    held_out = learned.held_out
+    held_out = learned_place.held_out
     press_findings = (
         *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
     )
@@ -147,15 +149,20 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         *list_ignored_columns(presses),
         *unused_electrodes,
         *dead_readings.findings,
-        *_range_findings(clipped),
+        *_range_findings(clipped_share),
         *press_findings,
     )
-    sheet_findings = *reading_findings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
-    findings = *sheet_findings, *learned.warnings, *weak_findings, *([_BY_PLACE] if labelled.follow_places() else [])
-    modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
+    sheet_findings = *reading_findings, *_findings(order, clipped_share, radius_stated=labelled.radius_stated)
+    findings = (
+        *sheet_findings,
+        *learned_place.warnings,
+        *weak_findings,
+        *([_BY_PLACE] if labelled.follow_places() else []),
+    )
+    modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned_place.model.mixture.quantiles)
     left_out = zip(used_mask.tolist(), dead_readings.left_out, strict=True)
     why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)
-    return PressesLearned(registration, findings, used_mask, why_not, learned, modelled, quantities)
+    return PressesLearned(registration, findings, used_mask, why_not, learned_place, modelled, quantities)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -284,10 +291,10 @@ def _check_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> E
         raise RecordingError(
             f"{presses.table.path}, columns x_mm and y_mm: {error.reason}", remedy=error.remedy
         ) from error
-    small = _warn_of_metres(presses.place_mm)
-    if not small:
+    unit_warning = _warn_of_metres(presses.place_mm)
+    if not unit_warning:
         return order
-    registration = replace(order.registered.registration, trusted=False, why=small)
+    registration = replace(order.registered.registration, trusted=False, why=unit_warning)
     return replace(order, registered=replace(order.registered, registration=registration))
 
 

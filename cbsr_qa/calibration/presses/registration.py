@@ -102,11 +102,11 @@ def maximise_over_turns(
     """
     side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
-    turned = (to_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
+    turned_places = (to_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
     values = []
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
-        for places in (turned, turned.conj()):
+        for places in (turned_places, turned_places.conj()):
             values.append(float(likeness.roughly(np.stack([places.real, places.imag], axis=-1)).sum(axis=1).max()))
     return max(values)
 

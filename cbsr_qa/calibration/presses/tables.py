@@ -107,10 +107,10 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
         itself, or a few pairs measure at an electrode that they drive and all others do not.
     """
     table = read_table(path)
-    missing = [name for name in _PAIR_COLUMNS if name not in table.columns]
-    if missing:
+    missing_columns = [name for name in _PAIR_COLUMNS if name not in table.columns]
+    if missing_columns:
         table.refuse(
-            [f"the header is {', '.join(table.columns[:8])}; missing: {', '.join(missing)}"],
+            [f"the header is {', '.join(table.columns[:8])}; missing: {', '.join(missing_columns)}"],
             remedy=f"the columns of a pattern are {','.join(_PAIR_COLUMNS)}, electrodes from 0",
         )
     values = table.numbers(_PAIR_COLUMNS)

@@ -105,24 +105,24 @@ class HeadForces(SensorFrames):
         voltages = self.voltages(frames, current_A)
         head = self.issued.indenter if indenter is None else indenter
         places = None if place_mm is None else self._places(place_mm, len(voltages))
-        parts = []
+        forces_by_part = []
         for usable, frame_indices, flags in self.sound_parts(voltages):
             changes, bad_flags = usable.changes_of(voltages[frame_indices])
             part_places = places if places is None or places.ndim == 1 else places[frame_indices]
-            parts.append((frame_indices, usable._force(changes, bad_flags | flags, part_places, head)))
-        return join_forces(parts)
+            forces_by_part.append((frame_indices, usable._force(changes, bad_flags | flags, part_places, head)))
+        return join_forces(forces_by_part)
 
     def _force(self, changes: Array, bad: Indices, places: Array | None, head: Indenter) -> Forces:
         finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows) if places is None else finder.match_at(rows, places)
         offset_mask = self.moved(changes, matches, head)
         if offset_mask.any():
-            parts = []
+            forces_by_part = []
             for usable, flag, part_mask in ((self, 0, ~offset_mask), (self.level(), int(Flag.OFFSET), offset_mask)):
                 part_places = places if places is None or places.ndim == 1 else places[part_mask]
                 forces = usable._force(changes[part_mask], bad[part_mask] | flag, part_places, head)
-                parts.append((np.flatnonzero(part_mask), forces))
-            return join_forces(parts)
+                forces_by_part.append((np.flatnonzero(part_mask), forces))
+            return join_forces(forces_by_part)
         other_strength = self._others(rows, matches, finder)
         if places is None:
             widened = finder.ambiguous(rows, matches) if self._fewer else matches
@@ -294,26 +294,26 @@ class HeadForces(SensorFrames):
         matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
         force, stderr = self._inverse(head).force(matches)
         detectability = np.sqrt(matches.gain)
-        usable = bad & NO_FORCE == 0
-        flags = np.where(usable, self._flags(matches, detectability, searched=searched) | bad, bad)
+        usable_mask = bad & NO_FORCE == 0
+        flags = np.where(usable_mask, self._flags(matches, detectability, searched=searched) | bad, bad)
         silent = (flags & int(Flag.NOT_DETECTED)) != 0
         if searched:
             # An undetected load may be where the sheet responds least.
             force[silent], stderr[silent] = 0.0, self.least_force_N
-        loaded = ~silent & usable
+        loaded = ~silent & usable_mask
         several = loaded & (others > 0)
         stderr = np.where(several, np.hypot(stderr, np.abs(force) * others), stderr)
         flags |= several * int(Flag.MORE_THAN_ONE)
         flags |= loaded * range_flags(force, stderr, matches.place_mm, self.issued.validity)
         flags |= (loaded & (error > LARGEST)) * int(Flag.OTHER_HEAD)
-        force[~usable] = np.nan
-        stderr[~usable] = np.nan
+        force[~usable_mask] = np.nan
+        stderr[~usable_mask] = np.nan
         place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
         place_mm = matches.place_mm
         if searched:  # searched in vain in an unusable frame
-            place_mm[~usable] = np.nan
-            place_stderr[~usable] = np.nan
+            place_mm[~usable_mask] = np.nan
+            place_stderr[~usable_mask] = np.nan
         return Forces(force, stderr, place_mm, place_stderr, detectability, flags)
 
     def _least_force_N(self) -> float:

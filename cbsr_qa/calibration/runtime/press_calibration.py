@@ -186,8 +186,8 @@ class PressCalibration:
             if not 1 <= unloaded.first <= len(first):
                 raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
             rest_frames = first.select(slice(0, unloaded.first))
-        usable = self._require_pattern().usable()
-        rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable]
+        usable_mask = self._require_pattern().usable()
+        rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable_mask]
         if rest_readings is not None and not np.isfinite(rest_readings).all():
             frames_name = (
                 f"the first {unloaded.first} frames of {name}" if unloaded.first else f"the frames at rest of {name}"
@@ -201,7 +201,7 @@ class PressCalibration:
             relative=rest_readings is not None,
             differences=unloaded.differences,
         )
-        return _Sequence(usable, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate)
+        return _Sequence(usable_mask, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate)
 
     def estimate_readings(
         self, pairs: Indices, readings: Array, *, relative: bool = False, differences: bool = False

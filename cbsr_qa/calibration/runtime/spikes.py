@@ -34,18 +34,18 @@ class SpikeFilter:
 
         Frames with more than 5 % disagreeing pairs are unchanged, as these are not single spikes.
         """
-        first, other = changes[:, self._first], self._sign * changes[:, self._other]
-        relative_difference = np.abs(first - other) / self._noise
+        direct, reciprocal = changes[:, self._first], self._sign * changes[:, self._other]
+        relative_difference = np.abs(direct - reciprocal) / self._noise
         far_mask = relative_difference > SPIKE_SIGMA
         if not far_mask.any():
             return np.zeros(len(changes), dtype=np.bool_)
         unrest = np.maximum(_MAD_TO_SIGMA * np.median(relative_difference, axis=1), 1.0)
-        larger = np.abs(first) > np.abs(other)
-        large, small = np.where(larger, first, other), np.where(larger, other, first)
-        spikes = (relative_difference > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
-        spikes[spikes.mean(axis=1) > MOST_SPIKES] = False
-        frame, pair = np.nonzero(spikes)
+        larger = np.abs(direct) > np.abs(reciprocal)
+        large, small = np.where(larger, direct, reciprocal), np.where(larger, reciprocal, direct)
+        spike_mask = (relative_difference > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
+        spike_mask[spike_mask.mean(axis=1) > MOST_SPIKES] = False
+        frame, pair = np.nonzero(spike_mask)
         changes[frame, self._first[pair]] = small[frame, pair]
         changes[frame, self._other[pair]] = self._sign[pair] * small[frame, pair]
-        spiky_frames: Mask = spikes.any(axis=1)
+        spiky_frames: Mask = spike_mask.any(axis=1)
         return spiky_frames

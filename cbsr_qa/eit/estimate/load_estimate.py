@@ -267,13 +267,14 @@ class LoadEstimator:
 @lru_cache(maxsize=16)
 def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
     """Places (p, 2) all over the sheet, and the response to a weak load of unit strength (p, drives, measures)."""
-    step = _GRID * model.surroundings.radius_mm
+    spacing_mm = _GRID * model.surroundings.radius_mm
     left, right, bottom, top = model.surroundings.extent_mm
     axes = (
-        np.arange(ceil(low / step), floor(high / step) + 1) * step for low, high in ((left, right), (bottom, top))
+        np.arange(ceil(low / spacing_mm), floor(high / spacing_mm) + 1) * spacing_mm
+        for low, high in ((left, right), (bottom, top))
     )
     places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    places = places[model.surroundings.clearance_mm(places) > step / 2]
+    places = places[model.surroundings.clearance_mm(places) > spacing_mm / 2]
     return places, _weak_changes(model, places, radius_mm)
 
 

@@ -153,13 +153,13 @@ class _Cut:
         self.above = (nodal >= levels[:, None]).ravel()
         high_mask = nodal >= levels.min()
         triangles = self._copies(mesh.elements[_any(high_mask, mesh.elements)])
-        reached = self.above[triangles]
-        first, second, third = reached.T.astype(np.int8)
+        above_mask = self.above[triangles]
+        first, second, third = above_mask.T.astype(np.int8)
         count = first + second + third
         self.whole = triangles[count == 3]
         self.tips, self.stumps = (
-            _rotate_to_marked_corner(triangles[count == 1], reached[count == 1]),
-            _rotate_to_marked_corner(triangles[count == 2], ~reached[count == 2]),
+            _rotate_to_marked_corner(triangles[count == 1], above_mask[count == 1]),
+            _rotate_to_marked_corner(triangles[count == 2], ~above_mask[count == 2]),
         )
         self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
         self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]

@@ -166,11 +166,11 @@ def _relations(regions: Sequence[Region], loads: Sequence[Footprint]) -> tuple[A
     """Distances of the regions' centres of mass from the loads' centres, and whether they cover them."""
     pressed = np.array([load.centre_mm for load in loads]).reshape(-1, 2)
     distance = np.empty((len(loads), len(regions)))
-    covered = np.empty_like(distance, dtype=np.bool_)
+    covered_mask = np.empty_like(distance, dtype=np.bool_)
     for number, region in enumerate(regions):
         distance[:, number] = np.hypot(*(pressed - region.centre_mm()).T)
-        covered[:, number] = inside_edges(pressed, *region.rim_mm())
-    return distance, covered
+        covered_mask[:, number] = inside_edges(pressed, *region.rim_mm())
+    return distance, covered_mask
 
 
 #: Mask under which a watershed separates two loads, and the depth of the valley between them, both of the maximum.

@@ -102,8 +102,8 @@ def _overlaps_percent(
 ) -> list[float]:
     if mode == "exact":
         # Green's theorem: the overlap depends only on the region's perimeter.
-        start, end, first = _join_rims(rims)
-        overlaps_mm2 = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first), 0.0)
+        start, end, first_edges = _join_rims(rims)
+        overlaps_mm2 = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first_edges), 0.0)
     elif mode == "centroid":
         overlaps_mm2 = np.array(
             [_overlap_of_elements_mm2(_require_blob(region, "clipping by centroids"), indenter) for region in regions]
@@ -124,10 +124,12 @@ def _deviations_mm2(
         return [float(np.mean(indenter.distance_mm(places) ** 2)) for places in nodes]
     if mode != "length":
         raise NumericsError(f"unknown perimeter mode {mode!r}", remedy="use 'length' or 'nodes'")
-    start, end, first = _join_rims(rims)
+    start, end, first_edges = _join_rims(rims)
     edge = end - start
     length = np.sqrt(edge[:, 0] ** 2 + edge[:, 1] ** 2)
-    mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first) / np.add.reduceat(length, first)
+    mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first_edges) / np.add.reduceat(
+        length, first_edges
+    )
     deviations: list[float] = mean.tolist()
     return deviations
 
