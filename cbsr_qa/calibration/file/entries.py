@@ -97,7 +97,7 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
 
 
 def _frame_problems(calibration: PressCalibration) -> Iterator[str]:
-    """Say what is wrong with the order of a frame's readings, and with what is stated of each."""
+    """Describe errors in the order of a frame's readings, and in what is stated of each."""
     if not (calibration.drive and calibration.measure):
         yield "readings/drive or readings/measure is empty"
     readings = len(calibration.pairs)

@@ -138,7 +138,8 @@ class RelaxationAgreement:
     Parameters
     ----------
     shape : verdict on the curves, relative to the steady (or released) change.
-    shape_difference, shape_stderr, at_s : second less first, where it is largest relative to its reach.
+    shape_difference, shape_stderr, at_s : second less first curve and its error, at the time when it is largest
+        relative to its reach.
     shape_reach : bound of the difference at all times of the window, at the requested level.
     time : verdict on the settling times.
     time_ratio, time_ratio_stderr : second over first; None if one has no plain number.

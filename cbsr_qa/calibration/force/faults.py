@@ -14,11 +14,11 @@ from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.rules import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SILENT_SPREAD, SOUND_SLOPE
 
-#: A pair is judged if noise is at most this share of the spread of its unloaded readings; and a silent one may spread
-#: by so many times the noise.
+#: Largest noise of a pair that is judged, as a share of the spread of its unloaded readings; and largest spread of a
+#: silent pair, in units of the noise.
 _CLEAR: Final = 0.1
 _NOISY: Final = 2.0
-#: Readings with one extreme value are clipped, if so many are that differ by so many times their noise at rest.
+#: Fewest readings with one extreme value that count as clipped, and their least range at rest, in units of the noise.
 _CLIPPED: Final = 3
 _APART: Final = 6.0
 #: Largest share of dead pairs in a frame of this sensor.

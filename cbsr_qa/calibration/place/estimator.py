@@ -78,8 +78,8 @@ class PlaceEstimator:
     def __call__(self, changes: Array, faults: FrameFaults | None = None) -> Places:
         """Locate the touches of changes (n, m) of the learned readings, in their unit.
 
-        Readings that are not finite, spikes and readings of faulty groups are replaced by what the others let expect,
-        and flagged; frames with more than half of their readings lost are UNREADABLE.
+        Readings that are not finite, spikes and readings of faulty groups are replaced by the values that the others
+        predict, and flagged; frames with more than half of their readings lost are UNREADABLE.
 
         Parameters
         ----------

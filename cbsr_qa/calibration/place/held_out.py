@@ -77,7 +77,7 @@ class LeftOut:
         return LeftOut(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def mixture(self, places_mm: Array, levels: Sequence[float] = LEVELS) -> PlaceMixture:
-        """The mixture that presses at places (n, 2) call for, with regions of some levels."""
+        """Mixture learned from presses at places (n, 2), with regions of some levels."""
         parts = self.process, self.templates, self.templates_covariance, places_mm[self.presses]
         return learn_mixture(*parts, visits_of(places_mm)[self.presses], levels)
 

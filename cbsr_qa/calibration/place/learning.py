@@ -50,11 +50,11 @@ _KNOWN_CENTRE: Final = 0.03
 #: Quantile of left-out presses that limits a touch's misfit, times an allowance for unseen presses.
 _MISFIT_LEVEL: Final = 0.98
 _MISFIT_ROOM: Final = 1.2
-#: A touch has at least this share of the 2 % quantile of learned sizes.
+#: Least size of a touch, as a share of the 2 % quantile of learned sizes.
 _SIZE_ROOM: Final = 0.5
-#: Places further from the nearest press than this many median distances of neighbours are outside.
+#: Distance from the nearest press, in median distances of neighbours, beyond which places are outside.
 _REACH: Final = 4.0
-#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
+#: Share of the errors of always guessing the middle above which readings are hardly informative.
 _POOR: Final = 0.6
 
 Tell = Callable[[str], None]

@@ -27,7 +27,7 @@ _MOST_NAMED: Final = 5
 #: Share of readings at one end of their range from which they are clipped, if so many times fewer are at the next
 #: value: coarse readings have ends too, that most of them do not reach.
 _CLIPPED, _TIMES_NEXT = 0.01, 10
-#: A reading that is faulty in a larger share of the presses tells nothing of the place in the others either.
+#: Largest share of presses in which a reading may be faulty and still tell something of the place in the others.
 _MOSTLY: Final = 0.5
 #: Readings, relative to their range, that are equal but for rounding.
 _ROUNDING: Final = 1e-9

@@ -31,7 +31,7 @@ _CLEAR, _LESS_LEFT = 4.0, 0.85
 
 #: Share of the signal that another numbering must explain: among many, one explains a little of any sheet.
 _LEAST_SIGNAL: Final = 0.3
-#: Log likelihoods that differ by less are equal.
+#: Difference of log likelihoods below which they are equal.
 _ALIKE: Final = 1.0
 
 

@@ -19,7 +19,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 #: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
 _BEYOND = 1.15
 _MOST_NAMED = 5
-#: Readings, relative to their size, that differ by less between presses are equal.
+#: Difference of readings between presses, relative to their size, below which they are equal.
 _ALIKE = 1e-6
 #: Presses were made in the order of their places if these explain more than half of the times' variance, which they
 #: do by chance in one case of a thousand.

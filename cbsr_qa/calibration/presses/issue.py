@@ -42,7 +42,7 @@ _SCALE_OFF: Final = 0.1
 _SMALL_MM: Final = 1.0
 #: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
 _NOISE_ROOM: Final = 3.3
-#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
+#: Share of the errors of always guessing the middle above which readings are hardly informative.
 _POOR: Final = 0.6
 _MADE_BY: Final = "labelled presses; no station made this calibration"
 _MIRRORED: Final = (

@@ -16,8 +16,8 @@ from cbsr_qa.domain.results.calibration import ForceModel
 
 #: Fewest rows that determine a place.
 FEWEST_ROWS: Final = 12
-#: An offset on all readings explains so much of what a head, or nothing, leaves beyond noise, and at least so many
-#: squares of noise.
+#: Least share of the residual of a head, or of none, beyond noise that an offset on all readings explains, and its
+#: least amount in squares of noise.
 BY_OFFSET: Final = 0.95
 LEAST_OFFSET: Final = 50.0
 

@@ -45,7 +45,7 @@ class SettlingForces:
         prediction; of a released load 0, with all that the frame shows as its error; without a kernel, or with
         several heads, that of the frame itself, with 30 % added to its error.
 
-        The error of a load held longer than the calibrated ones grows by what its kernel says it has crept since.
+        The error of a load held longer than the calibrated ones grows by the creep since then that its kernel predicts.
 
         CalibrationError as for :meth:`ForceStream.update`.
         """

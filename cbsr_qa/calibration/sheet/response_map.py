@@ -31,10 +31,10 @@ _SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
 #: presses, and typical variation of moulded sheets. Chosen by us.
 _USUAL_SCATTER: Final = 0.02
 _USUAL_DEVIATION: Final = 0.2
-#: Members with less weight are dropped. There are many after few loads: at 1e-4 those dropped made stated errors 4 %
-#: too small with ten loads.
+#: Least weight of members that are kept. Members are many after few loads: at 1e-4 those dropped made stated errors
+#: 4 % too small with ten loads.
 _NEGLIGIBLE: Final = 1e-5
-#: Loads with a larger relative error of their amplitude do not determine its logarithm.
+#: Largest relative error of an amplitude that determines its logarithm.
 LARGEST_ERROR: Final = 0.3
 #: Variance that keeps the covariance of noiseless loads at one place invertible.
 _ROUNDING: Final = 1e-12

@@ -160,7 +160,7 @@ def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter |
 
 #: Data are taken after at least this many settling times (science, section 8).
 _MULTIPLE: Final = 1.5
-#: A larger share of a release that outlasts its rest is not a residue: the rests are too short to decide.
+#: Largest share of a release that outlasts its rest and is a residue: with more, rests are too short to decide.
 _MOST_RESIDUE: Final = 0.1
 
 
