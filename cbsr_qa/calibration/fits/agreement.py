@@ -111,7 +111,7 @@ class ComparedCurves:
     Parameters
     ----------
     time_s : (n,) times from the end of the ramp.
-    first, first_stderr, second, second_stderr : (n,).
+    first, first_stderr, second, second_stderr : (n,) curves and their standard errors.
     """
 
     time_s: Array

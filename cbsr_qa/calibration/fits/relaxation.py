@@ -32,7 +32,7 @@ def exponentials(
     Parameters
     ----------
     time_s : (...,) times from the end of the ramp.
-    time_constants_s : (k,).
+    time_constants_s : (k,) time constants.
     ramp_s : T, broadcast with ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
     """

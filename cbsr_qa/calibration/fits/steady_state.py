@@ -83,10 +83,10 @@ def event_rate_per_min(
     held, rested : waiting times relative to them; 1.5 each without transient compensation (paper 4.3.2), less with.
     ramp_s : duration of one press, and of one release.
     """
-    times_s = (loading_s, unloading_s, held, rested, ramp_s)
+    numbers = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
-    if not (all(np.isfinite(time_s) and time_s >= 0 for time_s in times_s) and period_s > 0):
-        raise NumericsError(f"times that give no event rate: {', '.join(f'{time_s:g}' for time_s in times_s)}")
+    if not (all(np.isfinite(number) and number >= 0 for number in numbers) and period_s > 0):
+        raise NumericsError(f"times that give no event rate: {', '.join(f'{number:g}' for number in numbers)}")
     return 60 / period_s
 
 

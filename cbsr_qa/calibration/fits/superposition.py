@@ -193,7 +193,7 @@ class Levels:
     Parameters
     ----------
     values : (loops, strains) float64, in the quantity's unit.
-    errors : (causes, loops, strains), effect of one standard error of each independent cause.
+    errors : (causes, loops, strains) effect of one standard error of each independent cause.
     """
 
     values: Array

@@ -110,7 +110,8 @@ class FaultFinder:
 
         Parameters
         ----------
-        readings, kept : (n, m), and 1 for those that count, 0 for others. Pairs without enough follow exactly.
+        readings, kept : (n, m) readings, and 1 for those that count, 0 for others. Pairs without enough follow
+            exactly.
         """
         largest = _LARGEST * float(np.abs(self._reference).max())
         centred = np.clip(readings - np.median(readings, axis=1, keepdims=True), -largest, largest) * kept

@@ -37,12 +37,12 @@ class CalibrationLoads:
 
     Parameters
     ----------
-    place_mm : (n, 2).
+    place_mm : (n, 2) places of the loads.
     rows : (n, r) mean steady rows of unit noise, against the rested sheet.
     frames : (n,) number, or equivalent number, of averaged frames.
     before : (n, r) mean rows just before the press; zero without frames.
     frames_before : (n,) number of frames, may be 0.
-    force_N, force_stderr_N : (n,).
+    force_N, force_stderr_N : (n,) forces and their standard errors.
     """
 
     place_mm: Array

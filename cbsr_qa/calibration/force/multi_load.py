@@ -32,7 +32,7 @@ class Heads:
 
     Parameters
     ----------
-    place_mm, strength : (k, 2) and (k,), the strongest in the frame first.
+    place_mm, strength : (k, 2) places and (k,) strengths, the strongest in the frame first.
     covariance : (3 k, 3 k) covariance of (strength, x, y) of each in turn, from noise or, if larger, from the
         residual.
     gain : decrease of the squared residuals.

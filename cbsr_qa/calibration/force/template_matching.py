@@ -30,7 +30,7 @@ class Matches:
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN without nodes around it.
+    place_mm : (n, 2) places; NaN without nodes around it.
     strength : (n,) a = 2κ/(2 + κ).
     covariance : (n, 3, 3) covariance of (strength, x, y); zero for a given place.
     gain : (n,) b²/g, decrease of the squared residuals by the head.

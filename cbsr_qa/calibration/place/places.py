@@ -12,7 +12,7 @@ class Places:
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN if more than half of the readings are lost, or by the modelled sheet any.
+    place_mm : (n, 2) places; NaN if more than half of the readings are lost, or by the modelled sheet any.
     covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
     misfit : (n,) squared misfit per reading over its limit for learned touches.
     strength : (n,) strength of the changes, relative to the learned ones at the place; one by the modelled sheet.

@@ -113,7 +113,7 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
 
     Parameters
     ----------
-    features, places_mm : (n, m) and (n, 2), about the centre, in the electrodes' frame.
+    features, places_mm : (n, m) features and (n, 2) places about the centre, in the electrodes' frame.
     """
     likelihood = _Likelihood(turns, features, places_mm)
     start = likelihood.start()

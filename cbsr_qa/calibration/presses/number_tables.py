@@ -54,7 +54,7 @@ class NumberTable:
     ----------
     path : path of the file.
     columns : names of the columns.
-    values : (rows, columns); NaN where a cell is not a finite number.
+    values : (rows, columns) numbers; NaN where a cell is not a finite number.
     odd_cells : content of those cells, as a message shows it: the first ten of each column.
     """
 

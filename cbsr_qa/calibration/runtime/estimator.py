@@ -122,7 +122,7 @@ class ModelledTouches:
 
     Parameters
     ----------
-    place_mm, covariance_mm2 : (n, 2) and (n, 2, 2); NaN in frames that do not tell it.
+    place_mm, covariance_mm2 : (n, 2) places and their (n, 2, 2) covariances; NaN in frames that do not tell it.
     explained : (n,) share of the readings' squares that a touch there explains.
     in_model : (n,) mask of frames in which that is enough for the place to be relied on.
     """

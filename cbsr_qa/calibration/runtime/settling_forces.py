@@ -34,8 +34,8 @@ class SettlingForces:
 
         Parameters
         ----------
-        time_s : (n,), rising, later than those of earlier calls [s].
-        frames : (n, drives, measures) [V].
+        time_s : (n,) rising times, later than those of earlier calls [s].
+        frames : (n, drives, measures) voltages [V].
         forces : forces of these frames, each estimated by itself.
 
         Returns
@@ -45,7 +45,7 @@ class SettlingForces:
         prediction; of a released load 0, with all that the frame shows as its error; without a kernel, or with
         several heads, that of the frame itself, with 30 % added to its error.
 
-        The error of a load held longer than the calibrated ones grows by the creep since then that its kernel predicts.
+        The error of a load held longer than the calibrated ones grows by the creep that its kernel predicts since.
 
         CalibrationError as for :meth:`ForceStream.update`.
         """

@@ -99,7 +99,7 @@ class ForceStream:
         Parameters
         ----------
         time_s : time of the frame's middle, on any clock that advances [s].
-        frame : (drives, measures) [V].
+        frame : (drives, measures) voltages [V].
 
         Returns
         -------

@@ -99,7 +99,7 @@ class _Family:
 
     Parameters
     ----------
-    scatter, root_weight : (s,), (s, p) as in the members.
+    scatter, root_weight : (s,) scatters and (s, p) root weights of the members.
     root, solved, mean, mean_root : (d, s, ...) matrices of the members, ``solved`` being ``drift`` and ``data`` side
         by side.
     score : (d, s) logarithms of the members' weights: marginal likelihood times prior.

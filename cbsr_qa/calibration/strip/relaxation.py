@@ -174,7 +174,8 @@ class KernelCurve:
 
     Parameters
     ----------
-    weights, time_constants_s : (k,), relative to the steady (or the released) change.
+    weights, time_constants_s : (k,) weights and their time constants; weights are relative to the steady (or the
+        released) change.
     covariance : (2 k, 2 k) covariance of (w, log τ).
     start_s, window_s : ends of the known time.
     level : c, the final value: 1 after a press, 0 after a release.
