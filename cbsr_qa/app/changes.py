@@ -60,13 +60,13 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
             tuple(altered.values()),
         )
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.runs.find()}
-    found = {
+    count_by_noun = {
         "file": len(changes.changes),
         "control chart": len(changes.chart_references),
         "verdict": len(changes.overrides),
-        "analysis": sum(one.runs for one in changes.adoptions),
+        "analysis": sum(adoption.runs for adoption in changes.adoptions),
     }
-    counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in found.items() if count)
+    counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in count_by_noun.items() if count)
     warnings = [f"altered since it was stored, and not listed: {problem}" for problem in changes.altered]
     outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED, warnings=warnings)
     sections = tuple(_sections(changes, lambda run: names.get(run, run)))
@@ -110,15 +110,15 @@ def _section(title: str, why: str, *lines: str) -> Section:
 
 def _differences(now: ChartChange) -> Iterator[str]:
     """Yield a chart's new and earlier limits."""
-    before = now.earlier
+    earlier = now.earlier
     if now.retired:
         yield "retired: nothing is charted against these limits from here on"
         return
     for name in ("mean", "deviation"):
-        was = "" if before is None else f"{number(getattr(before, name), 4)} → "
+        was = "" if earlier is None else f"{number(getattr(earlier, name), 4)} → "
         yield f"{name} {was}{number(getattr(now, name), 4)} {unit_shown(now.unit)}".rstrip()
-    if before is not None and before.settings != now.settings:
-        yield f"settings {_settings(before)} → {_settings(now)}"
+    if earlier is not None and earlier.settings != now.settings:
+        yield f"settings {_settings(earlier)} → {_settings(now)}"
 
 
 def _settings(reference: ChartReference) -> str:

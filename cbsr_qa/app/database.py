@@ -131,19 +131,19 @@ def upgrade_database(
     engine = open_engine(parse_url(database_url(option)))
     try:
         file, version = sqlite_file(engine.url), read_version(engine)
-        kept = None
+        backup_file = None
         if backup and file is not None and version.age is Age.OLDER:
-            kept = timestamp_path(file, f"schema-{version.revision}")
-            copy_database(engine, kept, count)
-        before = upgrade(engine, tell=on_stderr)
+            backup_file = timestamp_path(file, f"schema-{version.revision}")
+            copy_database(engine, backup_file, count)
+        version_before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
-    url, found = address(engine.url), before.revision
-    done = Upgrade(url, found, HEAD, found != HEAD, kept)
-    words = f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
-    undo = f"cbsr-qa db restore {shlex.quote(str(kept))}{database_option(option)}"
-    printed = (("Backup", str(kept)), ("Undone by", undo)) if kept else ()
-    return answer(done, url, words, printed=printed)
+    url, revision_before = address(engine.url), version_before.revision
+    done = Upgrade(url, revision_before, HEAD, revision_before != HEAD, backup_file)
+    headline = f"schema {revision_before or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
+    undo = f"cbsr-qa db restore {shlex.quote(str(backup_file))}{database_option(option)}"
+    printed = (("Backup", str(backup_file)), ("Undone by", undo)) if backup_file else ()
+    return answer(done, url, headline, printed=printed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,21 +123,21 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
     """
     engine = open_engine(parse_url(database_url(option)))
     file = sqlite_file(engine.url)
-    there = file is not None and file.exists()
+    had_database = file is not None and file.exists()
     aside = timestamp_path(file or backup, "replaced")
     try:
         version = put_back(engine, backup, aside, count)
     finally:
         engine.dispose()
     url = address(engine.url)
-    done = Restored(url, backup, aside if there else None, version.revision, HEAD)
-    facts = [("Database", url), ("Schema", f"{done.schema} (this program's is {HEAD})")]
-    printed = [("Kept", str(done.replaced))] if done.replaced else []
+    restored = Restored(url, backup, aside if had_database else None, version.revision, HEAD)
+    facts = [("Database", url), ("Schema", f"{restored.schema} (this program's is {HEAD})")]
+    printed = [("Kept", str(restored.replaced))] if restored.replaced else []
     if version.age is not Age.CURRENT:
         printed.append(
             ("Go on with", f"cbsr-qa db upgrade{database_option(option)}, or an earlier version of cbsr-qa")
         )
-    return answer(done, f"{backup} restored", "it was verified before", facts, printed=printed)
+    return answer(restored, f"{backup} restored", "it was verified before", facts, printed=printed)
 
 
 def check_database(

@@ -70,11 +70,11 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
 
 def _difference(recording: Recording, empty: Recording) -> str:
     """Return why two recordings cannot be compared; empty if they can."""
-    own, other = recording.frames, empty.frames
-    if other.voltages.shape[1:] != own.voltages.shape[1:] or empty.scan is not recording.scan:
+    own_frames, empty_frames = recording.frames, empty.frames
+    if empty_frames.voltages.shape[1:] != own_frames.voltages.shape[1:] or empty.scan is not recording.scan:
         return f"its frames are {_shape(empty)}, not {_shape(recording)}"
-    if other.unit is not own.unit:
-        return f"its readings are in {other.unit.value}, not in {own.unit.value}"
+    if empty_frames.unit is not own_frames.unit:
+        return f"its readings are in {empty_frames.unit.value}, not in {own_frames.unit.value}"
     if empty.magnitudes_only is not recording.magnitudes_only:
         held = {True: "absolute values", False: "values with their sign"}
         return f"it holds {held[empty.magnitudes_only]}, not {held[recording.magnitudes_only]}"
@@ -101,24 +101,28 @@ def _scale_difference(recording: Recording, empty: Recording) -> str:
     """Compare level, size and pattern of the typical frames, over the readings they share."""
     missing = ReadingFlag.MISSING.value
     held = ((recording.frames.flags & missing) == 0).any(axis=0) & ((empty.frames.flags & missing) == 0).any(axis=0)
-    own, other = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
-    if own.size == 0:
+    own_readings, empty_readings = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
+    if own_readings.size == 0:
         return "they have no reading in common"
     offset, other_offset = (
-        (0.0, 0.0) if recording.magnitudes_only else (float(np.median(own)), float(np.median(other)))
+        (0.0, 0.0)
+        if recording.magnitudes_only
+        else (float(np.median(own_readings)), float(np.median(empty_readings)))
     )
-    size, other_size = _size(own - offset), _size(other - other_offset)
+    size, other_size = _size(own_readings - offset), _size(empty_readings - other_offset)
     if size == 0.0:
         return ""  # an unconnected recording is refused as such
     if other_size == 0.0:
-        return f"all its readings are {other[0]:.4g} {empty.frames.unit.value}: nothing was connected"
+        return f"all its readings are {empty_readings[0]:.4g} {empty.frames.unit.value}: nothing was connected"
     if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
         return f"its readings are {other_size / size:.3g} times as large"
     if abs(other_offset - offset) > _MOST_OFFSET * max(size, other_size):
         unit = recording.frames.unit.value
         return f"its readings lie about {other_offset:.4g} {unit}, not {offset:.4g} {unit}"
-    alike = float((own - offset) @ (other - other_offset)) / (size * other_size * own.size)
-    return "" if alike >= _LEAST_ALIKE else f"its readings have another pattern (correlation {alike:.2f})"
+    correlation = float((own_readings - offset) @ (empty_readings - other_offset)) / (
+        size * other_size * own_readings.size
+    )
+    return "" if correlation >= _LEAST_ALIKE else f"its readings have another pattern (correlation {correlation:.2f})"
 
 
 def _size(readings: Array) -> float:
@@ -177,25 +181,25 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         return _build_outcome(path, recording, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
         problems = error.problems if isinstance(error, RecordingError) else ()
-        read = (
+        read_recording = (
             ReadRecording.from_problems(name, problems)
             if recording is None
             else ReadRecording.from_recording(recording)
         )
-        return Analysed(path, read, {}, datasets=datasets or None).with_refusal(error)
+        return Analysed(path, read_recording, {}, datasets=datasets or None).with_refusal(error)
 
 
 def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
     """Create the reconstruction; its errors do not name the file."""
-    where = "--option" if request.options else "--reconstruction"
+    option_name = "--option" if request.options else "--reconstruction"
     try:
-        reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+        reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, option_name)
     except PluginError as error:
         raise PluginError(
-            f"--reconstruction: {error.reason.removeprefix(f'{where}: ')}", remedy=error.remedy
+            f"--reconstruction: {error.reason.removeprefix(f'{option_name}: ')}", remedy=error.remedy
         ) from error
     except NumericsError as error:
-        raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
+        raise ConfigError(f"{option_name}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
     return reconstruction
 
 

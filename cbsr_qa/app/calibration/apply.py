@@ -186,16 +186,16 @@ def follow_recording(estimator: Estimator, recording: Recording, request: ApplyR
         If the calibration lacks what is asked for, or an unloaded frame to compare with.
     """
     estimator.check_recording(recording)
-    rest = None
+    rest_frames = None
     if request.rest is not None:
         require_ability(estimator, Ability.READINGS)
         require_ability(estimator, Ability.FRAMES)
         assert estimator.pattern is not None
-        rest = read_whole_frames(request.rest, estimator.pattern)
+        rest_frames = read_whole_frames(request.rest, estimator.pattern)
     return estimator.follow(
         recording.path.name,
         recording.frames,
-        UnloadedFrames(request.reference, rest, request.differences),
+        UnloadedFrames(request.reference, rest_frames, request.differences),
         timed=is_increasing(recording.frames.time_s),
         place_mm=request.place_mm,
     )
@@ -269,12 +269,12 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
     ----------
     output : CSV file that was written; None for tables.
     """
-    good = [recording for recording in applied.recordings if recording.error is None]
-    frames = sum(len(recording.frames) for recording in good)
-    reason = f"{plural(frames, 'frame')} of {plural(len(good), 'recording')}"
+    estimated = [recording for recording in applied.recordings if recording.error is None]
+    frames = sum(len(recording.frames) for recording in estimated)
+    reason = f"{plural(frames, 'frame')} of {plural(len(estimated), 'recording')}"
     printed = () if output is None else (("Forces", str(output)),)
-    sections = () if output else tuple(Section(recording.file.name, (_table(recording),)) for recording in good)
-    remarks = tuple(f"{recording.file.name}: {remark}" for recording in good for remark in recording.remarks)
+    sections = () if output else tuple(Section(recording.file.name, (_table(recording),)) for recording in estimated)
+    remarks = tuple(f"{recording.file.name}: {remark}" for recording in estimated for remark in recording.remarks)
     outcome = answer(applied, "applied", reason, printed=printed)
     return replace(
         outcome, page=replace(outcome.page, remarks=remarks), sections=sections, exit_code=applied.exit_code
@@ -288,15 +288,19 @@ _SETTLED: Final = "A force that has not settled is predicted; rely on it after t
 def _table(recording: Applied) -> Table:
     """Tabulate some frames of a recording, evenly spread."""
     count = len(recording.frames)
-    chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
+    frame_numbers = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []
-    for frame in (recording.frames[n] for n in chosen):
+    for frame in (recording.frames[n] for n in frame_numbers):
         force = "–" if frame.force_N is None else with_uncertainty(frame.force_N, frame.stderr_N)
         time, x, y = (
             "–" if value is None else format_fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm)
         )
         rows.append((time, force, x, y, frame.flags, _format_settling(frame)))
-    spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
+    spread = (
+        ""
+        if len(frame_numbers) == count
+        else f"{len(frame_numbers)} of {count} frames, evenly spread; --output has all. "
+    )
     caption = f"{spread}Force with one standard error, and where the head presses. {_SETTLED}"
     return text_table(caption, _HEADINGS, rows, (0, 1, 2, 3, 5))
 

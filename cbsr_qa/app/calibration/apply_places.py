@@ -178,12 +178,12 @@ def places_csv(applied: AppliedPlaces) -> str:
 def _cells(frame: FramePlace) -> Iterator[tuple[str, Any]]:
     """Yield columns of a frame and what they hold."""
     for name, value in asdict(frame).items():
-        before, _, unit = name.rpartition("_")
+        stem, _, unit = name.rpartition("_")
         if name == "covariance_mm2":
             (xx, xy), (_, yy) = value or ((None, None), (None, None))
             yield from {"covariance_xx_mm2": xx, "covariance_xy_mm2": xy, "covariance_yy_mm2": yy}.items()
-        elif before.endswith(("_68", "_95")):
-            yield from zip((f"{before}_low_{unit}", f"{before}_high_{unit}"), value or (None, None), strict=True)
+        elif stem.endswith(("_68", "_95")):
+            yield from zip((f"{stem}_low_{unit}", f"{stem}_high_{unit}"), value or (None, None), strict=True)
         elif name != "modelled":
             yield name, "; ".join(value) if name == "flags" else value
 
@@ -201,9 +201,9 @@ def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcom
 def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[AppliedPlaces]:
     applied = outcome.result
     count = len(applied.frames)
-    chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
+    row_numbers = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []
-    for row in chosen:
+    for row in row_numbers:
         frame = applied.frames[row]
         x, y = ("–" if v is None else format_fixed(v, 1) for v in (frame.x_mm, frame.y_mm))
         ellipse = frame.covariance_mm2
@@ -215,7 +215,11 @@ def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[Applie
             _with_interval(frame.depth_mm, frame.depth_68_mm),
         )
         rows.append((str(row + 1), x, y, radius, force, depth, "; ".join(frame.flags)))
-    spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
+    spread = (
+        ""
+        if len(row_numbers) == count
+        else f"{len(row_numbers)} of {count} frames, evenly spread; --output has all. "
+    )
     caption = f"{spread}Places with the longer half-axis of their 68 % region, force and depth with 68 % intervals."
     columns = ("row", "x [mm]", "y [mm]", "68 % [mm]", "force [N]", "depth [mm]", "flags")
     table = text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))

@@ -199,18 +199,18 @@ _MAP = (
 
 def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Section, ...]:
     """Lay out the errors of presses left out, and the coverage of their regions."""
-    registration, out = learned.registration, learned.place.held_out
-    places_mm = labelled.presses.place_mm[learned.used][out.presses]
+    registration, cv = learned.registration, learned.place.held_out
+    places_mm = labelled.presses.place_mm[learned.used][cv.presses]
 
     def draw() -> str:
         from cbsr_qa.report.draw.presses import cross_validation_figure  # loads matplotlib
 
         sheet = _sheet_mm(labelled.sensor_type, registration) if registration.trusted else {}
-        return cross_validation_figure(places_mm, out.found_mm, out.levels, out.held, **sheet)
+        return cross_validation_figure(places_mm, cv.found_mm, cv.levels, cv.held, **sheet)
 
-    low, high = out.coverage
+    low, high = cv.coverage
     alternative = (
-        f"{out.count} presses left out, missed by {format_fixed(out.mean_mm, 2)} mm in the mean; regions of 68 and"
+        f"{cv.count} presses left out, missed by {format_fixed(cv.mean_mm, 2)} mm in the mean; regions of 68 and"
         f" 95 % hold {low:.0%} and {high:.0%} of them."
     )
     return (Section("Presses left out", (Figure(_MAP, alternative, draw),), page_only=True),)

@@ -117,12 +117,12 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
 def _settling(summaries: tuple[Settling, ...]) -> Table:
     rows = [
         (
-            f"{one.signal}, {one.direction}",
-            "none" if one.mean_s is None else f"{'at least ' if one.censored else ''}{one.mean_s:.3g}",
-            "" if one.deviation_s is None else f"{one.deviation_s:.2g}",
-            *map(str, (one.accepted, one.censored, one.rejected)),
+            f"{summary.signal}, {summary.direction}",
+            "none" if summary.mean_s is None else f"{'at least ' if summary.censored else ''}{summary.mean_s:.3g}",
+            "" if summary.deviation_s is None else f"{summary.deviation_s:.2g}",
+            *map(str, (summary.accepted, summary.censored, summary.rejected)),
         )
-        for one in summaries
+        for summary in summaries
     ]
     columns = ("signal", "mean [s]", "deviation [s]", "settled", "later than window", "rejected")
     return text_table("Settling times over all loads.", columns, rows, (1, 2, 3, 4, 5))

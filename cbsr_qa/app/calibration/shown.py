@@ -118,12 +118,12 @@ class Value:
         units = "" if entry.units in (PURE, TEXT, INDEX, FLAG) else entry.units
         if isinstance(entry.value, str):
             return cls(entry.value, units, ())
-        flat = np.ravel(np.array(entry.value, dtype=object)).tolist()
-        known = all(isfinite(one) for one in flat if isinstance(one, float))
+        flat_values = np.ravel(np.array(entry.value, dtype=object)).tolist()
+        is_finite = all(isfinite(value) for value in flat_values if isinstance(value, float))
         shape = np.shape(entry.value)
         if not shape:
-            return cls(flat[0] if known else None, units, ())
-        return cls(tuple(flat) if known and len(flat) <= _MOST_SHOWN else None, units, shape)
+            return cls(flat_values[0] if is_finite else None, units, ())
+        return cls(tuple(flat_values) if is_finite and len(flat_values) <= _MOST_SHOWN else None, units, shape)
 
     @property
     def listed(self) -> bool:
@@ -173,8 +173,8 @@ class ShownForceModel:
         stderr = interpolate(model, model.log_response_stderr, places)
         # Force at each place whose change in one frame is just detected as a load.
         inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
-        least = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
-        worst = int(np.argmax(least))
+        least_N = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
+        worst_place = int(np.argmax(least_N))
         return fill_from_object(
             cls,
             model,
@@ -185,9 +185,9 @@ class ShownForceModel:
             response_stderr_lowest=float(stderr.min()),
             response_stderr_highest=float(stderr.max()),
             hold_s=model.steady_s,
-            least_force_centre_N=float(least[np.argmin(np.hypot(*places.T))]),
-            least_force_worst_N=float(least[worst]),
-            least_force_worst_at_mm=(float(places[worst, 0]), float(places[worst, 1])),
+            least_force_centre_N=float(least_N[np.argmin(np.hypot(*places.T))]),
+            least_force_worst_N=float(least_N[worst_place]),
+            least_force_worst_at_mm=(float(places[worst_place, 0]), float(places[worst_place, 1])),
             head=calibration.indenter.words(),
             assumed=tuple(name for name in calibration.assumed if name.endswith("stress")),
         )

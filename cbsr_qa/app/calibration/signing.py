@@ -149,23 +149,26 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
     """
     private = signing_key(key)
     issued = read_any(path)
-    before = issued.signature
-    if before is not None and not again:
+    earlier_signature = issued.signature
+    if earlier_signature is not None and not again:
         raise CalibrationError(
-            f"calibration file {path}: signed already, by {before.words}", remedy="--again replaces that signature"
+            f"calibration file {path}: signed already, by {earlier_signature.words}",
+            remedy="--again replaces that signature",
         )
-    held, file = sign_calibration(issued, private, RealClock().wall()), path.resolve()
+    signed, file = sign_calibration(issued, private, RealClock().wall()), path.resolve()
     if is_json(path):
-        write_json(file, held)
+        write_json(file, signed)
     else:
-        write_calibration(file, held)
-    assert held.signature is not None
-    replaced = None if before is None else fingerprint(before.public_key)
-    who, when = fingerprint(held.signature.public_key), held.signature.signed_at
-    facts = [("SHA-256", f"{held.digest}, as before"), ("Signed at", when)]
+        write_calibration(file, signed)
+    assert signed.signature is not None
+    replaced = None if earlier_signature is None else fingerprint(earlier_signature.public_key)
+    signer, signed_at = fingerprint(signed.signature.public_key), signed.signature.signed_at
+    facts = [("SHA-256", f"{signed.digest}, as before"), ("Signed at", signed_at)]
     if replaced is not None:
         facts.append(("Replaced", f"the signature by key {replaced}"))
-    return answer(SignedFile(path, held.digest, who, when, replaced), f"{path} is signed", f"by key {who}", facts)
+    return answer(
+        SignedFile(path, signed.digest, signer, signed_at, replaced), f"{path} is signed", f"by key {signer}", facts
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,20 +146,20 @@ def _check(request: ExportRequest, kind: ExportFormat) -> None:
 def _export_frames(
     store: Repository, run: str, request: ExportRequest, kind: ExportFormat, tell: Callable[[str], None]
 ) -> CommandOutcome[Exported]:
-    to = request.to
+    target = request.to
     tell("reading the run")
     record, overrides = store.runs.load(run), store.changes.list_overrides(run)
     phases = record.phases if request.phase is None else (record.phase(request.phase),)
     if kind is ExportFormat.RECORDING:
-        recording = as_recording(record, to, phases, overrides)
-        write_recording(to, recording)
+        recording = as_recording(record, target, phases, overrides)
+        write_recording(target, recording)
         frames = len(recording.frames)
     else:
         listed = _sound_run(store, run)
-        frames = _write_frames(record, phases, listed, to, kind)
+        frames = _write_frames(record, phases, listed, target, kind)
     loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
-    size_bytes = to.stat().st_size
-    exported = Exported(to, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
+    size_bytes = target.stat().st_size
+    exported = Exported(target, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
     words = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
     return _outcome(exported, words, (("Run", record.identity.words),))
 
@@ -217,13 +217,13 @@ def _export_runs(
     table: ExportTable,
     tell: Callable[[str], None],
 ) -> CommandOutcome[Exported]:
-    to = request.to
-    chosen = request.runs or ListRequest(RunSelection(checks=False))
-    of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
-    pages = run_pages(store, of_run or chosen, AT_ONCE)
+    target = request.to
+    list_request = request.runs or ListRequest(RunSelection(checks=False))
+    run_request = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
+    pages = run_pages(store, run_request or list_request, AT_ONCE)
     runs = rows = 0
     altered, trusted = list[str](), Counter[str]()
-    with writing(to), write_atomically(to) as file:
+    with writing(target), write_atomically(target) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
                 written, marked = write(page.runs)
@@ -237,9 +237,9 @@ def _export_runs(
                 remedy="cbsr-qa runs with the same options lists what they select",
             )
     exported = Exported(
-        to,
+        target,
         kind,
-        to.stat().st_size,
+        target.stat().st_size,
         runs,
         run,
         table if kind.of_table else None,

@@ -32,14 +32,14 @@ def enough_disk(asked: Asked) -> Finding:
     file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
     on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
-    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
-    what = "the estimate for this run" if stated is None else "disk_GB of the station"
-    words = f"{free[0] / _GB:.1f} GB free at {free[1]}, {needed / _GB:.1f} GB needed ({what})"
+    least_free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
+    estimated_by = "the estimate for this run" if stated is None else "disk_GB of the station"
+    clause = f"{least_free[0] / _GB:.1f} GB free at {least_free[1]}, {needed / _GB:.1f} GB needed ({estimated_by})"
     if file is None:
-        words += "; the disk of the database server is not seen from here"
-    if free[0] >= needed:
-        return Finding(True, words)
-    return Finding(False, words, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
+        clause += "; the disk of the database server is not seen from here"
+    if least_free[0] >= needed:
+        return Finding(True, clause)
+    return Finding(False, clause, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
 
 
 def estimate_run_bytes(asked: Asked) -> float:

@@ -88,12 +88,12 @@ def ask_gate_again(
 
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     """Return the one error for all checks that refuse; None if none does."""
-    refused = [one for one in answers if one.outcome is GateOutcome.REFUSED]
+    refused = [answer for answer in answers if answer.outcome is GateOutcome.REFUSED]
     if not refused:
         return None
-    listed = "\n".join(f"  {one.check}: {one.words}" for one in refused)
-    remedies = [f"{one.check}: {one.remedy}{_command(one)}" for one in refused if one.remedy]
-    names = " ".join(f"--override {one.check}" for one in refused)
+    listed = "\n".join(f"  {answer.check}: {answer.words}" for answer in refused)
+    remedies = [f"{answer.check}: {answer.remedy}{_command(answer)}" for answer in refused if answer.remedy]
+    names = " ".join(f"--override {answer.check}" for answer in refused)
     override = f"{AT_COMMAND_LINE}override by {names} --override-by NAME --override-why TEXT"
     return RefusedError(
         f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])

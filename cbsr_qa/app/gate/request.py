@@ -27,16 +27,16 @@ class Override:
 
     def validate(self) -> Self:
         """Return itself. ConfigError if a check is unknown, or name or reason is missing or not allowed."""
-        known = [str(check) for check in GateCheck]
+        known_checks = [str(check) for check in GateCheck]
         for name in self.checks:
-            if name not in known:
-                near = get_close_matches(name, known, n=1)
+            if name not in known_checks:
+                near = get_close_matches(name, known_checks, n=1)
                 hint = f"did you mean {near[0]!r}? " if near else ""
-                remedy = f"{hint}checks: {', '.join(known)}"
+                remedy = f"{hint}checks: {', '.join(known_checks)}"
                 raise ConfigError(f"there is no check {echo(name)} to override", remedy=remedy)
         if not self.checks:
             if self.by or self.why:
-                raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known)}")
+                raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known_checks)}")
             return self
         given = {"--override-by": self.by, "--override-why": self.why}
         absent = [option for option, text in given.items() if not text.strip()]

@@ -143,16 +143,16 @@ class _Session:
 
     def judge(self, jobs: list[Job]) -> list[Job]:
         """Do the jobs for which stored measurements need only to be judged; return those that are left."""
-        left, progress = [], _Progress("judging", len(jobs), self._tell)
+        jobs_left, progress = [], _Progress("judging", len(jobs), self._tell)
         for job in jobs:
             judged = None if self._request.fresh else judge_stored(self._store, job)
             if judged is None:
-                left.append(job)
+                jobs_left.append(job)
             else:
                 self.stored[job.run] = self._store.reanalyses.save(judged)
                 self.judged += 1
             progress.step()
-        return left
+        return jobs_left
 
     def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
         """Analyse runs, and store each result as soon as it is there."""
@@ -186,26 +186,29 @@ class _Session:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
         changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
         decided = {line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)}
-        left: list[NamedRun] = []
+        overridden_runs: list[NamedRun] = []
         unchanged = adopted = 0
         progress = _Progress("comparing", len(self.stored), self._tell)
         for line in [line for line in self.lines.values() if line.run in self.stored]:
             try:
                 analyses = self._store.analyses.load(line.run)
                 valid = next(iter(analyses), None)
-                new = self._store.reanalyses.load(self.stored[line.run])
+                reanalysis = self._store.reanalyses.load(self.stored[line.run])
             except StoreError as error:
                 self._cannot(line, error.reason)
                 continue
             before = () if valid is None else valid.measurements
-            changes.add(line, before, new.measurements)
-            warnings.update(set(new.warnings).difference(() if valid is None else valid.warnings))
+            changes.add(line, before, reanalysis.measurements)
+            warnings.update(set(reanalysis.warnings).difference(() if valid is None else valid.warnings))
             overridden = None if valid is None else decided.get(line.run)
-            if valid is None or valid.verdict.outcome is not new.verdict.outcome:
-                flips.append(_flip(line, analyses, new, overridden))
-            unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)
+            if valid is None or valid.verdict.outcome is not reanalysis.verdict.outcome:
+                flips.append(_flip(line, analyses, reanalysis, overridden))
+            unchanged += valid is not None and (valid.measurements, valid.verdict) == (
+                reanalysis.measurements,
+                reanalysis.verdict,
+            )
             if self._request.adopt and overridden is not None:
-                left.append(NamedRun.from_line(line, f"overridden to {overridden}"))
+                overridden_runs.append(NamedRun.from_line(line, f"overridden to {overridden}"))
             elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
                 self._store.reanalyses.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
                 adopted += 1
@@ -225,7 +228,7 @@ class _Session:
             flips=tuple(sorted(flips, key=_gravity)),
             not_analysed=tuple(self.not_analysed),
             other_plan=tuple(self.other_plan),
-            left_overridden=tuple(left),
+            left_overridden=tuple(overridden_runs),
             new_warnings=dict(warnings.most_common()),
             workers=where,
             elapsed_s=self.elapsed_s,
@@ -260,13 +263,15 @@ def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begi
         session.check(jobs)
         jobs = session.judge(jobs)
         count = min(request.workers or os.cpu_count() or 1, max(len(jobs), 1))
-        where = f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
+        workers_text = (
+            f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
+        )
         if jobs:
             tell(f"{plural(len(jobs), 'run')} to analyse, {len(session.stored)} stored already")
             with (begin or _beginning(request, count))() as workers:
                 session.compute(jobs, workers)
         computed = len(session.stored) - session.reused - session.judged
-        return session.conclude(computed, where if jobs else "")
+        return session.conclude(computed, workers_text if jobs else "")
 
 
 def _beginning(request: ReanalyseRequest, count: int) -> Begin:
@@ -291,17 +296,17 @@ def _phases(recipe: str) -> tuple[PhaseSpec, ...]:
 
 def phase_difference(run: Iterable[PhaseSpec], recipe: Iterable[PhaseSpec]) -> str:
     """Return how the first phase that differs differs, in words; empty if a run was measured as the recipe says."""
-    before, after = list(run), list(recipe)
-    names = [[phase.name for phase in phases] for phases in (before, after)]
+    run_phases, recipe_phases = list(run), list(recipe)
+    names = [[phase.name for phase in phases] for phases in (run_phases, recipe_phases)]
     if names[0] != names[1]:
         return f"its phases are {', '.join(names[0])}; the recipe's are {', '.join(names[1])}"
-    for was, now in zip(before, after, strict=True):
-        if was.sequence != now.sequence:
-            return f"phase {was.name!r} ran {was.sequence}; the recipe has {now.sequence}"
-        for key in dict.fromkeys((*was.options, *now.options)):
-            old, new = was.options.get(key), now.options.get(key)
+    for old_phase, new_phase in zip(run_phases, recipe_phases, strict=True):
+        if old_phase.sequence != new_phase.sequence:
+            return f"phase {old_phase.name!r} ran {old_phase.sequence}; the recipe has {new_phase.sequence}"
+        for key in dict.fromkeys((*old_phase.options, *new_phase.options)):
+            old, new = old_phase.options.get(key), new_phase.options.get(key)
             if old != new:
-                return f"phase {was.name!r} ran with {_option(key, old)}; the recipe has {_option(key, new)}"
+                return f"phase {old_phase.name!r} ran with {_option(key, old)}; the recipe has {_option(key, new)}"
     return ""
 
 

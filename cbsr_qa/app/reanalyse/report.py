@@ -81,17 +81,25 @@ class Reanalysed:
 def reanalysis_outcome(done: Reanalysed) -> CommandOutcome[Reanalysed]:
     """Lay out a re-analysis; exit code 3 if no run has a result."""
     results = done.computed + done.judged + done.reused
-    worse = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
+    no_longer_passed = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
     headline = f"{plural(results, 'run')} analysed again, {plural(len(done.flips), 'verdict')} differ"
     if len(done.flips) == 1:
         headline += "s"
-    words = _COUNTS if done.computed or done.judged else _FREE
+    counts_template = _COUNTS if done.computed or done.judged else _FREE
     judged = _JUDGED.format(judged=done.judged) if done.judged else ""
-    reason = words.format(computed=done.computed, judged=judged, reused=done.reused, unchanged=done.unchanged)
+    reason = counts_template.format(
+        computed=done.computed, judged=judged, reused=done.reused, unchanged=done.unchanged
+    )
     banner = Banner("marginal" if done.flips else "pass", "≠" if done.flips else "✓", headline, reason)
     if not results:
         banner = Banner("not-measured", "?", "no run could be analysed again", "the reasons are below")
-    page = Page("Re-analysis", done.recipe or "", banner, tuple(_facts(done)), warnings=tuple(_warnings(done, worse)))
+    page = Page(
+        "Re-analysis",
+        done.recipe or "",
+        banner,
+        tuple(_facts(done)),
+        warnings=tuple(_warnings(done, no_longer_passed)),
+    )
     return CommandOutcome(done, page, tuple(_sections(done)), exit_code=0 if results else 3)
 
 
@@ -166,7 +174,7 @@ def _flip_row(flip: Flip) -> tuple[str | Cell, ...]:
 def _value_row(value: ValueChange) -> tuple[str, ...]:
     median = "–" if value.median is None else number(value.median)
     largest = "–" if value.largest is None else number(value.largest)
-    counts = (str(value.gained or ""), str(value.lost or ""))
+    count_cells = (str(value.gained or ""), str(value.lost or ""))
     label = MetricKey(value.name, value.phase, value.qualifier).title
     return (
         label,
@@ -176,7 +184,7 @@ def _value_row(value: ValueChange) -> tuple[str, ...]:
         median,
         largest,
         value.serial,
-        *counts,
+        *count_cells,
     )
 
 

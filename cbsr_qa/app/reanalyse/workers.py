@@ -54,11 +54,11 @@ class Workers(Generic[Job, Result]):
         number = {id(job): k for k, job in enumerate(jobs)}
         in_a_row = 0
         while waiting or suspects:
-            lost: list[Job] = []
-            for job, result in self._run_until_broken(waiting, suspects, lost):
+            lost_jobs: list[Job] = []
+            for job, result in self._run_until_broken(waiting, suspects, lost_jobs):
                 in_a_row = 0
                 yield job, result
-            if not lost:
+            if not lost_jobs:
                 continue
             in_a_row += 1
             if in_a_row >= _DEATHS_IN_A_ROW:
@@ -66,9 +66,9 @@ class Workers(Generic[Job, Result]):
                     f"{in_a_row} workers in a row ended before a run was analysed",
                     remedy="use fewer --workers if memory is short; what was analysed before is stored",
                 )
-            if len(lost) == 1:  # it was alone, or nearly done alone
-                deaths[number[id(lost[0])]] += 1
-            for job in lost:
+            if len(lost_jobs) == 1:  # it was alone, or nearly done alone
+                deaths[number[id(lost_jobs[0])]] += 1
+            for job in lost_jobs:
                 if deaths[number[id(job)]] >= _DEATHS:
                     yield job, f"its worker was killed {plural(_DEATHS, 'time')} (out of memory?)"
                 else:

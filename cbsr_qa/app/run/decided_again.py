@@ -79,17 +79,17 @@ def _rejudge(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
     """Judge measurements again by the limits of the configuration, or by their own if None."""
     if limits is None:
-        again = _rejudge(stored.measurements)
+        judged = _rejudge(stored.measurements)
     else:
-        own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
-        again = judge(own, [replace(limit, version="") for limit in limits])
-    for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
+        unjudged = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
+        judged = judge(unjudged, [replace(limit, version="") for limit in limits])
+    for number, (was, now) in enumerate(zip(stored.measurements, judged, strict=False)):
         if (was.limit, was.outcome) != (now.limit, now.outcome):
             raise _mismatch_error(
                 stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, now)}"
             )
-    if len(again) > len(stored.measurements):
-        missing = again[len(stored.measurements)]
+    if len(judged) > len(stored.measurements):
+        missing = judged[len(stored.measurements)]
         raise _mismatch_error(
             stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(missing)}"
         )

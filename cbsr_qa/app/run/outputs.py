@@ -33,17 +33,17 @@ def write_outputs(
         plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
     material = _material(result, failed)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
-    sections, missing = report_sections(recipe.sections, plugins)
+    sections, missing_sections = report_sections(recipe.sections, plugins)
     html = ""
     with stages.stage("rendering the report"):
-        html = render_run(result, sections, warnings=(*missing, *failed))
+        html = render_run(result, sections, warnings=(*missing_sections, *failed))
     written = _write_report_file(report, html, failed)
     return RunOutcome.from_result(
         result,
         report=written,
         calibration=calibration,
         material=material,
-        warnings=(*result.warnings, *missing, *failed),
+        warnings=(*result.warnings, *missing_sections, *failed),
         seed=seed,
         resume=resume,
     )

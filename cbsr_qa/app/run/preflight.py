@@ -65,14 +65,14 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
     weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
     needed = max(split, weighed)
     for phase in plan.phases:
-        taken = _count_unloaded_frames(phase.steps(plan.context))
-        if taken is None:
+        count = _count_unloaded_frames(phase.steps(plan.context))
+        if count is None:
             continue
-        if taken < needed:
+        if count < needed:
             raise ConfigError(
-                f"recipe {recipe.name!r}: phase {phase.name!r} takes {taken} unloaded frames, but"
-                f" {'analysis.noise_floor_frames and the reference need' if taken < split else _WEIGHING} {needed}",
-                remedy=f"take more unloaded frames in that phase, or {_LESS if taken < split else _EQUAL}",
+                f"recipe {recipe.name!r}: phase {phase.name!r} takes {count} unloaded frames, but"
+                f" {'analysis.noise_floor_frames and the reference need' if count < split else _WEIGHING} {needed}",
+                remedy=f"take more unloaded frames in that phase, or {_LESS if count < split else _EQUAL}",
             )
         return
 
@@ -135,13 +135,13 @@ def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
 
 def _count_unloaded_frames(steps: Iterable[object]) -> int | None:
     """Count frames between the first mark and the next press; None without a mark."""
-    taken: int | None = None
+    frame_count: int | None = None
     for step in steps:
         match step:
             case MarkUnloaded():
-                taken = taken or 0
-            case AcquireFrames(count=count) if taken is not None:
-                taken += count
-            case Press() if taken is not None:
-                return taken
-    return taken
+                frame_count = frame_count or 0
+            case AcquireFrames(count=count) if frame_count is not None:
+                frame_count += count
+            case Press() if frame_count is not None:
+                return frame_count
+    return frame_count

@@ -197,9 +197,9 @@ def _test_sensor(
     begun: Callable[[str], None],
     show: Callable[[str], None] | None,
 ) -> RunOutcome:
-    taken: list[int] = []
+    seeds_taken: list[int] = []
     while True:
-        configuration = request.configuration(_seed(request, taken))
+        configuration = request.configuration(_seed(request, seeds_taken))
         if list_files(configuration) != list_files(gated):
             raise ConfigError(
                 "the files of this run were changed while the gate was asked",
@@ -212,7 +212,7 @@ def _test_sensor(
             outcome = _run_and_store(request, configuration, plugins, session, gate, control.begins(begun))
         if outcome is not None:
             return outcome
-        taken.append(configuration.seed)
+        seeds_taken.append(configuration.seed)
         tell("another run of this sensor has begun meanwhile: opening the bench again with the next seed")
 
 
@@ -232,19 +232,19 @@ def _run_and_store(
         writable_folder(folder)
     # Frames of a virtual clock can be simulated again after a power cut; those of a bench are lost.
     durable = configuration.station.clock == "real"
-    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as held:
+    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as stack:
         run = store.new_id()
         identity = _identity(run, request, configuration, session.instruments(), plugins)
         if request.seed is None:
             claim = store.sensors.claim_seed(request.serial, configuration.seed, request.operator)
-            if not held.enter_context(claim):
+            if not stack.enter_context(claim):
                 return None
-        tested_by = held.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))
+        tested_by = stack.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))
         # No other run of the sensor can begin now, and one that has ended is stored.
-        asked = _gate_request(request, tested_by=tested_by)
-        session.gate = ask_gate_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
+        gate_request = _gate_request(request, tested_by=tested_by)
+        session.gate = ask_gate_again(gate, [GateCheck.RETEST], gate_request, configuration, plugins, store)
         begun(run)
-        held.enter_context(store.claims.hold_run(run, request.operator))
+        stack.enter_context(store.claims.hold_run(run, request.operator))
         return session.run(identity, store)
 
 

@@ -208,17 +208,17 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
     StoreError
         If the database cannot be read; of a damaged run the message names it.
     """
-    runs = kept = _select_runs(store, request)
+    runs = selected = _select_runs(store, request)
     if request.failed or request.limit:
-        kept = [run for run in runs if _has_failed(run, request.limit)][-(request.latest or 0) :]
-    notes = (*_notes(request, runs, kept), *trust_notes(store, trust_counts(kept)))
+        selected = [run for run in runs if _has_failed(run, request.limit)][-(request.latest or 0) :]
+    notes = (*_notes(request, runs, selected), *trust_notes(store, trust_counts(selected)))
     if (
-        kept is runs
+        selected is runs
         and request.latest is not None
-        and (count := store.lists.count_runs(request.selection)) > len(kept)
+        and (count := store.lists.count_runs(request.selection)) > len(selected)
     ):
-        notes = (_LATEST.format(shown=len(kept), count=count), *notes)
-    return RunList(summarise_runs(kept), tuple(map(RunEntry.from_run, kept)), notes)
+        notes = (_LATEST.format(shown=len(selected), count=count), *notes)
+    return RunList(summarise_runs(selected), tuple(map(RunEntry.from_run, selected)), notes)
 
 
 def list_sensors(store: Repository, request: ListRequest) -> SensorList:
@@ -255,20 +255,20 @@ def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[Ru
     names = store.lists.read_names(selection)
     if not names:
         _check_each_name(store, selection)
-    kept: deque[ListedRun] = deque(maxlen=request.latest)
+    latest_failed: deque[ListedRun] = deque(maxlen=request.latest)
     for start in range(0, len(names), size):
-        own = names[start : start + size]
-        page = store.lists.read_named(own)
-        done = start + len(own)
+        page_names = names[start : start + size]
+        page = store.lists.read_named(page_names)
+        runs_read = start + len(page_names)
         if not filtered:
-            yield RunPage(page, done, len(names))
+            yield RunPage(page, runs_read, len(names))
             continue
-        kept.extend(run for run in page if _has_failed(run, request.limit))
-        if request.latest is None or done == len(names):
-            yield RunPage(tuple(kept), done, len(names))
-            kept.clear()
+        latest_failed.extend(run for run in page if _has_failed(run, request.limit))
+        if request.latest is None or runs_read == len(names):
+            yield RunPage(tuple(latest_failed), runs_read, len(names))
+            latest_failed.clear()
         else:
-            yield RunPage((), done, len(names))
+            yield RunPage((), runs_read, len(names))
 
 
 def _select_runs(store: Repository, request: ListRequest) -> list[ListedRun]:
@@ -329,22 +329,22 @@ def _unshown(runs: Sequence[ListedRun]) -> list[ListedRun]:
 
 
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
-    last, settled = runs[-1], select_settled_runs(runs)
-    first = [run.passed for run in settled if not run.earlier and not run.altered]
+    last_run, settled = runs[-1], select_settled_runs(runs)
+    first_passes = [run.passed for run in settled if not run.earlier and not run.altered]
     decision = settled[-1].decision if settled else None
     verdicts: list[Outcome | Altered | None] = [ALTERED if run.altered else run.verdict for run in settled[-1:]]
     return fill_from_object(
         SensorEntry,
-        last,
+        last_run,
         runs=len(runs),
         tries=sum(run.finished for run in runs),
         first=runs[0].started_at,
-        last=last.started_at,
+        last=last_run.started_at,
         verdict=verdicts[0] if verdicts else None,
         reason=settled[-1].reason if settled else "",
         overridden_by=None if decision is None else decision.operator,
         overridden_why=None if decision is None else decision.why,
         failed_limits=tuple(key.label for run in settled[-1:] for key in list_failed_limits(run)),
-        first_pass=first[0] if first else None,
-        chain=(settled[-1] if settled else last).chain.label,
+        first_pass=first_passes[0] if first_passes else None,
+        chain=(settled[-1] if settled else last_run).chain.label,
     )

@@ -119,9 +119,9 @@ def _cut(caption: str, count: int) -> str:
 
 
 def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
-    why = _why(run)
+    reason = _why(run)
     if run.verdict is None:
-        why = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
+        reason = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
     return (
         _moment(run.started_at),
         run.serial,
@@ -130,7 +130,7 @@ def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
         run.station,
         run.recipe,
         _verdict(run.verdict, run.end, run.chain),
-        why,
+        reason,
     )
 
 

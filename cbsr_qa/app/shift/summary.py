@@ -130,28 +130,28 @@ def _tally_by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tu
 
 def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
     altered = sum(bool(run.altered) for run in runs)
-    counts = Counter(run.verdict for run in runs if run.finished and not run.altered)
-    passed = counts[Outcome.PASS] + counts[Outcome.MARGINAL]
+    count_by_verdict = Counter(run.verdict for run in runs if run.finished and not run.altered)
+    passed = count_by_verdict[Outcome.PASS] + count_by_verdict[Outcome.MARGINAL]
     settled = select_settled_runs(runs)
     decided = [run for run in settled if not run.altered]
-    last = {(run.serial, run.recipe): run for run in settled}
-    first = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
+    last_runs = {(run.serial, run.recipe): run for run in settled}
+    first_runs = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
     return Tally(
         name=name,
         runs=len(runs),
         decided=len(decided),
         passed=passed,
-        marginal=counts[Outcome.MARGINAL],
-        failed=counts[Outcome.FAIL],
-        not_measured=counts[Outcome.NOT_MEASURED],
-        not_judged=counts[Outcome.NOT_JUDGED],
-        no_result=counts[None],
-        not_finished=len(runs) - counts.total() - altered,
+        marginal=count_by_verdict[Outcome.MARGINAL],
+        failed=count_by_verdict[Outcome.FAIL],
+        not_measured=count_by_verdict[Outcome.NOT_MEASURED],
+        not_judged=count_by_verdict[Outcome.NOT_JUDGED],
+        no_result=count_by_verdict[None],
+        not_finished=len(runs) - count_by_verdict.total() - altered,
         altered=altered,
         overridden=sum(run.finished and run.decision is not None for run in runs),
         sensors=len({run.serial for run in runs}),
-        test_yield=_share([run for run in last.values() if not run.altered]),
-        first_pass_yield=_share(first),
+        test_yield=_share([run for run in last_runs.values() if not run.altered]),
+        first_pass_yield=_share(first_runs),
     )
 
 
@@ -160,11 +160,11 @@ def _share(runs: Sequence[ListedRun]) -> Yield | None:
 
 
 def _reasons(runs: Sequence[ListedRun]) -> tuple[FailureReason, ...]:
-    found: dict[tuple[str, str], list[str]] = {}
+    serials_by_limit: dict[tuple[str, str], list[str]] = {}
     for run in runs:
         if run.verdict is not Outcome.FAIL:
             continue
         for limit in [(key.label, key.title) for key in list_failed_limits(run)] or [("", BY_OPERATOR)]:
-            found.setdefault(limit, []).append(run.serial)
-    reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in found.items()]
+            serials_by_limit.setdefault(limit, []).append(run.serial)
+    reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in serials_by_limit.items()]
     return tuple(sorted(reasons, key=lambda reason: (-reason.sensors, -reason.runs, reason.limit)))

@@ -78,18 +78,20 @@ def look_at_bench(
         If the ring does not fit the sensor type, or an emulator cannot be started.
     """
     resistances = _resistances(configuration, ring)
-    seen = with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
-    look = _Look(seen or configuration, clock, tell)
-    opened, after = opener(look.configuration, plugins, clock, ask=ask)
+    with_simulated_ring = (
+        with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
+    )
+    look = _Look(with_simulated_ring or configuration, clock, tell)
+    opened, callbacks = opener(look.configuration, plugins, clock, ask=ask)
     try:
         for spec in look.configuration.station.instruments:
             look.open(spec, opened, today)
-        connected = seen is not None or (bool(resistances) and look.has_ring(resistances, confirm))
-        look.put_together(after)
+        connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
+        look.put_together(callbacks)
         look.sample()
         look.measure_ring(ring, resistances, connected)
     finally:
-        look.close(after)
+        look.close(callbacks)
     return look.found
 
 
@@ -163,14 +165,16 @@ class _Look:
             self._missing += 1
             return
         self.found.instruments.append(identity)
-        parts = [
+        identity_parts = [
             identity.model,
             f"serial {identity.serial}" if identity.serial else "",
             f"firmware {identity.firmware}",
         ]
-        known = [part for part in parts[: 3 if identity.firmware else 2] if part]
+        known_parts = [part for part in identity_parts[: 3 if identity.firmware else 2] if part]
         simulation_notes = ["simulated"] if identity.simulated else []
-        who = ", ".join([*known, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes])
+        who = ", ".join(
+            [*known_parts, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes]
+        )
         self._add(CheckResult("identity", CheckOutcome.OK, said=who, subject=role))
         self._self_test(mounted)
 
@@ -231,13 +235,13 @@ class _Look:
         if ring is None:
             return self._add(_skip_ring("its resistances are not given, or --no-ring", _NO_RING))
         if not resistances_ohm:
-            why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
-            return self._add(_skip_ring(why, "set the station up for a sensor type with more"))
+            reason = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
+            return self._add(_skip_ring(reason, "set the station up for a sensor type with more"))
         if self._bench is None:
             return self._add(_skip_ring("the instruments do not work together", "see above"))
         if not connected:
-            why = "it is not known whether the ring is connected"
-            return self._add(_skip_ring(why, "run it from a terminal, or with --ring-connected once it is"))
+            reason = "it is not known whether the ring is connected"
+            return self._add(_skip_ring(reason, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
             with come_back_once():
@@ -288,9 +292,9 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
     if spec.calibration_due is None:
         return None
     days = (date.fromisoformat(spec.calibration_due) - today).days
-    late = past_due(spec.calibration_due, today)
+    is_late = past_due(spec.calibration_due, today)
     outcome = CheckOutcome.OK
-    if late:
+    if is_late:
         outcome = (
             CheckOutcome.FAILED
             if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE
@@ -303,8 +307,8 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
         value=float(days),
         unit="d",
         allowed="0 or more days left",
-        said=f"due on {spec.calibration_due}" + (f"; {policy}" if late else ""),
-        remedy="have it calibrated and give the new calibration_due in the station file" if late else "",
+        said=f"due on {spec.calibration_due}" + (f"; {policy}" if is_late else ""),
+        remedy="have it calibrated and give the new calibration_due in the station file" if is_late else "",
         subject=spec.role,
     )
 

@@ -130,11 +130,11 @@ def _ring_blocks(
     blocks: list[Block] = [Paragraph(_RING_WORDS)]
     if ring is not None and allowed is not None:
         current = ring.frames.current_A
-        at = "an unknown current" if current is None else quantity(current, "A")
+        current_text = "an unknown current" if current is None else quantity(current, "A")
         low, high = min(ring.resistances_ohm), max(ring.resistances_ohm)
         ohm = quantity(low, "ohm") if low == high else f"{quantity(low, 'ohm')} to {quantity(high, 'ohm')}"
         blocks.append(
-            Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {at}.")
+            Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {current_text}.")
         )
         blocks += _figure(ring, pattern, allowed)
     return (*blocks, lines_table("Checks with the reference ring.", lines))

@@ -64,12 +64,15 @@ class _Lines:
         line = json_line(message)
         if isinstance(message, HeaderMessage | AliveMessage):
             return [line]
-        lost = 0 if self._before is None else message.sequence - self._before - 1
+        lost_count = 0 if self._before is None else message.sequence - self._before - 1
         self._before = message.sequence
-        if not lost:
+        if not lost_count:
             return [line]
-        self._dropped += lost
-        return [json_line(DroppedMessage("dropped", message.sequence, message.serial, lost, self._dropped)), line]
+        self._dropped += lost_count
+        return [
+            json_line(DroppedMessage("dropped", message.sequence, message.serial, lost_count, self._dropped)),
+            line,
+        ]
 
 
 class _Client:

@@ -99,12 +99,12 @@ class Outlets:
     def _keep_alive(self) -> None:
         while not self._over.wait(_ALIVE_S / 4):
             with self._lock:
-                last, silent_s = self._last, time.monotonic() - self._sent_s
-                if last is None or silent_s < _ALIVE_S:
+                last_message, silent_s = self._last, time.monotonic() - self._sent_s
+                if last_message is None or silent_s < _ALIVE_S:
                     continue
                 self._sent_s = time.monotonic()
                 for outlet in self._outlets:
-                    outlet.send(AliveMessage("alive", last.sequence, last.serial))
+                    outlet.send(AliveMessage("alive", last_message.sequence, last_message.serial))
 
 
 def _outlet(place: str, plugins: Plugins, write: Callable[[bytes], None] | None, tell: Tell) -> Outlet:

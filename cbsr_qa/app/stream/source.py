@@ -139,23 +139,26 @@ def _alone(
 
 def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: ExitStack) -> _Opened:
     """Open no head and no load cell: whoever built the sensor in presses."""
-    here = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
-    _check_sensor_type(here.station.name, here.sensor_type, sensor_type)
-    stack.enter_context(station_held(here.station.name, who="", doing="streaming forces"))
-    if here.station.clock == "virtual":  # time passes as for whoever reads
-        here = replace(here, station=replace(here.station, clock_speed=here.station.clock_speed or 1.0))
-    clock = station_clock(here)
-    opened, after = opener(here, plugins, clock)
-    if after:
-        stack.callback(stop_all, after)
-    specs = here.station.instruments
+    configuration = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
+    _check_sensor_type(configuration.station.name, configuration.sensor_type, sensor_type)
+    stack.enter_context(station_held(configuration.station.name, who="", doing="streaming forces"))
+    if configuration.station.clock == "virtual":  # time passes as for whoever reads
+        configuration = replace(
+            configuration,
+            station=replace(configuration.station, clock_speed=configuration.station.clock_speed or 1.0),
+        )
+    clock = station_clock(configuration)
+    opened, callbacks = opener(configuration, plugins, clock)
+    if callbacks:
+        stack.callback(stop_all, callbacks)
+    specs = configuration.station.instruments
     source = next(spec for spec in specs if FRAME_SOURCE in spec.provides)
     through = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
 
     def open_checked(spec: InstrumentSpec) -> Instrument:
         instrument = opened(spec)
         if not isinstance(instrument, Linked):  # it is as real as those that it works through
-            check_clock(here, [identity_of(Mounted(spec, instrument))])
+            check_clock(configuration, [identity_of(Mounted(spec, instrument))])
         return instrument
 
     return [*through, source], clock, open_checked
@@ -166,11 +169,11 @@ def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) ->
     own, wanted = has.pattern, calibrated.pattern
     if has.name == calibrated.name and (own.drive, own.measure) == (wanted.drive, wanted.measure):
         return
-    how = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
+    mismatch = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
     if has.name == calibrated.name:
-        how = f"drives or measures sensor type {has.name!r} in another pattern than the calibration"
+        mismatch = f"drives or measures sensor type {has.name!r} in another pattern than the calibration"
     raise ConfigError(
-        f"station {station!r} {how}",
+        f"station {station!r} {mismatch}",
         remedy="give the calibration of the sensor at this station, or set sensor_type in the station file",
     )
 
