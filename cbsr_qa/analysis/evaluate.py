@@ -148,7 +148,7 @@ def _overlap_threshold(recipe: Recipe) -> float:
 
     Without such a limit, all but the worst of the recipe's bands are accepted; with one band, anything.
     """
-    given = [
+    overlap_limits = [
         limit.lower
         for limit in recipe.limits
         if limit.measurement == "area_overlap"
@@ -157,7 +157,7 @@ def _overlap_threshold(recipe: Recipe) -> float:
         and limit.phase in ("", *recipe.calibrate_phases)
     ]
     bands = sorted(band.lower for band in recipe.analysis.overlap_bands)
-    return max(given) if given else bands[min(1, len(bands) - 1)]
+    return max(overlap_limits) if overlap_limits else bands[min(1, len(bands) - 1)]
 
 
 def _find_value(conclusion: Conclusion, name: str) -> float | None:
@@ -178,15 +178,15 @@ def measure_run(
     The measurements in that order, and a warning for every metric that raised or returned anything but measurements;
     the others are unaffected, and a limit on it finds nothing measured.
     """
-    taken: dict[str, list[Measurement]] = {}
+    measurements_by_metric: dict[str, list[Measurement]] = {}
     failed: dict[str, str] = {}
     for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
             with come_back_once():
-                taken[name] = ask(metrics[name], observation)
+                measurements_by_metric[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             failed[name] = f"metric {name} failed and measured nothing: {failure(error)}"
-    measured = tuple(one for name in metrics for one in taken.get(name, ()))
+    measured = tuple(measurement for name in metrics for measurement in measurements_by_metric.get(name, ()))
     return measured, tuple(failed[name] for name in metrics if name in failed)
 
 
@@ -225,15 +225,15 @@ def judge_again(judged: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
     """Call one metric for every load and the whole run; raises what :func:`validate_answer` and the metric raise."""
-    taken: list[Measurement] = []
+    measurements: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
-            taken += validate_answer(metric.measure_load(load, observation))
+            measurements += validate_answer(metric.measure_load(load, observation))
             if load.alternate is not None:
-                taken += _other_reference(metric, load.alternate, observation)
+                measurements += _other_reference(metric, load.alternate, observation)
     if isinstance(metric, RunMetric):
-        taken += validate_answer(metric.measure_run(observation))
-    return taken
+        measurements += validate_answer(metric.measure_run(observation))
+    return measurements
 
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:

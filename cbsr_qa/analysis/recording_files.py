@@ -226,18 +226,18 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
     current_A = real_of(group, "current_A", "the drive current")
     if current_A is not None and current_A <= 0:
         raise RefusedError(f"the drive current (current_A of {group.name}) is {current_A:g} A; it must be above 0")
-    own = numbers(group, "reading_time_s") if "reading_time_s" in group else None
+    reading_times_s = numbers(group, "reading_time_s") if "reading_time_s" in group else None
     times_s = numbers(group, "time_s")
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
         raise RefusedError("frame times must be finite and must not decrease")
-    if own is not None and not np.isfinite(own).all():
+    if reading_times_s is not None and not np.isfinite(reading_times_s).all():
         raise RefusedError("the time of a reading is not a finite number")
     voltages, unit = numbers(group, "voltages"), unit_of(group, "voltages")
     if unit not in set(VoltageUnit):
         allowed = ", ".join(VoltageUnit)
         raise RefusedError(f"{group.name}/voltages has unit {echo(unit)}; allowed: {allowed}")
     flags = numbers(group, "flags", "iu").astype(np.uint8)
-    return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, own)
+    return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, reading_times_s)
 
 
 def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:

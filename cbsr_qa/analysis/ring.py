@@ -71,25 +71,27 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     if frames.current_A == 0:
         raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
-    used = (flags & int(UNUSABLE)) == 0
+    used_mask = (flags & int(UNUSABLE)) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
     current = frames.current_A if absolute and frames.current_A is not None else 1.0
-    solution, leads_fitted, offset_fitted = _solve(current * closed, current * lead_readings(pattern), mean, used)
+    solution, leads_fitted, offset_fitted = _solve(
+        current * closed, current * lead_readings(pattern), mean, used_mask
+    )
     gain, offset, leads = solution[0], solution[1], solution[2:]
     expected = current * closed if absolute else gain * closed
-    fitted = gain * current * closed + offset + current * lead_readings(pattern) @ leads
+    fitted_readings = gain * current * closed + offset + current * lead_readings(pattern) @ leads
     return RingFit(
         expected=expected,
         mean=mean,
         noise=frames.voltages.std(axis=0, ddof=1),
-        used=used,
+        used=used_mask,
         flags=flags,
         gain_error=gain - 1 if absolute else None,
         offset=offset if offset_fitted else None,
         lead_ohm=leads if leads_fitted and absolute else None,
-        residual=np.where(used, mean - fitted, 0.0) / _sizes(expected),
+        residual=np.where(used_mask, mean - fitted_readings, 0.0) / _sizes(expected),
     )
 
 
@@ -103,20 +105,20 @@ def find_exchanged_electrodes(ring: RingReadings, pattern: DrivePattern, *, with
     impedance = ring_impedance(ring.resistances_ohm)
     driven, measured = pattern.drive_currents(), pattern.measure_matrix()
     frames = ring.frames
-    used = (np.bitwise_or.reduce(frames.flags, axis=0) & int(UNUSABLE)) == 0
+    used_mask = (np.bitwise_or.reduce(frames.flags, axis=0) & int(UNUSABLE)) == 0
     mean, leads = frames.voltages.mean(axis=0), lead_readings(pattern)
     current = frames.current_A or 1.0
-    best: tuple[float, tuple[int, int]] | None = None
+    best_exchange: tuple[float, tuple[int, int]] | None = None
     for pair in combinations(range(pattern.electrode_count), 2):
         order = np.arange(pattern.electrode_count)
         order[list(pair)] = pair[::-1]
         closed = current * (driven.T @ impedance[np.ix_(order, order)] @ measured)
-        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used)
-        left = mean - gain * closed - offset - current * leads @ np.array(ohm)
-        worst = float(np.abs(np.where(used, left / _sizes(gain * closed), 0.0)).max())
-        if worst <= within and (best is None or worst < best[0]):
-            best = worst, pair
-    return None if best is None else best[1]
+        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used_mask)
+        residual = mean - gain * closed - offset - current * leads @ np.array(ohm)
+        worst_residual = float(np.abs(np.where(used_mask, residual / _sizes(gain * closed), 0.0)).max())
+        if worst_residual <= within and (best_exchange is None or worst_residual < best_exchange[0]):
+            best_exchange = worst_residual, pair
+    return None if best_exchange is None else best_exchange[1]
 
 
 def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
@@ -128,13 +130,13 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
     """
     size = _sizes(closed)[used]
     columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
-    wanted = mean[used] / size
+    scaled_readings = mean[used] / size
     solution = np.zeros(columns.shape[1])
     for count in (len(solution), 2, 1):
-        part = columns[:, :count]
-        scale = np.linalg.norm(part, axis=0)
-        if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(part / scale) == count:
-            solution[:count] = np.linalg.lstsq(part / scale, wanted, rcond=None)[0] / scale
+        leading_columns = columns[:, :count]
+        scale = np.linalg.norm(leading_columns, axis=0)
+        if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(leading_columns / scale) == count:
+            solution[:count] = np.linalg.lstsq(leading_columns / scale, scaled_readings, rcond=None)[0] / scale
             return solution, count > 2, count > 1
     raise NumericsError(
         f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
@@ -265,12 +267,12 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
 
 def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
     usable = pattern.usable() & fit.used
-    which = usable if usable.any() else fit.used
-    relative = np.where(which, fit.relative(fit.noise), 0.0)
-    rms = float(np.sqrt(np.mean(relative[which] ** 2)))
+    judged_mask = usable if usable.any() else fit.used
+    relative = np.where(judged_mask, fit.relative(fit.noise), 0.0)
+    rms = float(np.sqrt(np.mean(relative[judged_mask] ** 2)))
     drive, measure = np.unravel_index(int(np.argmax(relative)), relative.shape)
     noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
-    finding = f"rms over {int(which.sum())} readings; the noisiest is {noisiest}"
+    finding = f"rms over {int(judged_mask.sum())} readings; the noisiest is {noisiest}"
     ok, words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
     return _line("noise of a reading", ok, 1e6 * rms, "ppm", words, finding, "" if ok else _less_noise(rms, allowed))
 

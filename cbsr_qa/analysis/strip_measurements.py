@@ -63,12 +63,12 @@ def _relative_error(material: Characterisation) -> Measurement:
 
     None if a characterisation does not represent its material, so that a limit on it is not met.
     """
-    name, fitted = "gauge_factor_error", material.local_against_strain
-    if material.refused or fitted.line is None:
-        return Measurement(name, None, "%", how=next(iter(material.refused), fitted.why))
-    measured = sum(error**2 for part, error in fitted.parts if part != "contacts of the pins") ** 0.5
+    name, fitted_line = "gauge_factor_error", material.local_against_strain
+    if material.refused or fitted_line.line is None:
+        return Measurement(name, None, "%", how=next(iter(material.refused), fitted_line.why))
+    measured = sum(error**2 for part, error in fitted_line.parts if part != "contacts of the pins") ** 0.5
     how = "standard error of the local gauge factor over itself, without what is assumed of the pins' contacts"
-    return Measurement(name, 100 * measured / abs(fitted.line.slope.value), "%", how=how)
+    return Measurement(name, 100 * measured / abs(fitted_line.line.slope.value), "%", how=how)
 
 
 def _strip(material: Characterisation) -> Iterator[Measurement]:

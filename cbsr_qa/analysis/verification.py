@@ -139,14 +139,14 @@ class _Reader:
         place = self.sheet_pose.places_mm(np.array([load.place_mm]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
-        held = phase.frames.select_interval(record.hold_start_s, record.release_start_s)
-        before = load_window(phase, record, self._run.settings).before
-        matches = self._calibration.filter.match_at(self._rows(held.voltages), place)
+        held_frames = phase.frames.select_interval(record.hold_start_s, record.release_start_s)
+        frames_before = load_window(phase, record, self._run.settings).before
+        matches = self._calibration.filter.match_at(self._rows(held_frames.voltages), place)
         if not np.isfinite(matches.strength).all():
             return None
-        left = self._calibration.filter.match_at(self._rows(before.voltages), place).strength
-        base = model.residue_share * float(left.mean()) if len(left) else 0.0
-        strength, stderr = self._hold_strength(held.time_s - record.hold_start_s, matches, base, load)
+        strength_before = self._calibration.filter.match_at(self._rows(frames_before.voltages), place).strength
+        base = model.residue_share * float(strength_before.mean()) if len(strength_before) else 0.0
+        strength, stderr = self._hold_strength(held_frames.time_s - record.hold_start_s, matches, base, load)
         match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))
         match.covariance[0, 0, 0] = stderr**2 + (model.residue_stderr * base / model.residue_share) ** 2
         estimated, error = self._calibration.inverse.force(match)

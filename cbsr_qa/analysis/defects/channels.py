@@ -72,8 +72,8 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     ----------
     block : (n, drives, measures), raw, with carry-over.
     """
-    missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
-    present = block.voltages[:, ~missing]
+    missing_mask = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
+    present = block.voltages[:, ~missing_mask]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
     at_end = not_connected and present.size > 0 and _is_at_converter_end(present, block.unit)
@@ -82,11 +82,11 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
     frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
     if not (not_connected or at_end or frozen):
-        saturated |= _find_rail_clipping(block, missing)
+        saturated |= _find_rail_clipping(block, missing_mask)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _find_ceiling_clipping(block.voltages)
-    stuck_from = np.where(missing, -1, _first_stuck_frames(block))
-    return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
+    stuck_from = np.where(missing_mask, -1, _first_stuck_frames(block))
+    return ChannelFaults(saturated & ~missing_mask, stuck_from >= 0, missing_mask, not_connected, frozen, stuck_from)
 
 
 def _is_at_converter_end(present: Array, unit: VoltageUnit) -> bool:
@@ -122,12 +122,14 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
     if not any((level[k, (k + distance) % rows] == rail).any() for distance in (-1, 0, 1)):
         return clipped
     for distance in (-1, 0, 1):
-        at = k, (k + distance) % rows
-        share = (level[at] - rail) / np.where(previous[at] == rail, np.inf, previous[at] - rail)
+        row_and_channel = k, (k + distance) % rows
+        share = (level[row_and_channel] - rail) / np.where(
+            previous[row_and_channel] == rail, np.inf, previous[row_and_channel] - rail
+        )
         middle = float(np.median(share))
-        near = np.abs(share - middle) <= _MEMORY_SPREAD
-        if 0 < middle <= _LARGEST_MEMORY and near.mean() >= 0.75:
-            clipped[at] |= near
+        is_near = np.abs(share - middle) <= _MEMORY_SPREAD
+        if 0 < middle <= _LARGEST_MEMORY and is_near.mean() >= 0.75:
+            clipped[row_and_channel] |= is_near
     return clipped
 
 
@@ -154,14 +156,14 @@ def _first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
     begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)
     if n < _FEWEST_FRAMES:
         return begin
-    same = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
+    share_at_median = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
     repeats = block.voltages[1:] == block.voltages[:-1]
     # Counts with less than a count of noise stay constant without being stuck: only judge where most channels move.
-    if float(np.median(same)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
+    if float(np.median(share_at_median)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
         return begin
-    longest, at = _longest_run(repeats)
-    begin = np.where(longest >= _unlikely_run(repeats, longest), at, begin)
-    begin[same >= _CONSTANT] = 0
+    longest, longest_begin = _longest_run(repeats)
+    begin = np.where(longest >= _unlikely_run(repeats, longest), longest_begin, begin)
+    begin[share_at_median >= _CONSTANT] = 0
     if block.unit is VoltageUnit.COUNT:
         begin[_hardly_varying(block.voltages)] = 0
     return begin

@@ -57,21 +57,21 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
     -------
     None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
-    both = used & used.T
-    drives = np.flatnonzero(both.sum(axis=1) >= FEWEST_OF_PAIR)
+    both_mask = used & used.T
+    drives = np.flatnonzero(both_mask.sum(axis=1) >= FEWEST_OF_PAIR)
     if len(drives) < FEWEST_OF_PAIR:
         return ()
-    slopes, follow = np.array([_slope(frame[both[:, k], k], frame[k, both[k]]) for k in drives]).T
+    slopes, follow = np.array([_slope(frame[both_mask[:, k], k], frame[k, both_mask[k]]) for k in drives]).T
     if np.median(slopes) < SOUND_SLOPE or np.median(follow) < _FOLLOWS:
         return ()
-    own = np.diag(frame)
+    own_readings = np.diag(frame)
     # A measure pair that reads too much has a row as large as others; a lost contact has a small column too.
-    rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
+    rows, columns = (np.array([matrix[k, both_mask[k]].std() for k in drives]) for matrix in (frame, frame.T))
     dead = drives[
         (slopes < DEAD_SLOPE) & (rows < DEAD_SPREAD * np.median(rows)) & (columns > DEAD_SPREAD * np.median(columns))
     ]
-    usual = float(np.median(np.delete(own, dead)))
-    return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own[k]), usual) for k in dead)
+    usual = float(np.median(np.delete(own_readings, dead)))
+    return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own_readings[k]), usual) for k in dead)
 
 
 def _slope(reciprocal: Array, reading: Array) -> tuple[float, float]:

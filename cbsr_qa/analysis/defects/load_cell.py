@@ -25,11 +25,11 @@ def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     """
     if samples is None:
         return ""
-    held = samples.select_interval(record.hold_start_s, record.release_start_s).values
-    if len(held) < _FEWEST:
+    held_forces = samples.select_interval(record.hold_start_s, record.release_start_s).values
+    if len(held_forces) < _FEWEST:
         return ""
     highest = float(samples.values.max())
-    if highest <= 0 or np.mean(held == highest) < _SHARE:
+    if highest <= 0 or np.mean(held_forces == highest) < _SHARE:
         return ""
     rest = samples.select_interval(record.unloaded_s, record.rest_end_s).values
     if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
@@ -49,13 +49,13 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
     if highest <= 0 or _longest_run(at_limit) < _FLAT:
         return None
     others = samples.values[~at_limit]
-    still = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
+    often_repeats = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
     strains = {
         load.load.strain
         for load in loads
         if (samples.select_interval(load.hold_start_s, load.release_start_s).values == highest).any()
     }
-    return highest if not still or len(strains) > 1 else None
+    return highest if not often_repeats or len(strains) > 1 else None
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:

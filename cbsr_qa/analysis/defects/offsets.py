@@ -32,20 +32,20 @@ def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]
     noise = float(np.median(sigma))
     usual = MAD_TO_SIGMA * float(np.median(np.abs(jumps - np.median(jumps))))
     sudden = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
-    found: list[tuple[int, float]] = []
-    last = 0
-    for at in sudden.tolist():
+    offsets: list[tuple[int, float]] = []
+    last_frame = 0
+    for frame in sudden.tolist():
         # An offset in the middle of a frame shows in two frames, and counts once.
-        later = sudden[sudden > at + 1]
-        until = min(at + _STAY_FRAMES, int(later[0]) if len(later) else len(readings))
-        begin = max(at - _STAY_FRAMES, last)
-        if found and at - last < 2 and until - at > 1:
+        later_jumps = sudden[sudden > frame + 1]
+        until = min(frame + _STAY_FRAMES, int(later_jumps[0]) if len(later_jumps) else len(readings))
+        begin = max(frame - _STAY_FRAMES, last_frame)
+        if offsets and frame - last_frame < 2 and until - frame > 1:
             continue
-        size, uneven = _common(readings[begin:at], readings[at:until], sigma)
+        size, uneven = _common(readings[begin:frame], readings[frame:until], sigma)
         if abs(size) > _SIZEABLE * noise and uneven < _UNEVEN * abs(size):
-            found.append((at, size))
-            last = at
-    return tuple(found)
+            offsets.append((frame, size))
+            last_frame = frame
+    return tuple(offsets)
 
 
 def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:

@@ -53,13 +53,13 @@ def reciprocity_errors(
     are 0.
     """
     pairs, sign = pattern.reciprocal_pairs()
-    both = usable.ravel()[pairs].all(axis=1)
-    first, second = frame.ravel()[pairs[both]].T
-    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
+    usable_pairs = usable.ravel()[pairs].all(axis=1)
+    first, second = frame.ravel()[pairs[usable_pairs]].T
+    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if usable_pairs.any() else 0.0
     if level == 0:
         return np.empty((0, 2), dtype=np.int64), np.empty(0)
-    errors: Array = np.abs(first - sign[both] * second) / level
-    return pairs[both], errors
+    errors: Array = np.abs(first - sign[usable_pairs] * second) / level
+    return pairs[usable_pairs], errors
 
 
 def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:

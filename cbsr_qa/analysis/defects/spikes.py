@@ -39,11 +39,11 @@ def remove_spikes(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array
     level[:, usable] = median_filter(voltages[:, usable], size=(2 * _HALF_WINDOW + 1, 1), mode="mirror")
     sigma = np.ones(usable.shape)
     sigma[usable] = channel_noise(voltages[:, usable], counts=counts)
-    apart = voltages - level
+    deviation = voltages - level
     # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
-    unrest = MAD_TO_SIGMA * np.median(np.abs(apart[:, usable]) / sigma[usable], axis=1)
-    far = (np.abs(apart) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
-    spikes = far & _alone(apart, far, usable)
+    unrest = MAD_TO_SIGMA * np.median(np.abs(deviation[:, usable]) / sigma[usable], axis=1)
+    far_mask = (np.abs(deviation) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
+    spikes = far_mask & _alone(deviation, far_mask, usable)
     return np.where(spikes, level, voltages), spikes
 
 

@@ -160,17 +160,19 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
     n = len(scores)
     candidates: list[Change] = []
     for width in _WIDTHS:
-        at = np.arange(_BESIDE, n - _BESIDE - width + 1)
-        if len(at) < 4 * _BESIDE:
+        frames = np.arange(_BESIDE, n - _BESIDE - width + 1)
+        if len(frames) < 4 * _BESIDE:
             continue
-        size, place, sign = _strongest(scores, at, width)
-        over = np.flatnonzero(size > threshold_for(len(at), _BESIDE))
-        candidates += [Change(int(at[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in over]
-    taken: list[Change] = []
+        size, place, sign = _strongest(scores, frames, width)
+        above_threshold = np.flatnonzero(size > threshold_for(len(frames), _BESIDE))
+        candidates += [
+            Change(int(frames[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in above_threshold
+        ]
+    pulses: list[Change] = []
     for pulse in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
-        if all(_frames_between(pulse, other) > _BESIDE for other in taken):
-            taken.append(pulse)
-    return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
+        if all(_frames_between(pulse, other) > _BESIDE for other in pulses):
+            pulses.append(pulse)
+    return tuple(sorted(pulses[:_MOST_PULSES], key=lambda change: change.frame))
 
 
 def interpolate_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:

@@ -109,21 +109,21 @@ class EventImages:
 
     def image_event(self, sighting: Sighting, name: str = "an event") -> Array:
         """Image (e,) of an event's change; messages name the event ``name``."""
-        where = f"{self.name} cannot image {name}"
+        problem = f"{self.name} cannot image {name}"
         if self.sequences:
-            image: Array = self._images(where, sighting.frames)[sighting.held].mean(axis=0)
+            image: Array = self._images(problem, sighting.frames)[sighting.held].mean(axis=0)
         else:
-            image = self._images(where, sighting.change[None])[0]
+            image = self._images(problem, sighting.change[None])[0]
         return image
 
     def together(self, sightings: Sequence[Sighting]) -> Array:
         """Image (e,) of the changes of several events, each counted once."""
-        changes = {seen.change.tobytes(): seen for seen in sightings}.values()
+        changes = {sighting.change.tobytes(): sighting for sighting in sightings}.values()
         if self.superposes:
-            total: Array = np.sum([self.image_event(seen) for seen in changes], axis=0)
+            total: Array = np.sum([self.image_event(sighting) for sighting in changes], axis=0)
             return total
-        where = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
-        image: Array = self._images(where, np.sum([seen.change for seen in changes], axis=0)[None])[0]
+        problem = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
+        image: Array = self._images(problem, np.sum([sighting.change for sighting in changes], axis=0)[None])[0]
         return image
 
     @property
@@ -132,12 +132,12 @@ class EventImages:
         return isinstance(self.prepared, LinearReconstruction) or bool(getattr(self.prepared, "linear", False))
 
     def _images(self, where: str, changes: Array) -> Array:
-        known = changes.tobytes()
-        if known not in self._made:
+        key = changes.tobytes()
+        if key not in self._made:
             with _convert_errors(where):
                 images = self.prepared.images(changes * self.gain)
-                self._made[known] = _check_images(images, (len(changes), len(self.prepared.problem.mesh.elements)))
-        return self._made[known]
+                self._made[key] = _check_images(images, (len(changes), len(self.prepared.problem.mesh.elements)))
+        return self._made[key]
 
 
 def prepare_for_events(

@@ -55,12 +55,12 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
             f"{found} given",
             remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
         )
-    loaded, sized = load_pressed_type(files.sensor_type)
+    loaded_type, sized = load_pressed_type(files.sensor_type)
     presses = read_presses(files.presses)
-    labelled = LabelledPresses(loaded.value, sized, _readings(files, loaded.value), presses)
-    named = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
-    named |= {"rest": files.rest, "sensor type": loaded.document.path}
-    return labelled, tuple(source_file(role, path) for role, path in named.items() if path is not None)
+    labelled = LabelledPresses(loaded_type.value, sized, _readings(files, loaded_type.value), presses)
+    named_paths = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
+    named_paths |= {"rest": files.rest, "sensor type": loaded_type.document.path}
+    return labelled, tuple(source_file(role, path) for role, path in named_paths.items() if path is not None)
 
 
 def read_pressed_recording(path: Path, format_: str | None = None, dataset: str | None = None) -> Recording:

@@ -122,26 +122,26 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
-    used = _usable(recording, pattern) & ~faults.bad
+    used_mask = _usable(recording, pattern) & ~faults.bad
     opened: tuple[int, ...] = ()
-    if recording.scan is ScanKind.FULL and used.any():
-        full = pattern or adjacent_pattern(used.shape[0])
-        opened = _find_open_electrodes(block.voltages, used, full)
-        used &= ~full.touching(opened)
+    if recording.scan is ScanKind.FULL and used_mask.any():
+        full = pattern or adjacent_pattern(used_mask.shape[0])
+        opened = _find_open_electrodes(block.voltages, used_mask, full)
+        used_mask &= ~full.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
-    scanned &= bool(used.any())
+    scanned &= bool(used_mask.any())
     mending = scanned and recording.reference is None
     offset = has_offset(recording)
     voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
     if mending and len(block) > 1:
-        offsets = find_offsets(voltages[:, used], channel_noise(voltages[:, used], counts=offset))
+        offsets = find_offsets(voltages[:, used_mask], channel_noise(voltages[:, used_mask], counts=offset))
         voltages = subtract_offsets(voltages, offsets)
     if scanned:
         # One absurd reading must not decide the correction of the whole frame.
-        calm = remove_spikes(voltages, used, counts=offset)[0] if mending else voltages
-        carry_over = estimate_carry_over(replace(block, voltages=calm), used)
+        calm = remove_spikes(voltages, used_mask, counts=offset)[0] if mending else voltages
+        carry_over = estimate_carry_over(replace(block, voltages=calm), used_mask)
     apply = (
         carry_over is not None
         and (carry_over.worth_correcting if wanted is None else wanted)
@@ -154,16 +154,20 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         reference = None if reference is None else correct_carry_over(reference, carry_over.share, order)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if mending:
-        voltages, spikes = remove_spikes(voltages, used, counts=offset)
-    dead_drives = find_dead_drives(np.median(voltages, axis=0), used) if scanned else ()
-    used[[dead.drive for dead in dead_drives]] = False
+        voltages, spikes = remove_spikes(voltages, used_mask, counts=offset)
+    dead_drives = find_dead_drives(np.median(voltages, axis=0), used_mask) if scanned else ()
+    used_mask[[dead.drive for dead in dead_drives]] = False
     mean = voltages.mean(axis=0)
-    error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
+    error = (
+        reciprocity_error(mean, used_mask, offset_of(mean, used_mask, counts=offset))
+        if imaged and used_mask.any()
+        else None
+    )
     return ReadyReadings(
         replace(block, voltages=voltages),
         None if reference is None else reference.mean(axis=0),
         faults,
-        used,
+        used_mask,
         carry_over,
         bool(apply),
         error,
@@ -178,12 +182,12 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
 def _find_open_electrodes(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
     """Electrodes without contact for most of the recording, or in a part of it if those are several."""
-    found = open_electrodes(np.median(voltages, axis=0), used, pattern)
+    most_electrodes = open_electrodes(np.median(voltages, axis=0), used, pattern)
     for part in np.array_split(voltages, _PARTS) if len(voltages) >= _PARTS * _PART_FRAMES else ():
-        several = open_electrodes(np.median(part, axis=0), used, pattern)
-        if len(several) > max(1, len(found)):
-            found = several
-    return found
+        part_electrodes = open_electrodes(np.median(part, axis=0), used, pattern)
+        if len(part_electrodes) > max(1, len(most_electrodes)):
+            most_electrodes = part_electrodes
+    return most_electrodes
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:

@@ -61,12 +61,12 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
     -------
     Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 without reciprocal pairs.
     """
-    full = np.zeros((len(changes), *used.shape))
-    full[:, used] = changes
-    both = used & used.T
-    if not both.any():
+    matrices = np.zeros((len(changes), *used.shape))
+    matrices[:, used] = changes
+    both_mask = used & used.T
+    if not both_mask.any():
         return 0.0
-    return float(np.sqrt(np.mean((full - full.swapaxes(1, 2))[:, both] ** 2) / 2))
+    return float(np.sqrt(np.mean((matrices - matrices.swapaxes(1, 2))[:, both_mask] ** 2) / 2))
 
 
 def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -104,21 +104,21 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
     -------
     One object per stretch in which it is seen, or why none was found.
     """
-    seen: list[tuple[int, Place]] = []
-    best = 0.0
+    detections: list[tuple[int, Place]] = []
+    highest = 0.0
     for k, change in enumerate(changes):
         places, explained = find_places(change, match, most=1)
         if places:
-            best = max(best, abs(places[0].score))
+            highest = max(highest, abs(places[0].score))
             if abs(places[0].score) >= _DETECTED and explained >= _EXPLAINED_MOVING:
-                seen.append((k, places[0]))
-    if not seen:
+                detections.append((k, places[0]))
+    if not detections:
         return (
             (),
-            f"nothing stands out of the noise: the best frame scores {best:.1f}, at least {_DETECTED:g} is needed",
+            f"nothing stands out of the noise: the best frame scores {highest:.1f}, at least {_DETECTED:g} is needed",
         )
-    stretches: list[list[tuple[int, Place]]] = [[seen[0]]]
-    for before, after in pairwise(seen):
+    stretches: list[list[tuple[int, Place]]] = [[detections[0]]]
+    for before, after in pairwise(detections):
         if after[0] - before[0] > _BRIDGED_FRAMES + 1:
             stretches.append([])
         stretches[-1].append(after)
@@ -189,17 +189,17 @@ def fit_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
     -------
     Tank, or None if a sheet explains the readings as well, or a tank does not (channels of unequal gain).
     """
-    electrodes, pattern, used = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
+    electrodes, pattern, used_mask = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
     if not isinstance(electrodes, ElectrodeLayout) or pattern.shape[0] != pattern.shape[1]:
         return None
-    groups = _distances(pattern, used)
+    groups = _distances(pattern, used_mask)
     if len(groups) < _FEWEST:
         return None
     angles = electrodes.angles_rad()
 
     def decay_spread(depth: float) -> float:
         field = DeepTank(depth, angles, pattern, electrode=_ELECTRODE)
-        ratio = np.log(np.abs(reference / field.readings()[used]))
+        ratio = np.log(np.abs(reference / field.readings()[used_mask]))
         return float(np.std([np.median(ratio[group]) for group in groups]))
 
     fit = minimize_scalar(decay_spread, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
@@ -213,10 +213,10 @@ def _distances(pattern: DrivePattern, used: Mask) -> list[NDArray[np.int64]]:
     """Used readings, counted in order, by the distance round the ring between driven and measured pair."""
     drive, measure = np.nonzero(used)
     count = pattern.electrode_count
-    first = (
+    first_electrodes = (
         np.array([pair[0] for pair in pattern.drive])[drive],
         np.array([pair[0] for pair in pattern.measure])[measure],
     )
-    apart = (first[1] - first[0]) % count
+    apart = (first_electrodes[1] - first_electrodes[0]) % count
     apart = np.minimum(apart, count - apart)
     return [np.flatnonzero(apart == distance) for distance in np.unique(apart)]

@@ -58,11 +58,11 @@ def estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimate
 
 
 def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    alone = [load for load in run.loads if load.together == 1]
+    single_loads = [load for load in run.loads if load.together == 1]
     try:
         model = load_model(run.record.sensor_type)
         noise = reading_variance(run.unloaded, run.usable)
-        estimates = _estimates(run, alone, model, noise, reference) if alone else {}
+        estimates = _estimates(run, single_loads, model, noise, reference) if single_loads else {}
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
     many = "{} loads were held at once; the estimate needs one"
@@ -88,13 +88,13 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     count = len(unloaded)
     if count < FEWEST_FRAMES:
         raise NumericsError(f"{count} unloaded frames are too few to estimate noise; {FEWEST_FRAMES} are needed")
-    flat = unloaded.voltages.reshape(count, -1)
-    left = off_the_line(flat, unloaded.time_s)
+    readings_by_frame = unloaded.voltages.reshape(count, -1)
+    residuals = off_the_line(readings_by_frame, unloaded.time_s)
     freedom = count - 2
-    variance = ((left**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
+    variance = ((residuals**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
     typical = float(np.median(variance[usable]))
     # Rounding of identical frames is not noise.
-    if typical <= (1e-13 * np.abs(flat).max()) ** 2:
+    if typical <= (1e-13 * np.abs(readings_by_frame).max()) ** 2:
         raise NumericsError("the unloaded frames do not differ: there is no noise to weight readings by")
     quiet: Array = np.maximum(variance, _QUIETEST * typical)
     return quiet
@@ -141,11 +141,11 @@ def _group(
     start = np.array([_start(load, run.main_mask) for load in loads])
     size = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=False)
     sized = size.estimate(changes, start_mm=start)
-    given: tuple[LoadEstimate | None, ...] = (None,) * len(loads)
+    estimates_of_known_size: tuple[LoadEstimate | None, ...] = (None,) * len(loads)
     if not head.outline_mm:
-        known = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=True)
-        given = known.estimate(changes, start_mm=start)
-    pairs = zip(loads, given, sized, strict=True)
+        estimator = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=True)
+        estimates_of_known_size = estimator.estimate(changes, start_mm=start)
+    pairs = zip(loads, estimates_of_known_size, sized, strict=True)
     return {_key(load): EstimatedLoad(with_head, other) for load, with_head, other in pairs}
 
 

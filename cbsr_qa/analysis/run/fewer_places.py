@@ -85,11 +85,11 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
     """
     if count > len(places_mm):
         raise NumericsError(f"cannot choose {count} places from {len(places_mm)}")
-    chosen = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
-    while len(chosen) < count:
-        apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)
-        chosen.append(int(apart.argmax()))
-    return chosen
+    chosen_indices = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
+    while len(chosen_indices) < count:
+        distances_mm = np.hypot(*(places_mm[:, None] - places_mm[chosen_indices]).transpose(2, 0, 1)).min(axis=1)
+        chosen_indices.append(int(distances_mm.argmax()))
+    return chosen_indices
 
 
 class _Loads:
@@ -97,14 +97,14 @@ class _Loads:
         learned = force.learned
         assert learned is not None
         responds = np.isfinite(learned.ratio)
-        used = list(compress(force.used, responds))
-        self._places = force.sheet_pose.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[responds]) + _line_log_ratio(run, force, used)
+        used_loads = list(compress(force.used, responds))
+        self._places = force.sheet_pose.places_mm(places_mm(used_loads))
+        self._log = np.log(learned.ratio[responds]) + _line_log_ratio(run, force, used_loads)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         # Each load's share of the time of its phase: surfaces may be found before the first press.
         share_s = {p.name: (p.ended_s - p.started_s) / len(p.loads) for p in run.record.phases if p.loads}
-        self._seconds = np.array([share_s[load.phase] for load in used])
+        self._seconds = np.array([share_s[load.phase] for load in used_loads])
         self._radius_mm = run.record.sensor_type.radius_mm
         radius_mm = calibration_radius_mm(force)
         area = sheet_places(learned.model, stride=2)

@@ -108,11 +108,11 @@ def learn_without_tests(run: RunObservation) -> RunForce:
     """
     loads = run.derive(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
-    used = tuple(compress(loads.loads, calibrating))
+    calibrating_loads = tuple(compress(loads.loads, calibrating))
     learned = loads.learn(calibrating)
     if loads.at_s is not None:
         learned = replace(learned, model=replace(learned.model, steady_s=loads.at_s))
-    return RunForce(learned, used, (), sheet_pose=loads.sheet_pose)
+    return RunForce(learned, calibrating_loads, (), sheet_pose=loads.sheet_pose)
 
 
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
@@ -157,11 +157,11 @@ class _RunForce:
         self.line = run.record.material.against_stress
         self.merging = readings.merging / scale
         self.bank: TemplateBank = template_bank(model, readings, self.head)
-        pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
-        self.loads = tuple(pressed)
+        single_loads = [load for load in run.loads if load.force_N is not None and load.together == 1]
+        self.loads = tuple(single_loads)
         self.data, self.sheet_pose = self._locate_on_sheet(self._data())
         self.at_s: float | None = None
-        self.predicted = np.zeros(len(pressed), dtype=np.bool_)
+        self.predicted = np.zeros(len(single_loads), dtype=np.bool_)
         if run.settings.transients == "predicted":
             self._compensate()
 
@@ -183,14 +183,14 @@ class _RunForce:
             )
         windows = [window_of(self.run, load) for load in self.loads]
         steady = [self._rows(window.steady.voltages) for window in windows]
-        before = [self._rows(window.before.voltages) for window in windows]
+        rows_before = [self._rows(window.before.voltages) for window in windows]
         nothing = np.zeros(self.merging.shape[0])
         return CalibrationLoads(
             place_mm=np.array([load.place_mm for load in self.loads]),
             rows=np.array([rows.mean(axis=0) for rows in steady]),
             frames=np.array([len(rows) for rows in steady]),
-            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in before]),
-            frames_before=np.array([len(rows) for rows in before]),
+            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in rows_before]),
+            frames_before=np.array([len(rows) for rows in rows_before]),
             force_N=np.array([load.force_N for load in self.loads], dtype=np.float64),
             force_stderr_N=np.array([load.force_stderr_N or 0.0 for load in self.loads]),
         )
@@ -218,16 +218,16 @@ class _RunForce:
         tests = self.tests(learned, ~calibrating, HELD_OUT)
         trials = np.array([load.record.load.trial for load in self.loads])
         for trial in sorted(set(trials[calibrating].tolist())):
-            left_out = calibrating & (trials == trial)
-            others = calibrating & ~left_out
+            left_out_mask = calibrating & (trials == trial)
+            others_mask = calibrating & ~left_out_mask
             # Whether each load's place was pressed by others; elsewhere repeatability is not tested.
-            places = {tuple(place) for place in self.data.place_mm[others].tolist()}
+            places = {tuple(place) for place in self.data.place_mm[others_mask].tolist()}
             pressed_by_others = np.array(
                 [tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_
             )
-            again = left_out & pressed_by_others
-            if again.any():
-                tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
+            again_mask = left_out_mask & pressed_by_others
+            if again_mask.any():
+                tests += self.tests(self.learn(others_mask), again_mask, TRIAL_LEFT_OUT)
         used = tuple(compress(self.loads, calibrating))
         return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
 
@@ -260,31 +260,33 @@ class _RunForce:
         filter_ = TemplateFilter(learned.model)
         inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))
         everywhere = _global(learned)
-        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
+        flat_inverse = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
         rows, noise = data.subtract_residues()
-        left = filter_.match_at(data.before, data.place_mm).strength
-        given = _noisy(filter_.match_at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
-        matches = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        strength_left = filter_.match_at(data.before, data.place_mm).strength
+        matches_at_places = _noisy(
+            filter_.match_at(rows, data.place_mm), noise, strength_left * learned.model.residue_stderr
+        )
+        matches = _noisy(filter_.search(rows), noise, strength_left * learned.model.residue_stderr)
         matches = add_scatter(matches, filter_.size_slope(matches.place_mm), learned.model.place_scatter_mm)
-        known, known_stderr = inverse.force(given)
-        flat_N, _ = flat.force(given)
-        seen, seen_stderr = inverse.force(matches)
+        known_N, known_stderr_N = inverse.force(matches_at_places)
+        flat_N, _ = flat_inverse.force(matches_at_places)
+        found_N, found_stderr_N = inverse.force(matches)
         detected = np.sqrt(matches.gain / noise) >= learned.model.threshold
-        apart = np.hypot(*(matches.place_mm - data.place_mm).T)
+        distance_mm = np.hypot(*(matches.place_mm - data.place_mm).T)
         return [
             ForceTest(
                 load=loads[k],
                 how=how,
                 measured_N=float(data.force_N[k]),
-                known_N=float(known[k]),
-                known_stderr_N=float(np.hypot(known_stderr[k], data.force_stderr_N[k])),
-                found_N=float(seen[k]) if detected[k] and np.isfinite(seen[k]) else None,
-                found_stderr_N=float(seen_stderr[k]) if detected[k] and np.isfinite(seen[k]) else None,
-                place_error_mm=float(apart[k]) if detected[k] else None,
+                known_N=float(known_N[k]),
+                known_stderr_N=float(np.hypot(known_stderr_N[k], data.force_stderr_N[k])),
+                found_N=float(found_N[k]) if detected[k] and np.isfinite(found_N[k]) else None,
+                found_stderr_N=float(found_stderr_N[k]) if detected[k] and np.isfinite(found_N[k]) else None,
+                place_error_mm=float(distance_mm[k]) if detected[k] else None,
                 global_N=float(flat_N[k]),
             )
             for k in range(len(loads))
-            if np.isfinite(known[k])
+            if np.isfinite(known_N[k])
         ]
 
 
@@ -298,12 +300,12 @@ def _noisy(matches: Matches, noise: Array, residue: Array) -> Matches:
 def _global(learned: LearnedForce) -> ForceModel:
     """The model with one response for the whole sheet: the mean of the loads' (the paper's ρ̄₀)."""
     ratio, error = learned.ratio, learned.ratio_stderr
-    used = np.isfinite(ratio)
-    mean = float(np.mean(ratio[used]))
-    spread = float(np.std(ratio[used]) / mean)
+    finite_mask = np.isfinite(ratio)
+    mean = float(np.mean(ratio[finite_mask]))
+    spread = float(np.std(ratio[finite_mask]) / mean)
     count = len(learned.model.log_response)
     return replace(
         learned.model,
         log_response=np.full(count, np.log(mean)),
-        log_response_stderr=np.full(count, max(spread, float(np.mean(error[used])))),
+        log_response_stderr=np.full(count, max(spread, float(np.mean(error[finite_mask])))),
     )

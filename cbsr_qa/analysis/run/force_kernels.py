@@ -100,14 +100,14 @@ class StrengthTraces:
         traces, ramps, noises, released = [], [], [], []
         for load in loads:
             record = load.record
-            _, held, _ = self.hold_trace(load)
+            _, held_strength, _ = self.hold_trace(load)
             time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
             if len(time_s) < 6:
                 continue
             traces.append((time_s, strength))
             ramps.append(ramp_s(load))
             noises.append(noise)
-            released.append(float(held[-4:].mean()))
+            released.append(float(held_strength[-4:].mean()))
         if not traces:
             return None
         sign = np.sign(np.mean(released))
@@ -251,15 +251,15 @@ def _predict_rows(
     time_s, strength, noise = traces.hold_trace(load)
     if not len(time_s):
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
-    left, fading = traces.residue(load), traces.fading(time_s)
-    seen = predict_steady(time_s, strength - left * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
+    residue, fading = traces.residue(load), traces.fading(time_s)
+    prediction = predict_steady(time_s, strength - residue * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
     # The rows are the mean of the last frames of the hold, after subtraction of the same residue.
     last = slice(-int(data.frames[k]), None)
     fade = float(fading[last].mean())
-    window = float(strength[last].mean()) - left * fade
-    factor = _within(float(seen.values[0]), window)
+    window = float(strength[last].mean()) - residue * fade
+    factor = _within(float(prediction.values[0]), window)
     rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
-    return rows, float((noise / seen.stderr[0]) ** 2)
+    return rows, float((noise / prediction.stderr[0]) ** 2)
 
 
 def _within(predicted: float, seen: float) -> float:
@@ -270,20 +270,20 @@ def _within(predicted: float, seen: float) -> float:
 def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Array, float]:
     """Force under a hold: times from its start [s], means over a second, and their noise."""
     samples = run.record.phase(load.phase).channel("force")
-    none = np.zeros(0)
+    no_samples = np.zeros(0)
     if samples is None:
-        return none, none, 0.0
-    taken = samples.select_interval(load.record.hold_start_s, load.record.release_start_s)
-    time_s = taken.time_s - load.record.hold_start_s
+        return no_samples, no_samples, 0.0
+    held_samples = samples.select_interval(load.record.hold_start_s, load.record.release_start_s)
+    time_s = held_samples.time_s - load.record.hold_start_s
     if len(time_s) < 2:
-        return none, none, 0.0
+        return no_samples, no_samples, 0.0
     number = (time_s / _BIN_S).astype(np.intp)
     count = np.bincount(number)
-    full = count > 0
-    times = np.bincount(number, time_s)[full] / count[full]
-    values = np.bincount(number, taken.values)[full] / count[full]
+    full_bins = count > 0
+    times = np.bincount(number, time_s)[full_bins] / count[full_bins]
+    values = np.bincount(number, held_samples.values)[full_bins] / count[full_bins]
     # From neighbouring samples, which the relaxation hardly changes.
-    noise = float(np.std(np.diff(taken.values))) / np.sqrt(2 * float(np.median(count[full])))
+    noise = float(np.std(np.diff(held_samples.values))) / np.sqrt(2 * float(np.median(count[full_bins])))
     return times, values, max(noise, 1e-9 * float(np.abs(values).max()))
 
 

@@ -54,11 +54,11 @@ class ForceErrors:
         ones.
         """
         count = self._enough()
-        left = self.error_N - self.error_N.mean()
-        second = float((left**2).mean())
+        centred_N = self.error_N - self.error_N.mean()
+        second = float((centred_N**2).mean())
         if second == 0:
             return Estimate(0.0, None, count - 1)
-        kurtosis = max(float((left**4).mean()) / second**2, 3.0)
+        kurtosis = max(float((centred_N**4).mean()) / second**2, 3.0)
         value = float(np.sqrt(second * count / (count - 1)))
         return Estimate(
             value, value * float(np.sqrt((kurtosis - (count - 3) / (count - 1)) / (4 * count))), count - 1
@@ -217,7 +217,7 @@ def gauge_factor(
     line = run.record.material.against_stress
     stress = np.array([load.stress_kPa or 0.0 for load in loads])
     contrast = learned.ratio[usable] * (line.slope.value * stress + line.intercept.value)
-    seen = sheet_gauge_factor(
+    fitted_factor = sheet_gauge_factor(
         places_mm(loads),
         contrast,
         (learned.ratio_stderr[usable] / learned.ratio[usable]) ** 2,
@@ -229,9 +229,11 @@ def gauge_factor(
     if traces is None:
         traces = _blob_traces(run)
     share = _steady_share(run, loads, traces, learned.model.steady_s)
-    value = seen.value * share.value
-    relative = float(np.hypot((seen.stderr or 0.0) / seen.value, (share.stderr or 0.0) / share.value))
-    return Estimate(value, abs(value) * relative, seen.degrees), share
+    value = fitted_factor.value * share.value
+    relative = float(
+        np.hypot((fitted_factor.stderr or 0.0) / fitted_factor.value, (share.stderr or 0.0) / share.value)
+    )
+    return Estimate(value, abs(value) * relative, fitted_factor.degrees), share
 
 
 def _blob_traces(run: RunObservation) -> list[TimedValues]:

@@ -68,15 +68,15 @@ def decide_response(
     rising = sum(signal > 0 for signal in clear)
     falling = len(clear) - rising
     voted = Response.INCREASE if rising >= falling else Response.DECREASE
-    counts = f"{rising} loads raise the conductance, {falling} lower it"
+    counts_text = f"{rising} loads raise the conductance, {falling} lower it"
     if configured is not Response.AUTO:
-        against = f"the sensor type sets its response to {configured}, but {counts}"
+        against = f"the sensor type sets its response to {configured}, but {counts_text}"
         disagree = bool(clear) and voted is not configured
         return configured, "configured in the sensor type", (against,) if disagree else ()
     if not clear:
         return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
-    warnings = (f"the loads disagree on the sign of the response: {counts}",) if rising and falling else ()
-    return voted, f"decided from {len(clear)} loads: {counts}", warnings
+    warnings = (f"the loads disagree on the sign of the response: {counts_text}",) if rising and falling else ()
+    return voted, f"decided from {len(clear)} loads: {counts_text}", warnings
 
 
 def mean_under(mesh: Mesh, values: Array, pressed: Footprint) -> float:

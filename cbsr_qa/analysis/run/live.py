@@ -85,15 +85,17 @@ class LivePreview:
 
     def place(self, load: Load, steady: FrameBlock) -> PlacePreview:
         """Say how well a load is seen in the last frames of its hold."""
-        values, pressed = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
-        signed = values if mean_under(self.mesh, values, pressed) >= 0 else -values
-        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, pressed)
-        chosen = self.settings
-        figures = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
-        index = chosen.masks.index(chosen.main_mask)
-        seen, region = figures[index], regions[index]
-        if seen is None or region is None:
+        values, footprint = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
+        signed = values if mean_under(self.mesh, values, footprint) >= 0 else -values
+        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, footprint)
+        settings = self.settings
+        figures = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
+        index = settings.masks.index(settings.main_mask)
+        figure, region = figures[index], regions[index]
+        if figure is None or region is None:
             return PlacePreview(None, None, "not seen")
         ratio = region.area_mm2 / self.indenter.area_mm2
-        band = overlap_grade(seen.overlap_percent, ratio, bands=chosen.overlap_bands, size_ratio=chosen.size_ratio)
-        return PlacePreview(seen.error_mm, seen.overlap_percent, band)
+        band = overlap_grade(
+            figure.overlap_percent, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio
+        )
+        return PlacePreview(figure.error_mm, figure.overlap_percent, band)

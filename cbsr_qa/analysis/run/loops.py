@@ -74,27 +74,27 @@ def _observe(
     first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
     if phase.frames is None:
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
-    before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
-    during = phase.frames.select_interval(first_s, last_s)
-    if not len(before) or not all(
-        len(during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
+    frames_before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
+    frames_during = phase.frames.select_interval(first_s, last_s)
+    if not len(frames_before) or not all(
+        len(frames_during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
     ):
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
-    rows = (during.voltages[:, usable] - before.voltages[:, usable].mean(axis=0)) * scale
-    pattern = _pattern(rows, during.time_s, loops)
+    rows = (frames_during.voltages[:, usable] - frames_before.voltages[:, usable].mean(axis=0)) * scale
+    pattern = _pattern(rows, frames_during.time_s, loops)
     if not pattern.any():
         return _nothing(phase, loops, stress, no_force, _SILENT)
     output = _amplitudes(rows, pattern)
     deep = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
         at = deepest(loop)
-        deep |= (during.time_s >= at.start_s) & (during.time_s < at.end_s)
+        deep |= (frames_during.time_s >= at.start_s) & (frames_during.time_s < at.end_s)
     span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
     why = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
     unit = span if span > 0 else 1.0
-    trace = Trace("output", "1", during.time_s, output / unit)
+    trace = Trace("output", "1", frames_during.time_s, output / unit)
     return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, why)
 
 

@@ -109,7 +109,7 @@ def observe_run(
     voting = cut or [(phase, load, load_window(phase, load, settings)) for phase, load in looped]
     undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
     signals = [mean_change_under_head(undecided, load, window) for _, load, window in voting]
-    response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
+    response, response_how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
     loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
     timelines: tuple[MetricTimeline, ...] = ()
@@ -124,7 +124,7 @@ def observe_run(
         noise_floor=floor,
         noise_images=noise_images,
         response=response,
-        response_how=how,
+        response_how=response_how,
         main_mask=settings.main_mask,
         loads=loads,
         usable=data.readings,
@@ -161,27 +161,27 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
     """Warnings about loads; about settling only if the recipe gives a multiple of the settling time."""
-    words = []
+    remarks = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:
         worst = max(residual, key=lambda load: load.residue)
-        words.append(
+        remarks.append(
             f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
             f" floor, most clearly before {worst.record.load.label} (phase {worst.phase!r}):"
             " both references are reported there"
         )
     if multiple is None:
-        return tuple(words)
+        return tuple(remarks)
     early = sum(load.settled is False for load in loads)
     if early:
-        words.append(
+        remarks.append(
             f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
             " passed: their images show a sheet that is still relaxing"
         )
     unknown = sum(load.settled is None for load in loads)
     if unknown:
-        words.append(
+        remarks.append(
             f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames"
             " may not be settled"
         )
-    return tuple(words)
+    return tuple(remarks)

@@ -92,18 +92,18 @@ class RunPlace:
         """The result and its reason in one sentence."""
         if self.left_out is None:
             return f"Place not learned: {self.why}"
-        of, others = self.left_out, self.others
-        at = "" if self.places == of.presses else f" at {self.places} places"
-        words = (
-            f"Place learned from {of.presses} presses{at}: {of.learned_mm:.2g} mm on presses left out, the model of"
-            f" the sheet {of.modelled_mm:.2g} mm (difference {of.gain_mm:+.2g} ± {of.gain_stderr_mm:.1g} mm)"
+        cv, others = self.left_out, self.others
+        at = "" if self.places == cv.presses else f" at {self.places} places"
+        sentence = (
+            f"Place learned from {cv.presses} presses{at}: {cv.learned_mm:.2g} mm on presses left out, the model of"
+            f" the sheet {cv.modelled_mm:.2g} mm (difference {cv.gain_mm:+.2g} ± {cv.gain_stderr_mm:.1g} mm)"
         ).replace("-", "−")
         if others is not None:
-            words += f"; {others.learned_mm:.2g} and {others.modelled_mm:.2g} mm on {others.presses} other loads"
+            sentence += f"; {others.learned_mm:.2g} and {others.modelled_mm:.2g} mm on {others.presses} other loads"
         if self.pays:
-            return f"{words}: clearly nearer, so a calibration uses it"
-        better = of.gain_mm < -_CLEAR * of.gain_stderr_mm
-        return f"{words}: not used, the model is {'better' if better else 'as good'}"
+            return f"{sentence}: clearly nearer, so a calibration uses it"
+        better = cv.gain_mm < -_CLEAR * cv.gain_stderr_mm
+        return f"{sentence}: not used, the model is {'better' if better else 'as good'}"
 
 
 def run_place(run: RunObservation) -> RunPlace:
@@ -126,22 +126,28 @@ def _learn_and_compare(run: RunObservation, force: RunForce) -> RunPlace:
         raise CalibrationError(f"there is no force model, whose templates locate otherwise: {force.why}")
     loads, data = force_loads(run)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads])
-    used = calibrating.copy()
-    used[calibrating] = [not why for why in force.learned.refused]
-    places = len(np.unique(data.place_mm[used], axis=0))
+    used_mask = calibrating.copy()
+    used_mask[calibrating] = [not why for why in force.learned.refused]
+    places = len(np.unique(data.place_mm[used_mask], axis=0))
     if places < FEWEST_PRESSES:
         raise CalibrationError(f"the loads that calibrate are at {places} places; {FEWEST_PRESSES} are needed")
     merging, finder = force.learned.model.merging, TemplateFilter(force.learned.model)
     rows, _ = data.subtract_residues()
     time_s = np.array([load.record.hold_start_s for load in loads])
-    learned = _learn_from_readings(run, row_readings(rows[used], merging), data.place_mm[used], time_s[used])
+    learned = _learn_from_readings(
+        run, row_readings(rows[used_mask], merging), data.place_mm[used_mask], time_s[used_mask]
+    )
     modelled = finder.search(rows)
-    presses = np.flatnonzero(used)[learned.held_out.presses]
-    left_out = PlaceErrors.from_places(data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses])
+    presses = np.flatnonzero(used_mask)[learned.held_out.presses]
+    left_out_errors = PlaceErrors.from_places(
+        data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses]
+    )
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
-    others = ~calibrating & np.array([load.phase in spread for load in loads])
-    found = _others(data, others, finder, PressedPlace(learned.model, merging)) if others.any() else None
-    return RunPlace(learned, places=places, left_out=left_out, others=found)
+    others_mask = ~calibrating & np.array([load.phase in spread for load in loads])
+    other_errors = (
+        _others(data, others_mask, finder, PressedPlace(learned.model, merging)) if others_mask.any() else None
+    )
+    return RunPlace(learned, places=places, left_out=left_out_errors, others=other_errors)
 
 
 def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed: PressedPlace) -> PlaceErrors:
@@ -169,11 +175,11 @@ def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, 
 def _row_pairs(run: RunObservation) -> Indices:
     """Pairs (r, 4) of the rows, source, sink, plus and minus: of the first reading of each group of equal ones."""
     pattern, used = run.record.sensor_type.pattern, run.usable
-    groups, signs = (each[used] for each in pattern.reading_groups())
-    _, first = np.unique(groups, return_index=True)
-    drive, measure = (each[first] for each in np.nonzero(used))
+    groups, signs = (indices[used] for indices in pattern.reading_groups())
+    _, first_of_group = np.unique(groups, return_index=True)
+    drive, measure = (indices[first_of_group] for indices in np.nonzero(used))
     pairs = [
         (*pattern.drive[d], *(pattern.measure[m] if sign > 0 else pattern.measure[m][::-1]))
-        for d, m, sign in zip(drive, measure, signs[first], strict=True)
+        for d, m, sign in zip(drive, measure, signs[first_of_group], strict=True)
     ]
     return np.array(pairs, dtype=np.int64)

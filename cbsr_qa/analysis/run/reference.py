@@ -88,40 +88,42 @@ def usable_data(record: RunRecord) -> UsableData:
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
     flagged = ((frames.flags & UNUSABLE) != 0) & pattern
-    lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
-    left_out = _choose_flagged_channels(flagged[~lost])
-    lost |= (flagged & ~left_out).any(axis=(1, 2))
-    kept = frames.select(~lost)
-    stuck = _find_stuck(kept, pattern) & pattern & ~left_out
-    silent, said = _find_silent_readings(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
-    readings = pattern & ~left_out & ~stuck & ~silent
-    voltages, offsets = _remove_offsets(kept.voltages, readings)
+    lost_mask = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
+    left_out_mask = _choose_flagged_channels(flagged[~lost_mask])
+    lost_mask |= (flagged & ~left_out_mask).any(axis=(1, 2))
+    kept_frames = frames.select(~lost_mask)
+    stuck = _find_stuck(kept_frames, pattern) & pattern & ~left_out_mask
+    silent, silent_remarks = _find_silent_readings(
+        kept_frames, pattern & ~left_out_mask & ~stuck, record.sensor_type.pattern
+    )
+    readings = pattern & ~left_out_mask & ~stuck & ~silent
+    voltages, offsets = _remove_offsets(kept_frames.voltages, readings)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
         voltages, spikes = remove_spikes(voltages, readings, counts=False)
-    words = [
+    remarks = [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {name_readings(channels)}"
-        for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
+        for channels, why in ((left_out_mask, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
-    words += [*said, *offset_words(offsets, kept.time_s, kept.unit.value)]
+    remarks += [*silent_remarks, *offset_words(offsets, kept_frames.time_s, kept_frames.unit.value)]
     if spikes.any():
         spiky = int(spikes.any(axis=(1, 2)).sum())
-        words.append(
+        remarks.append(
             f"{int(spikes.sum())} readings in {spiky} frames jumped and their reciprocals did not: they were replaced"
             " by their neighbours in time"
         )
-    if lost.any():
-        words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
+    if lost_mask.any():
+        remarks.append(f"{int(lost_mask.sum())} of {len(frames)} frames are excluded: they have missing readings")
     corrected = record
     if offsets or spikes.any():
-        every = frames.voltages.copy()
-        every[~lost] = voltages
-        corrected = _with(record, every, frames.time_s[:0])
-    if offsets or spikes.any() or lost.any():
-        record = _with(record, voltages, frames.time_s[lost])
-    return UsableData(record, corrected, readings, tuple(words))
+        all_voltages = frames.voltages.copy()
+        all_voltages[~lost_mask] = voltages
+        corrected = _with(record, all_voltages, frames.time_s[:0])
+    if offsets or spikes.any() or lost_mask.any():
+        record = _with(record, voltages, frames.time_s[lost_mask])
+    return UsableData(record, corrected, readings, tuple(remarks))
 
 
 def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -144,12 +146,12 @@ def _find_silent_readings(
     frame = np.median(kept.voltages, axis=0)
     opened = open_electrodes(frame, sound, pattern)
     silent = pattern.touching(opened)
-    words = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
+    remarks = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
     if pattern.drive == pattern.measure:
         dead = find_dead_drives(frame, sound & ~silent)
-        silent[[each.drive for each in dead]] = True
-        words += [each.words(kept.unit.value) for each in dead]
-    return silent, words
+        silent[[dead_drive.drive for dead_drive in dead]] = True
+        remarks += [dead_drive.words(kept.unit.value) for dead_drive in dead]
+    return silent, remarks
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
@@ -178,25 +180,25 @@ def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) 
 
 def _choose_flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
-    left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
+    left_out_mask = np.zeros(flagged.shape[1:], dtype=np.bool_)
     allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
-    while (flagged & ~left_out).any(axis=(1, 2)).sum() > allowed:
-        counts = np.where(left_out, 0, flagged.sum(axis=0))
-        left_out |= counts == counts.max()
-    return left_out
+    while (flagged & ~left_out_mask).any(axis=(1, 2)).sum() > allowed:
+        counts = np.where(left_out_mask, 0, flagged.sum(axis=0))
+        left_out_mask |= counts == counts.max()
+    return left_out_mask
 
 
 def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
     """Return the run with only its kept frames, their readings replaced."""
-    phases, first = list[PhaseRecord](), 0
+    phases, first_frame = list[PhaseRecord](), 0
     for phase in record.phases:
         if phase.frames is None:
             phases.append(phase)
             continue
         frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_s))
-        last = first + len(frames)
-        phases.append(replace(phase, frames=replace(frames, voltages=voltages[first:last])))
-        first = last
+        end_frame = first_frame + len(frames)
+        phases.append(replace(phase, frames=replace(frames, voltages=voltages[first_frame:end_frame])))
+        first_frame = end_frame
     return replace(record, phases=tuple(phases))
 
 
@@ -253,17 +255,17 @@ def linearise_sheet(
     NumericsError
         If the readings' noise cannot be estimated from those frames (:func:`reading_noise`), or too few are usable.
     """
-    sensor_type, used = data.record.sensor_type, data.readings
+    sensor_type, used_mask = data.record.sensor_type, data.readings
     if settings.noise_weighting == "equal":
-        return imaging_problem(sensor_type, used=used), ()
-    noise = reading_noise(unloaded.voltages[:, used], unloaded.time_s)
-    problem = imaging_problem(sensor_type, used=used, noise_variance=noise.variance)
+        return imaging_problem(sensor_type, used=used_mask), ()
+    noise = reading_noise(unloaded.voltages[:, used_mask], unloaded.time_s)
+    problem = imaging_problem(sensor_type, used=used_mask, noise_variance=noise.variance)
     if not noise.silent.any():
         return problem, ()
-    silent = np.zeros_like(used)
-    silent[used] = noise.silent
-    words = (
+    silent = np.zeros_like(used_mask)
+    silent[used_mask] = noise.silent
+    remark = (
         f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
         f" and a typical value is used for them: {name_readings(silent)}"
     )
-    return problem, (words,)
+    return problem, (remark,)
