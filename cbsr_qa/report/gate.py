@@ -39,13 +39,13 @@ def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
     if not answers:
         return ()
     blocks: list[Block] = [
-        Paragraph(f"Before the run, {one.check} was {one.outcome}: {one.sentence}.", "warning")
-        for one in answers
-        if one.outcome in _NOTED
+        Paragraph(f"Before the run, {answer.check} was {answer.outcome}: {answer.sentence}.", "warning")
+        for answer in answers
+        if answer.outcome in _NOTED
     ]
-    for session in sorted({one.session for one in answers}):
-        own = [one for one in answers if one.session == session]
+    for session in sorted({answer.session for answer in answers}):
+        session_answers = [answer for answer in answers if answer.session == session]
         caption = "Checks before the run." if session == 0 else f"Asked again before resumption {session} of the run."
-        table = gate_table(caption, own)
+        table = gate_table(caption, session_answers)
         blocks.append(Table(table.caption, table.columns, table.rows, folded=True))
     return tuple(blocks)

@@ -61,16 +61,16 @@ def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tup
 
 def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
     """Say which locations did not pass, and what decided; the worst first."""
-    kept = [verdict for verdict in verdicts if verdict.outcome is not Outcome.PASS]
-    if not kept:
+    not_passed = [verdict for verdict in verdicts if verdict.outcome is not Outcome.PASS]
+    if not not_passed:
         return f"By location: all {len(verdicts)} pass." if len(verdicts) > 1 else "By location: the only one passes."
-    kept.sort(key=lambda verdict: (SEVERITY.index(verdict.outcome), relative_margin(verdict.deciding)))
-    named = "; ".join(_describe_deciding(verdict) for verdict in kept[:_MOST_NAMED])
-    more = len(kept) - _MOST_NAMED
-    named += f"; and {more} more" if more > 0 else ""
-    passed = len(verdicts) - len(kept)
-    rest = f" The other {passed} pass." if passed > 1 else " The other one passes." if passed else ""
-    return f"By location, {plural(len(kept), 'does', 'do')} not simply pass: {named}.{rest}"
+    not_passed.sort(key=lambda verdict: (SEVERITY.index(verdict.outcome), relative_margin(verdict.deciding)))
+    sentence = "; ".join(_describe_deciding(verdict) for verdict in not_passed[:_MOST_NAMED])
+    unnamed_count = len(not_passed) - _MOST_NAMED
+    sentence += f"; and {unnamed_count} more" if unnamed_count > 0 else ""
+    passed = len(verdicts) - len(not_passed)
+    passed_words = f" The other {passed} pass." if passed > 1 else " The other one passes." if passed else ""
+    return f"By location, {plural(len(not_passed), 'does', 'do')} not simply pass: {sentence}.{passed_words}"
 
 
 def _describe_deciding(verdict: LocationVerdict) -> str:

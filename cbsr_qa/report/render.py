@@ -188,11 +188,11 @@ def _render_each(
     sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
 ) -> Iterator[_Shown]:
     for number, section in enumerate(sections, start=1):
-        shown = _section_shown(section, result, f"s{number}")
-        if isinstance(shown, str):
-            failed.append(shown)
-        elif shown is not None:
-            yield shown
+        rendered = _section_shown(section, result, f"s{number}")
+        if isinstance(rendered, str):
+            failed.append(rendered)
+        elif rendered is not None:
+            yield rendered
 
 
 def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:

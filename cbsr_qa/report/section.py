@@ -79,11 +79,11 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
     Built-in sections come first, in the order of their registration, then others by name.
     """
     sections: list[ReportSection] = []
-    missing: list[str] = []
+    warnings: list[str] = []
     for name in names or plugins.list_names(Kind.SECTION):
         try:
             with come_back_once():
                 sections.append(plugins.factory(Kind.SECTION, name)())
         except BaseException as error:  # noqa: BLE001 - a plugin's constructor may raise anything
-            missing.append(f"The report section {name} is left out: {failure(error)}")
-    return sections, missing
+            warnings.append(f"The report section {name} is left out: {failure(error)}")
+    return sections, warnings

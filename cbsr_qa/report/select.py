@@ -110,17 +110,17 @@ def title_load(load: LoadObservation, *, trials: bool, strains: bool) -> str:
 
 
 def _join_load(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:
-    wanted, view = load.record.load, load.mask(run.main_mask)
+    planned_load, view = load.record.load, load.mask(run.main_mask)
     error = measured.find("centre_of_mass_error", load)
     overlap = measured.find("area_overlap", load)
     return SeenLoad(
-        label=wanted.label,
+        label=planned_load.label,
         title=title,
-        x_mm=wanted.x_mm,
-        y_mm=wanted.y_mm,
+        x_mm=planned_load.x_mm,
+        y_mm=planned_load.y_mm,
         radius_mm=load.indenter.radius_mm,
-        pressed=load.indenter.footprint_at(wanted.x_mm, wanted.y_mm),
-        strain=wanted.strain,
+        pressed=load.indenter.footprint_at(planned_load.x_mm, planned_load.y_mm),
+        strain=planned_load.strain,
         image=load.image,
         sensed=view.region if view else None,
         error_mm=error.value if error else None,

@@ -54,12 +54,12 @@ def format_fixed(value: float, decimals: int) -> str:
 
 def plain(value: float, unit: str) -> str:
     """Write a value without a stated uncertainty: three digits, but no more decimals than its unit deserves."""
-    most = _DECIMALS.get(unit)
-    if most is None or abs(value) >= 1e5 or value == 0:
+    most_decimals = _DECIMALS.get(unit)
+    if most_decimals is None or abs(value) >= 1e5 or value == 0:
         return number(value)
-    if round(value, most) == 0:
+    if round(value, most_decimals) == 0:
         return number(value, 1)
-    return format_fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
+    return format_fixed(value, min(most_decimals, max(2 - floor(log10(abs(value))), 0)))
 
 
 def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -> str:
@@ -85,13 +85,13 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """Write a number with its unit; volts, amperes, siemens and ohms get a prefix (18.1 kΩ)."""
-    scale, shown = scale_unit(value, unit)
+    scale, shown_unit = scale_unit(value, unit)
     if not uncertainty and scale == 1:
         text = plain(value, unit)
     else:
         text = with_uncertainty(value / scale, None if uncertainty is None else uncertainty / scale)
-    gap = "\N{NO-BREAK SPACE}" if shown else ""
-    return f"{text}{gap}{shown}"
+    gap = "\N{NO-BREAK SPACE}" if shown_unit else ""
+    return f"{text}{gap}{shown_unit}"
 
 
 def scale_unit(value: float, unit: str) -> tuple[float, str]:
@@ -106,11 +106,11 @@ def duration(seconds: float) -> str:
     """Write a time span: ``0.42 s``, ``42 s``, ``18 min 20 s``, ``5 h 24 min``."""
     if seconds < 10:
         return f"{number(seconds, 2)} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        minutes, rest = divmod(whole, 60)
+    whole_s = round(seconds)
+    if whole_s < 60:
+        return f"{whole_s} s"
+    if whole_s < 3600:
+        minutes, rest = divmod(whole_s, 60)
         return f"{minutes} min" + (f" {rest} s" if rest else "")
     hours, rest = divmod(round(seconds / 60), 60)
     return f"{hours} h" + (f" {rest} min" if rest else "")
@@ -197,11 +197,11 @@ def _value_text(measurement: Measurement, value: float, unit: bool) -> str:
 def limit_text(limit: Limit) -> str:
     """Write a limit: ``≤ 5 mm``, ``50 to 100 %``."""
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
-    scale, shown = scale_unit(max(bounds, key=abs), limit.unit)
-    gap = "\N{NO-BREAK SPACE}" if shown else ""
+    scale, shown_unit = scale_unit(max(bounds, key=abs), limit.unit)
+    gap = "\N{NO-BREAK SPACE}" if shown_unit else ""
     written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
-    return f"{sign}{' to '.join(written)}{gap}{shown}"
+    return f"{sign}{' to '.join(written)}{gap}{shown_unit}"
 
 
 def margin_text(measurement: Measurement) -> str:

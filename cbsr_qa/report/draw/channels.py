@@ -56,17 +56,17 @@ def channel_map_figure(
     marks : readings to point at, with a legend below the map; those without pairs are left out.
     """
     drives, measures = values.shape
-    shown = np.isfinite(values) & (True if used is None else used)
+    shown_mask = np.isfinite(values) & (True if used is None else used)
     size_in = 3.5
     tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
     height_in = tall_in + 0.6
     figure = canvas(height_in, WIDTH_IN)
     left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
     axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-    norm = Normalize(*_middle(values[shown]))
-    _draw_map(axes, values, shown, norm)
+    norm = Normalize(*_middle(values[shown_mask]))
+    _draw_map(axes, values, shown_mask, norm)
     _draw_marks(axes, marks)
-    if shown.any():
+    if shown_mask.any():
         add_scale(figure, axes, norm, AMOUNT_MAP, label=unit_column(label, unit), place="right")
     return figure
 
@@ -182,11 +182,11 @@ def ring_figure(
             axes.axhline(100 * limit, color=INK, linewidth=0.8)
         return figure
 
-    worst = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
+    worst_percent = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
     return Figure(
         "Left: mean reading over the closed form of the ring; a perfect station lies on the line. Right: what is left"
         f" of each reading, of what is expected, between the limits of ±{100 * allowed:.3g} %.",
-        f"{int(used.sum())} readings against the closed form; the worst residual is {worst:.3g} %.",
+        f"{int(used.sum())} readings against the closed form; the worst residual is {worst_percent:.3g} %.",
         build(),
     )
 

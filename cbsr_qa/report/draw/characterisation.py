@@ -38,18 +38,18 @@ def lines_figure(characterised: Characterisation) -> Canvas:
     """Draw changes between the pins and under the head against stress and strain, with line and band."""
     figure = canvas(4.3)
     grid = figure.add_gridspec(2, 2, left=0.09, right=0.985, bottom=0.095, top=0.945, hspace=0.5, wspace=0.24)
-    left: list[Axes] = []
+    left_axes: list[Axes] = []
     rows = (
         ("between the pins", "apparent", characterised.against_stress, characterised.against_strain),
         ("under the head", "local", characterised.local_against_stress, characterised.local_against_strain),
     )
-    for row, (where, change, against_stress, against_strain) in enumerate(rows):
-        stress = plot(figure, grid[row, 0], f"{where}, against stress", x="stress [kPa]", y="Δρ/ρ₀ [%]")
+    for row, (place_words, change, against_stress, against_strain) in enumerate(rows):
+        stress = plot(figure, grid[row, 0], f"{place_words}, against stress", x="stress [kPa]", y="Δρ/ρ₀ [%]")
         _draw_line(stress, characterised, against_stress, "stress_kPa", change, scale=1.0)
-        strain = plot(figure, grid[row, 1], f"{where}, against strain", x="strain [%]")
+        strain = plot(figure, grid[row, 1], f"{place_words}, against strain", x="strain [%]")
         _draw_line(strain, characterised, against_strain, "strain", change, scale=100.0)
-        left.append(stress)
-    fit_left(figure, grid, left)
+        left_axes.append(stress)
+    fit_left(figure, grid, left_axes)
     return figure
 
 

@@ -66,11 +66,11 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canva
 
 def _draw_loop(axes: Axes, curve: LoopCurve) -> None:
     peak, stress, output = curve.peak, curve.stress_kPa, 100 * curve.output
-    up, down = slice(0, peak + 1), slice(peak + 1, None)
-    axes.plot(np.append(0.0, stress[up]), np.append(0.0, output[up]), color=BLUE, linewidth=0.9, zorder=2)
+    loading, unloading = slice(0, peak + 1), slice(peak + 1, None)
+    axes.plot(np.append(0.0, stress[loading]), np.append(0.0, output[loading]), color=BLUE, linewidth=0.9, zorder=2)
     axes.plot(stress[peak:], output[peak:], color=VERMILION, linewidth=0.9, linestyle="--", zorder=2)
-    dots(axes, stress[up], output[up], BLUE)
-    dots(axes, stress[down], output[down], VERMILION, hollow=True)
+    dots(axes, stress[loading], output[loading], BLUE)
+    dots(axes, stress[unloading], output[unloading], VERMILION, hollow=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +124,12 @@ def characteristic_figure(
 def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
     """Draw one or two sheets beside each other with a coloured disc at every place."""
     figure = canvas(3.05)
-    for number, shown in enumerate(maps):
+    for number, place_map in enumerate(maps):
         axes = sheet_axes(figure, (0.5 * number, 0.0, 0.4, 0.92), sensor)
-        norm, colours = _scale(shown)
-        _draw_values(axes, shown, sensor, norm, colours)
-        axes.set_title(shown.title, fontweight="normal")
-        add_scale(figure, axes, norm, colours, label=shown.unit, place="right")
+        norm, colours = _scale(place_map)
+        _draw_values(axes, place_map, sensor, norm, colours)
+        axes.set_title(place_map.title, fontweight="normal")
+        add_scale(figure, axes, norm, colours, label=place_map.unit, place="right")
     return figure
 
 
@@ -163,12 +163,12 @@ def _draw_residuals(
 def _draw_values(axes: Axes, shown: PlaceMap, sensor: SensorType, norm: Normalize, colours: Colormap) -> None:
     radius_mm = disc_radius_mm([(place.x_mm, place.y_mm) for place in shown.places], sensor)
     for place in shown.places:
-        at, face = (place.x_mm, place.y_mm), colours(norm(place.value))
-        axes.add_patch(Circle(at, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
+        centre_mm, face = (place.x_mm, place.y_mm), colours(norm(place.value))
+        axes.add_patch(Circle(centre_mm, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
         if len(shown.places) <= MOST_NAMES:
             red, green, blue, _ = face
             dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-            name = axes.text(*at, place.label, ha="center", va="center", fontsize=6.5, zorder=6)
+            name = axes.text(*centre_mm, place.label, ha="center", va="center", fontsize=6.5, zorder=6)
             name.set_color("white" if dark else INK)
 
 

@@ -108,11 +108,11 @@ def _reach_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:
     """Half the height of the panels of errors: all errors, and those of one response as far as there is room."""
     own = [np.abs(p.estimated_N - p.measured_N) + 0.0 * p.stderr_N for p in panels]
     stated = [2 * p.stderr_N for p in panels]
-    most = max([float(part.max()) for part in (*own, *stated) if len(part)] + [1e-6])
+    largest_N = max([float(part.max()) for part in (*own, *stated) if len(part)] + [1e-6])
     if flat is None or not len(flat.measured_N):
-        return 1.12 * most
-    beside = float(np.abs(flat.estimated_N - flat.measured_N).max())
-    return 1.12 * max(most, min(beside, _FURTHEST * most))
+        return 1.12 * largest_N
+    flat_error_N = float(np.abs(flat.estimated_N - flat.measured_N).max())
+    return 1.12 * max(largest_N, min(flat_error_N, _FURTHEST * largest_N))
 
 
 def _draw_estimates(axes: Axes, panel: ForcePanel, largest_N: float) -> None:
@@ -180,11 +180,11 @@ def _draw_ratios(axes: Axes, points: RatioPoints) -> None:
 
 def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
     expected = np.interp(points.force_N, points.line_N, points.line)
-    left = np.sort(100 * (points.placed / expected - 1))
-    rank = (np.arange(len(left)) + 0.5) / len(left)
+    deviations_percent = np.sort(100 * (points.placed / expected - 1))
+    rank = (np.arange(len(deviations_percent)) + 0.5) / len(deviations_percent)
     axes.axvline(0.0, color=FAINT, linewidth=0.7, zorder=1)
-    dots(axes, left, 100 * rank, BLUE, size=3.0)
-    widest = 1.15 * max(float(np.abs(left).max()), 1e-3)
+    dots(axes, deviations_percent, 100 * rank, BLUE, size=3.0)
+    widest = 1.15 * max(float(np.abs(deviations_percent).max()), 1e-3)
     axes.set(xlim=(-widest, widest), ylim=(0, 100))
     axes.set_xlabel("residual after map and line [%]")
     axes.set_ylabel("cumulative share of loads [%]")

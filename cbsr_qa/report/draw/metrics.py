@@ -106,11 +106,11 @@ def average_over_holds(time_s: Array, values: Array, held: Sequence[Held]) -> tu
     times, table = np.full((len(series), longest), np.nan), np.full((len(series), longest), np.nan)
     for row, (since, seen) in enumerate(series):
         times[row, : len(since)], table[row, : len(seen)] = since, seen
-    enough = np.isfinite(table).sum(axis=0) * 2 >= max(len(series), 1)
-    if not enough.any():
+    covered_mask = np.isfinite(table).sum(axis=0) * 2 >= max(len(series), 1)
+    if not covered_mask.any():
         empty = np.zeros(0)
         return empty, empty, empty, empty
-    times, table = times[:, enough], table[:, enough]
+    times, table = times[:, covered_mask], table[:, covered_mask]
     low, high = np.nanpercentile(table, (25, 75), axis=0)
     return np.nanmean(times, axis=0), np.nanmean(table, axis=0), low, high
 

@@ -44,18 +44,18 @@ def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
     labelled: list[Axes] = []
     for column, agreement in enumerate(compared):
         curves, after = agreement.found.curves, "press" if agreement.loading else "release"
-        above = plot(figure, grid[0, column], f"after the {after}")
+        upper_axes = plot(figure, grid[0, column], f"after the {after}")
         if curves is None:
-            note(above, 0.5, 0.5, "not compared", QUIET, ha="center")
-            above.set_axis_off()
+            note(upper_axes, 0.5, 0.5, "not compared", QUIET, ha="center")
+            upper_axes.set_axis_off()
             continue
-        below = plot(figure, grid[1, column], x=_TIME_LABEL)
-        _draw_curves(above, curves, agreement)
-        _draw_difference(below, curves, str(agreement.found.shape))
+        lower_axes = plot(figure, grid[1, column], x=_TIME_LABEL)
+        _draw_curves(upper_axes, curves, agreement)
+        _draw_difference(lower_axes, curves, str(agreement.found.shape))
         if column == 0:
-            above.set_ylabel("share of the change")
-            below.set_ylabel("difference")
-            labelled += [above, below]
+            upper_axes.set_ylabel("share of the change")
+            lower_axes.set_ylabel("difference")
+            labelled += [upper_axes, lower_axes]
     fit_left(figure, grid, labelled)
     return figure
 
@@ -68,13 +68,13 @@ def _panels(height_in: float, rows: int, columns: int, **spaces: Any) -> tuple[C
 
 
 def _draw_curves(axes: Axes, curves: ComparedCurves, agreement: DirectedAgreement) -> None:
-    for values, stderr, colour, words in (
+    for values, stderr, colour, label in (
         (curves.first, curves.first_stderr, VERMILION, agreement.first),
         (curves.second, curves.second_stderr, BLUE, agreement.second),
     ):
         band = _NINETY * stderr
         axes.fill_between(curves.time_s, values - band, values + band, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(curves.time_s, values, color=colour, linewidth=1.1, label=words)
+        axes.plot(curves.time_s, values, color=colour, linewidth=1.1, label=label)
     axes.set_xlim(0, float(curves.time_s[-1]))
     axes.tick_params(labelbottom=False)
     axes.legend(frameon=False, fontsize=7, loc="lower right" if agreement.loading else "upper right")

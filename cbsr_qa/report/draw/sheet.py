@@ -185,7 +185,7 @@ def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
 def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Array:
     """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
     centres, curve = electrodes.positions_mm(), sheet.curve
-    along, away = curve.nearest(centres)
+    along, distance_mm = curve.nearest(centres)
     if electrodes.kind is ElectrodeKind.PIN:
         axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
@@ -195,7 +195,7 @@ def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Arr
     size = 0.075 * reach(sheet)
     ahead = curve.points_at(along + size / 8) - curve.points_at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
-    inner = (away > 4 * size)[:, None]
+    inner = (distance_mm > 4 * size)[:, None]
     return np.where(inner, centres + size / 2, curve.points_at(along) + size * outward)
 
 
@@ -247,21 +247,21 @@ def add_scale(
 ) -> None:
     """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes, there ``bottom_in`` up."""
     box = axes.get_position()
-    beside = place == "right"
-    if beside:
+    is_vertical = place == "right"
+    if is_vertical:
         slot = figure.add_axes((box.x1 + 0.015, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
     else:
         height_in = figure.get_size_inches()[1]
         slot = figure.add_axes((box.x0 + 0.3 * box.width, bottom_in / height_in, 0.4 * box.width, 0.09 / height_in))
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     ramp = np.linspace(low, high, 128)[None, :]
-    extent = (0, 1, low, high) if beside else (low, high, 0, 1)
-    picture = ramp.T if beside else ramp
+    extent = (0, 1, low, high) if is_vertical else (low, high, 0, 1)
+    picture = ramp.T if is_vertical else ramp
     slot.imshow(picture, norm=norm, cmap=colours, extent=extent, aspect="auto", origin="lower")
     for side in slot.spines.values():
         side.set_visible(False)
     slot.tick_params(length=2, color=FAINT)
-    if beside:
+    if is_vertical:
         slot.set_xticks([])
         slot.yaxis.tick_right()
         slot.yaxis.set_label_position("right")

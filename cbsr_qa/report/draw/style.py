@@ -226,21 +226,21 @@ def bare(axes: Axes) -> None:
 def spread_labels(places: list[float], gap: float) -> list[float]:
     """Move labels at least ``gap`` apart along one axis, keeping their order and their mean."""
     order = sorted(range(len(places)), key=lambda i: places[i])
-    moved = [places[i] for i in order]
-    for _ in range(50 * len(moved)):
+    spread_places = [places[i] for i in order]
+    for _ in range(50 * len(spread_places)):
         pushed = False
-        for lower in range(len(moved) - 1):
-            lacking = gap - (moved[lower + 1] - moved[lower])
+        for lower in range(len(spread_places) - 1):
+            lacking = gap - (spread_places[lower + 1] - spread_places[lower])
             if lacking > 1e-9 * max(gap, 1e-300):
-                moved[lower] -= lacking / 2
-                moved[lower + 1] += lacking / 2
+                spread_places[lower] -= lacking / 2
+                spread_places[lower + 1] += lacking / 2
                 pushed = True
         if not pushed:
             break
-    back = [0.0] * len(places)
+    places_in_order = [0.0] * len(places)
     for rank, index in enumerate(order):
-        back[index] = moved[rank]
-    return back
+        places_in_order[index] = spread_places[rank]
+    return places_in_order
 
 
 def draw_svg(build: Callable[P, Canvas]) -> Callable[P, str]:

@@ -41,14 +41,16 @@ def budget_figure(budgets: Sequence[Budget]) -> Canvas:
 
 
 def _draw_bars(axes: Axes, budget: Budget) -> None:
-    parts = sorted(budget.parts, key=lambda part: -part[1])
-    total = sum(seconds for _, seconds in parts)
-    axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
-    for row, (_, seconds) in enumerate(parts):
+    sorted_parts = sorted(budget.parts, key=lambda part: -part[1])
+    total = sum(seconds for _, seconds in sorted_parts)
+    axes.barh(
+        range(len(sorted_parts)), [seconds for _, seconds in sorted_parts], height=0.68, color=BLUE, linewidth=0
+    )
+    for row, (_, seconds) in enumerate(sorted_parts):
         share = f"  ({100 * seconds / total:.0f} %)" if total else ""
         annotate(axes, f"{duration(seconds)}{share}", (seconds, row), (3, 0), va="center")
-    axes.set_yticks(range(len(parts)), [name for name, _ in parts])
-    axes.set_ylim(len(parts) - 0.5, -0.5)
+    axes.set_yticks(range(len(sorted_parts)), [name for name, _ in sorted_parts])
+    axes.set_ylim(len(sorted_parts) - 0.5, -0.5)
     axes.set_xticks([])
     axes.tick_params(axis="y", length=0)
     for side in ("bottom", "left"):
