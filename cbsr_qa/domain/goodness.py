@@ -42,12 +42,12 @@ class Goodness:
         ----------
         variance : of the noise of the change, in units of a frame's.
         """
-        left, energy = (change - fitted) ** 2, change**2
+        residual, energy = (change - fitted) ** 2, change**2
         weighted, unweighted = (
-            float(share_explained((energy - left) @ weight, left @ weight, variance * weight.sum()))
+            float(share_explained((energy - residual) @ weight, residual @ weight, variance * weight.sum()))
             for weight in (np.ones_like(sigma), sigma**2)
         )
-        unlike = unlike_model((energy - left).sum() / variance, left.sum() / variance, len(change))
+        unlike = unlike_model((energy - residual).sum() / variance, residual.sum() / variance, len(change))
         return cls(weighted, unweighted, in_model=not unlike)
 
 

@@ -283,13 +283,13 @@ def check_readings(changes: Array, problem: ImagingProblem) -> Array:
     changes, count = real_numbers(changes, "readings"), len(problem.reference)
     if changes.ndim != 2 or changes.shape[1] != count:
         raise RefusedError(f"readings of shape {changes.shape} do not fit {count} used channels")
-    wrong = np.argwhere(~np.isfinite(changes))
-    if wrong.size:
-        frame, reading = wrong[0]
+    not_finite = np.argwhere(~np.isfinite(changes))
+    if not_finite.size:
+        frame, reading = not_finite[0]
         drive, measure = np.argwhere(problem.used)[reading]
         raise RefusedError(
             f"the reading of drive pair {drive} and measure pair {measure} in frame {frame} is"
-            f" {changes[frame, reading]}, not a finite number (one of {len(wrong)} such)",
+            f" {changes[frame, reading]}, not a finite number (one of {len(not_finite)} such)",
             remedy="mask its channel instead of imaging it",
         )
     return changes

@@ -129,13 +129,13 @@ def as_filed(held: _Kind) -> _Kind:
     for field in list_fields(type(held)):
         if field.kept.not_kept:
             continue
-        before = after = getattr(held, field.name)
-        if isinstance(before, np.ndarray) and before.dtype == np.float64:
-            after = _round_as_filed(before, field.kept)
-        elif dataclasses.is_dataclass(before):
-            after = as_filed(before)
-        if after is not before:
-            filed[field.name] = after
+        value = filed_value = getattr(held, field.name)
+        if isinstance(value, np.ndarray) and value.dtype == np.float64:
+            filed_value = _round_as_filed(value, field.kept)
+        elif dataclasses.is_dataclass(value):
+            filed_value = as_filed(value)
+        if filed_value is not value:
+            filed[field.name] = filed_value
     return dataclasses.replace(held, **filed) if filed else held  # type: ignore[type-var]
 
 

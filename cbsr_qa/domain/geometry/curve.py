@@ -74,32 +74,32 @@ class ClosedCurve:
         distance : (n,) not below 0.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        best, along = np.full(len(points), np.inf), np.zeros(len(points))
+        least_distance, along = np.full(len(points), np.inf), np.zeros(len(points))
         for piece, begin in enumerate(self.begins[:-1]):
             step = self._foot(piece, points)
             foot = self._on(np.full(len(points), piece), step)
             distance = np.hypot(*(points - foot).T)
-            nearer = distance < best
-            best[nearer], along[nearer] = distance[nearer], begin + step[nearer]
-        return along, best
+            nearer = distance < least_distance
+            least_distance[nearer], along[nearer] = distance[nearer], begin + step[nearer]
+        return along, least_distance
 
     def contains(self, points: Points) -> NDArray[np.bool_]:
         """Whether points lie inside, (n, 2) → (n,): an odd number of the polygon and the arcs' segments hold them."""
         x, y = np.asarray(points, dtype=np.float64).reshape(-1, 2).T
-        inside = np.zeros(len(x), dtype=np.bool_)
-        after = np.roll(self.start, -1, axis=0)
+        inside_mask = np.zeros(len(x), dtype=np.bool_)
+        piece_ends = np.roll(self.start, -1, axis=0)
         for (x0, y0), (x1, y1), curvature, heading in zip(
-            self.start, after, self.curvature, self.heading, strict=True
+            self.start, piece_ends, self.curvature, self.heading, strict=True
         ):
             rise, run = y1 - y0, x1 - x0
             side = run * (y - y0) - rise * (x - x0)  # positive left of the chord
             # A point exactly on a chord counts as slightly to its right in x, so both tests put it on one side.
             right = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
-            inside ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
+            inside_mask ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
             if curvature:
-                away = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
-                inside ^= (away < 1 / abs(curvature)) & (right if curvature > 0 else ~right)
-        return inside
+                from_centre = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
+                inside_mask ^= (from_centre < 1 / abs(curvature)) & (right if curvature > 0 else ~right)
+        return inside_mask
 
     def _on(self, piece: NDArray[np.int64], step: Array) -> Points:
         half = self.curvature[piece] * step / 2
@@ -144,17 +144,19 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
     # Two pieces per corner: the straight stretch that leads to it, and its arc.
     straight: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
-    before: Array = np.roll(heading, 1)
+    heading_before: Array = np.roll(heading, 1)
     leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(ahead, 1, axis=0)
     enters: Points = corners - cut[:, None] * np.roll(ahead, 1, axis=0)
     pieces = ClosedCurve(
         np.stack([leaves, enters], axis=1).reshape(-1, 2),
-        np.stack([before, before], axis=1).ravel(),
+        np.stack([heading_before, heading_before], axis=1).ravel(),
         np.stack([straight, radius * np.abs(turn)], axis=1).ravel(),
         np.stack([0 * turn, np.sign(turn) / radius], axis=1).ravel(),
     )
-    kept = pieces.length > 1e-9 * length.sum()
-    return ClosedCurve(pieces.start[kept], pieces.heading[kept], pieces.length[kept], pieces.curvature[kept])
+    kept_mask = pieces.length > 1e-9 * length.sum()
+    return ClosedCurve(
+        pieces.start[kept_mask], pieces.heading[kept_mask], pieces.length[kept_mask], pieces.curvature[kept_mask]
+    )
 
 
 def circle_curve(radius: float) -> ClosedCurve:

@@ -175,11 +175,11 @@ def overlap_mm2(footprint: Footprint, corners_mm: Points) -> Values:
     # A drawn circle lies inside the true one.
     margin = 0.01 * np.ptp(drawn, axis=0)
     low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
-    near = ((corners_mm.min(axis=1) <= high) & (corners_mm.max(axis=1) >= low)).all(axis=1)
+    near_mask = ((corners_mm.min(axis=1) <= high) & (corners_mm.max(axis=1) >= low)).all(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
     area = np.zeros(len(corners_mm))
-    start = corners_mm[near]
+    start = corners_mm[near_mask]
     end = np.roll(start, -1, axis=1)
     under = footprint.area_under_edges_mm2(start.reshape(-1, 2), end.reshape(-1, 2))
-    area[near] = np.maximum(under.reshape(-1, 3).sum(axis=1), 0.0)
+    area[near_mask] = np.maximum(under.reshape(-1, 3).sum(axis=1), 0.0)
     return area

@@ -170,13 +170,13 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
 def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
     size = float(np.ptp(corners, axis=0).max())
     for index, corner in enumerate(corners):
-        same = np.flatnonzero(np.hypot(*(corners[:index] - corner).T) <= 1e-4 * _NARROWEST * size)
-        if same.size:
-            closing = index == len(corners) - 1 and same[0] == 0
+        same_corners = np.flatnonzero(np.hypot(*(corners[:index] - corner).T) <= 1e-4 * _NARROWEST * size)
+        if same_corners.size:
+            closing = index == len(corners) - 1 and same_corners[0] == 0
             remedy = (
                 "the last edge closes the outline by itself: leave the corner out" if closing else "leave one out"
             )
-            yield index, f"repeats corner {same[0] + 1}; {remedy}"
+            yield index, f"repeats corner {same_corners[0] + 1}; {remedy}"
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
@@ -238,14 +238,14 @@ def _narrowest(corners: Points) -> tuple[float, int, int] | None:
     # Pairs of edges that share no corner.
     count = len(corners)
     first, second = np.triu_indices(count, 2)
-    kept = ~((first == 0) & (second == count - 1))
-    first, second = first[kept], second[kept]
+    apart_mask = ~((first == 0) & (second == count - 1))
+    first, second = first[apart_mask], second[apart_mask]
     if not first.size:
         return None
     a, b, c, d = corners[first], end[first], corners[second], end[second]
     distance = np.min([_to_edge(p, *e) for p, e in ((a, (c, d)), (b, (c, d)), (c, (a, b)), (d, (a, b)))], axis=0)
-    least = int(distance.argmin())
-    return float(distance[least]), int(first[least]), int(second[least])
+    narrowest = int(distance.argmin())
+    return float(distance[narrowest]), int(first[narrowest]), int(second[narrowest])
 
 
 def _to_edge(point: Points, start: Points, end: Points) -> Array:
@@ -263,19 +263,19 @@ def _curve(polygon: Polygon) -> ClosedCurve:
 @lru_cache(maxsize=64)
 def _centre(polygon: Polygon) -> tuple[float, float]:
     low_x, high_x, low_y, high_y = polygon.extent_mm
-    here, step = (
+    centre, step = (
         np.array([(low_x + high_x) / 2, (low_y + high_y) / 2]),
         np.array([high_x - low_x, high_y - low_y]) / 2,
     )
-    own = float(polygon.clearance_mm(np.zeros((1, 2)))[0])
+    origin_clearance = float(polygon.clearance_mm(np.zeros((1, 2)))[0])
     offsets = np.stack(np.meshgrid(np.linspace(-1, 1, 33), np.linspace(-1, 1, 33)), axis=-1).reshape(-1, 2)
     for _ in range(12):
-        places = here + offsets * step
+        places = centre + offsets * step
         clearance = polygon.clearance_mm(places)
         # Among places that are equally far from the edge the one nearest to the middle of the grid is taken.
         best = int(np.lexsort(((offsets**2).sum(axis=1).round(9), -clearance.round(9)))[0])
-        here, step, deepest = places[best], step / 4, float(clearance[best])
-    return (0.0, 0.0) if own >= deepest / 2 else (float(here[0]), float(here[1]))
+        centre, step, deepest = places[best], step / 4, float(clearance[best])
+    return (0.0, 0.0) if origin_clearance >= deepest / 2 else (float(centre[0]), float(centre[1]))
 
 
 def simplify_outline(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
@@ -302,15 +302,15 @@ def thin_ring(points: Points, tolerance: float) -> Points:
 
 def _select_points(points: Points, first: int, last: int, tolerance: float) -> set[int]:
     """Indices of the points that a line from the first to the last needs, both included."""
-    kept, open_ = {first, last}, [(first, last)]
+    kept_indices, open_ = {first, last}, [(first, last)]
     while open_:
         begin, end = open_.pop()
         if end - begin < 2:
             continue
-        between = points[begin + 1 : end]
-        away = _to_edge(between, np.broadcast_to(points[begin], between.shape), points[end])
-        furthest = begin + 1 + int(away.argmax())
-        if away.max() > tolerance:
-            kept.add(furthest)
+        inner_points = points[begin + 1 : end]
+        distance = _to_edge(inner_points, np.broadcast_to(points[begin], inner_points.shape), points[end])
+        furthest = begin + 1 + int(distance.argmax())
+        if distance.max() > tolerance:
+            kept_indices.add(furthest)
             open_ += [(begin, furthest), (furthest, end)]
-    return kept
+    return kept_indices

@@ -134,11 +134,11 @@ class SampleBlock:
         if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
         check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
-        for what, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
+        for noun, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
             beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
             if len(beyond):
                 raise RefusedError(
-                    f"channel {self.channel}: the {what} of sample {beyond[0]} (from 0) is"
+                    f"channel {self.channel}: the {noun} of sample {beyond[0]} (from 0) is"
                     f" {column[beyond[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
                 )
 
@@ -163,14 +163,14 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
         raise RefusedError("no frames to join")
     if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
         raise RefusedError("blocks of frames differ in unit, drive current or shape")
-    own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
+    reading_times = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
     return FrameBlock(
         np.concatenate([b.time_s for b in blocks]),
         np.concatenate([b.voltages for b in blocks]),
         np.concatenate([b.flags for b in blocks]),
         blocks[0].unit,
         blocks[0].current_A,
-        np.concatenate(own) if len(own) == len(blocks) else None,
+        np.concatenate(reading_times) if len(reading_times) == len(blocks) else None,
     )
 
 

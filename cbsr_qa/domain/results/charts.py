@@ -117,11 +117,11 @@ class StandingSignal:
 
     def describe_since(self) -> str:
         """Say since when the chart signals, and by which rule."""
-        least, many = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
+        at_least, plural_s = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
         rules = "; ".join(f"rule {rule}" if rule[0].isdigit() else rule for rule in self.rules)
         began = "" if self.began is None else f"; the change began at about {_run(self.began_serial, self.began)}"
         since = _run(self.since_serial, self.since)
-        return f"signals since {since} ({least}{self.runs} run{many}), {rules}{began}"
+        return f"signals since {since} ({at_least}{self.runs} run{plural_s}), {rules}{began}"
 
 
 def _run(serial: str | None, begun: datetime) -> str:

@@ -37,16 +37,16 @@ class Dimensions:
     @classmethod
     def from_qualifier(cls, qualifier: str) -> Self:
         """Read a qualifier; parts of no known form are its words."""
-        words: list[str] = []
-        known: dict[str, Any] = {}
+        untyped_parts: list[str] = []
+        value_by_name: dict[str, Any] = {}
         for part in filter(None, qualifier.split(", ")):
             for name, (pattern, value, _) in _PARTS.items():
-                if (match := re.fullmatch(pattern, part)) and name not in known:
-                    known[name] = value(*match.groups())
+                if (match := re.fullmatch(pattern, part)) and name not in value_by_name:
+                    value_by_name[name] = value(*match.groups())
                     break
             else:
-                words.append(part)
-        return cls(", ".join(words), **known)
+                untyped_parts.append(part)
+        return cls(", ".join(untyped_parts), **value_by_name)
 
     @property
     def text(self) -> str:

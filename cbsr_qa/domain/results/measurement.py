@@ -158,11 +158,11 @@ def describe_judgement(measurement: Measurement) -> str:
 
 
 def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
-    words = describe_judgement(measurement)
+    judgement = describe_judgement(measurement)
     if outcome is not Outcome.PASS:
-        return words
-    met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
-    return f"{met}: {words}"
+        return judgement
+    opening = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
+    return f"{opening}: {judgement}"
 
 
 def _number(value: float) -> str:

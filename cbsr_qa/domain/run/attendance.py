@@ -111,10 +111,10 @@ def prompts_of(events: Iterable[AttendanceEvent]) -> tuple[AskedPrompt, ...]:
     prompts: dict[int, AskedPrompt] = {}
     for event in events:
         if isinstance(event, PromptShown):
-            shown = (event.phase, event.prompt, event.text, event.picture, event.time_s)
-            prompts[event.prompt] = AskedPrompt(*shown)
+            prompt_fields = (event.phase, event.prompt, event.text, event.picture, event.time_s)
+            prompts[event.prompt] = AskedPrompt(*prompt_fields)
         elif isinstance(event, PromptAnswered) and event.prompt in prompts:
             asked = prompts[event.prompt]
-            shown = (asked.phase, asked.prompt, asked.text, asked.picture, asked.shown_s)
-            prompts[event.prompt] = AskedPrompt(*shown, event.time_s, event.answer, event.by)
+            prompt_fields = (asked.phase, asked.prompt, asked.text, asked.picture, asked.shown_s)
+            prompts[event.prompt] = AskedPrompt(*prompt_fields, event.time_s, event.answer, event.by)
     return tuple(prompts.values())

@@ -97,20 +97,20 @@ class SensorHistory:
     @property
     def words(self) -> str:
         """Ordinal of this try and earlier runs; empty if there are none."""
-        checks = [one for one in self.earlier if one.of_check]
-        others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
-        parts = []
+        checks = [run for run in self.earlier if run.of_check]
+        others = [run for run in self.earlier if run.recipe != self.recipe and not run.of_check]
+        sentences = []
         if self.tries or others:
-            parts.append(f"{self.ordinal} test with this recipe")
+            sentences.append(f"{self.ordinal} test with this recipe")
         if self.tries:
             before = len(self.tries) - _TOLD
             more = f", and {before} before" if before > 0 else ""
-            parts.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
+            sentences.append(f"earlier: {', '.join(run.words for run in self.tries[-_TOLD:])}{more}")
         if others:
-            parts.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+            sentences.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
         if checks:
-            parts.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
-        return "; ".join(parts)
+            sentences.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(sentences)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -127,17 +127,17 @@ class SensorHistory:
     def differences(self) -> tuple[str, ...]:
         """Report earlier runs with another batch or type; an unknown batch differs from none."""
         return tuple(
-            f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
+            f"sensor {self.sensor.serial}: {what} {current_value!r} now; {', '.join(differing)}:"
             " one is wrong, or two sensors have this serial number"
-            for what, now, stated in (
-                ("batch", self.sensor.batch, [(one.sensor.batch, one) for one in self.earlier]),
-                ("type", self.sensor.sensor_type, [(one.sensor.sensor_type, one) for one in self.earlier]),
+            for what, current_value, stated in (
+                ("batch", self.sensor.batch, [(run.sensor.batch, run) for run in self.earlier]),
+                ("type", self.sensor.sensor_type, [(run.sensor.sensor_type, run) for run in self.earlier]),
             )
             if (
-                others := [
-                    f"its run of {one.day} says {before!r}"
-                    for before, one in dict(stated).items()
-                    if now and before and before != now
+                differing := [
+                    f"its run of {run.day} says {earlier_value!r}"
+                    for earlier_value, run in dict(stated).items()
+                    if current_value and earlier_value and earlier_value != current_value
                 ]
             )
         )
@@ -297,8 +297,8 @@ def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
 
 def _labels(tables: Sequence[Mapping[str, Any]]) -> list[str]:
     """Name each table of a list by its key, and by its number if two share it."""
-    found: list[str] = []
+    labels: list[str] = []
     for number, table in enumerate(tables, start=1):
-        named = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)
-        found.append(f"{named}, {number}" if named in found else named)
-    return found
+        label = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)
+        labels.append(f"{label}, {number}" if label in labels else label)
+    return labels

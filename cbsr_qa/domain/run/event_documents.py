@@ -85,17 +85,17 @@ class RunStartedDocument:
 
 @document_of.register
 def _run_started(event: RunStarted) -> RunStartedDocument:
-    who = event.identity
+    identity = event.identity
     return fill_from_object(
         RunStartedDocument,
-        who,
+        identity,
         type="run_started",
         schema_version=EVENT_SCHEMA_VERSION,
-        serial=who.sensor.serial,
-        batch=who.sensor.batch,
-        sensor_type=who.sensor.sensor_type,
-        started_at=who.started_at.isoformat(),
-        software=dict(who.software),
+        serial=identity.sensor.serial,
+        batch=identity.sensor.batch,
+        sensor_type=identity.sensor.sensor_type,
+        started_at=identity.started_at.isoformat(),
+        software=dict(identity.software),
     )
 
 

@@ -29,19 +29,19 @@ def rank_of(functionals: Sequence[Functional]) -> int:
     for row, functional in enumerate(functionals):
         for unknown in functional:
             holders[unknown].add(row)
-    left = set(range(len(functionals)))
-    free = [unknown for unknown, rows in holders.items() if len(rows) == 1]
-    while free:
-        rows = holders[free.pop()]
+    rows_left = set(range(len(functionals)))
+    free_unknowns = [unknown for unknown, rows in holders.items() if len(rows) == 1]
+    while free_unknowns:
+        rows = holders[free_unknowns.pop()]
         if not rows:
             continue
         (row,) = rows
-        left.discard(row)
+        rows_left.discard(row)
         for unknown in functionals[row]:
             holders[unknown].discard(row)
             if len(holders[unknown]) == 1:
-                free.append(unknown)
-    core = [functionals[row] for row in sorted(left)]
+                free_unknowns.append(unknown)
+    core = [functionals[row] for row in sorted(rows_left)]
     return len(functionals) - len(core) + _dense_rank(core)
 
 
@@ -256,11 +256,11 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
         if uncounted:
             yield index, f"names electrode {uncounted[0]!r}; electrodes have whole numbers"
             continue
-        missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
+        unknown_electrodes = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
         if len(pair) != 2:
             yield index, f"has {len(pair)} electrodes instead of two"
-        elif missing:
-            yield index, f"names electrode {missing[0]}; allowed: 0 to {electrode_count - 1}"
+        elif unknown_electrodes:
+            yield index, f"names electrode {unknown_electrodes[0]}; allowed: 0 to {electrode_count - 1}"
         elif pair[0] == pair[1]:
             yield index, f"pairs electrode {pair[0]} with itself"
 
