@@ -71,9 +71,9 @@ def archive_runs(
         archived_runs, problems = _archive_each(store, runs, folder, now)
         if archived_runs:
             problems += _shrunk(store)
-        written = sum(run.file_bytes for run in archived_runs)
+        written_bytes = sum(run.file_bytes for run in archived_runs)
         return _laid_out(
-            Archived(archived_runs, problems, size, store.measure_size_bytes(), written), folder, database
+            Archived(archived_runs, problems, size, store.measure_size_bytes(), written_bytes), folder, database
         )
 
 
@@ -122,9 +122,9 @@ def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[A
 
 
 def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutcome[Archived]:
-    frames, held = sum(run.frames for run in done.runs), sum(run.database_bytes for run in done.runs)
+    frames, held_bytes = sum(run.frames for run in done.runs), sum(run.database_bytes for run in done.runs)
     content = f"{plural(frames, 'frame')} of {plural(len(done.runs), 'run')}"
-    facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held)} in the database")]
+    facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held_bytes)} in the database")]
     if not done.dry_run:
         facts += [("Files", _megabytes(done.archive_bytes)), _size(done)]
     facts += [("Run", _describe_run(run)) for run in done.runs[:_LISTED]]

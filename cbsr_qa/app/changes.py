@@ -66,9 +66,11 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
         "verdict": len(changes.overrides),
         "analysis": sum(adoption.runs for adoption in changes.adoptions),
     }
-    counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in count_by_noun.items() if count)
+    counts_text = ", ".join(
+        plural(count, noun, _PLURALS.get(noun, "")) for noun, count in count_by_noun.items() if count
+    )
     warnings = [f"altered since it was stored, and not listed: {problem}" for problem in changes.altered]
-    outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED, warnings=warnings)
+    outcome = answer(changes, f"changes of {counts_text}" if counts_text else _UNCHANGED, warnings=warnings)
     sections = tuple(_sections(changes, lambda run: names.get(run, run)))
     return replace(outcome, sections=sections, exit_code=1 if warnings else 0)
 
@@ -157,16 +159,16 @@ def override_verdict(
     """
     if outcome not in _OUTCOMES:
         raise ConfigError(f"a verdict cannot be overridden to {outcome!r}", remedy=f"allowed: {', '.join(_OUTCOMES)}")
-    for option, text, what in (("--by", by, "who decides"), ("--why", why, "for what reason")):
+    for option, text, missing_fact in (("--by", by, "who decides"), ("--why", why, "for what reason")):
         if not text.strip():
-            raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
+            raise ConfigError(f"an override needs {option}", remedy=f"say {missing_fact}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
         analyses = store.analyses.load(run)
         for latest in analyses[:1]:
             check_decided(store.runs.load(run), latest, judging_recipe(store, run, latest).limits)
         override = store.changes.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
-        calibration = next((one.calibration for one in analyses if one.calibration is not None), None)
+        calibration = next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None)
         identity, report = store.runs.read_identity(run), report_command(run, store)
     note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:
@@ -176,6 +178,6 @@ def override_verdict(
     elif calibration is not None:
         note = f"calibration {calibration} is unchanged"
     facts = (("Run", identity.words), ("Calibration", note))
-    done = fill_from_object(Overridden, override, calibration=calibration, note=note)
+    overridden = fill_from_object(Overridden, override, calibration=calibration, note=note)
     printed = (("Report", f"{report} writes it with this"),)
-    return answer(done, f"verdict {override.words}", "", facts, printed=printed)
+    return answer(overridden, f"verdict {override.words}", "", facts, printed=printed)

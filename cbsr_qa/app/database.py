@@ -106,10 +106,10 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
 
     plugins = discover()
     with open_store(url, create=False) as store:
-        known = [find_next_step(store, run.run, plugins) for run in runs]
+        next_steps = [find_next_step(store, run.run, plugins) for run in runs]
     return tuple(
-        run if found is None else replace(run, phase=found[0] or run.phase, next=found[1])
-        for run, found in zip(runs, known, strict=True)
+        run if next_step is None else replace(run, phase=next_step[0] or run.phase, next=next_step[1])
+        for run, next_step in zip(runs, next_steps, strict=True)
     )
 
 
@@ -206,7 +206,7 @@ def _laid_out(
         facts.append(("no result", f"{name}: finished; next: its result"))
     resume = f"cbsr-qa run --resume RUN{database_option(option)} continues one of them"
     resumable = status.without_result or any(not run.writer for run in runs)
-    done = answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
+    outcome = answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
     if not status.remedy:
-        return done
-    return replace(done, page=replace(done.page, banner=Banner("plain", "–", status.url, "")))
+        return outcome
+    return replace(outcome, page=replace(outcome.page, banner=Banner("plain", "–", status.url, "")))

@@ -108,9 +108,9 @@ def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup
     finally:
         engine.dispose()
     url = address(engine.url)
-    done = Backup(url, to, version.revision, to.stat().st_size)
-    facts = (("Of", url), ("Schema", str(done.schema)), ("Size", f"{done.size_bytes / 1e6:.1f} MB"))
-    return answer(done, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
+    written = Backup(url, to, version.revision, to.stat().st_size)
+    facts = (("Of", url), ("Schema", str(written.schema)), ("Size", f"{written.size_bytes / 1e6:.1f} MB"))
+    return answer(written, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
 
 
 def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOutcome[Restored]:
@@ -178,9 +178,11 @@ def check_database(
         if not quick:
             problems += _list_problems(store.soundness.find_ring_problems)
         without_key = unsigned if store.key_id else None
-        done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
+        checked_database = DatabaseCheck(
+            store.address, quick, since, checked, unchained, tuple(problems), without_key, notes
+        )
     of_file = sqlite_file(parse_url(database_url(option))) is not None
-    return _laid_out(done, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
+    return _laid_out(checked_database, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
 
 
 def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
@@ -195,10 +197,10 @@ def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
 def _order_problems(store: Repository) -> tuple[list[FoundProblem], tuple[str, ...]]:
     """Return runs that are missing between others, and notes on the order of runs."""
     try:
-        missing, notes = store.soundness.find_order_problems()
+        gaps, notes = store.soundness.find_order_problems()
     except OddCellError as error:
         return [FoundProblem(None, error.reason)], ()
-    return [FoundProblem(gap.after or None, gap.words) for gap in missing], notes
+    return [FoundProblem(gap.after or None, gap.words) for gap in gaps], notes
 
 
 def _laid_out(done: DatabaseCheck, remedy: str) -> CommandOutcome[DatabaseCheck]:

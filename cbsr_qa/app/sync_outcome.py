@@ -218,9 +218,9 @@ def sync_outcome(
         describe_sent(sent, count) if centre else describe_backlog(station_backlog) + _describe_quarantine(count)
     )
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
-    done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
+    outcome = answer(result, headline, "", facts, printed=remedies if quarantined else ())
     why = _describe_failure(result, quarantined=bool(quarantined))
-    return _mark_failed(done, headline, why) if why else done
+    return _mark_failed(outcome, headline, why) if why else outcome
 
 
 def _describe_failure(result: Synchronised, *, quarantined: bool) -> str:
@@ -253,10 +253,10 @@ def add_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandO
         return replace(done, result=result)
     lines = tuple(
         Paragraph(
-            f"{one.noted_at:%Y-%m-%d %H:%M}, station {one.station or '–'}, {one.kind} {one.item}:"
-            f" {_why(one.kind, one.item, one.why)}"
+            f"{refusal.noted_at:%Y-%m-%d %H:%M}, station {refusal.station or '–'}, {refusal.kind} {refusal.item}:"
+            f" {_why(refusal.kind, refusal.item, refusal.why)}"
         )
-        for one in refused[-MOST_LISTED:]
+        for refusal in refused[-MOST_LISTED:]
     )
     settle = Paragraph(_SETTLE)
     return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", (*lines, settle))))

@@ -55,9 +55,9 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
         If instrument or scale differ, so that every reading would have "changed".
     """
     name = f"{empty.path.name}:{empty.dataset}" if empty.dataset else empty.path.name
-    why = _difference(recording, empty)
-    if why:
-        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {why}", remedy=_REMEDY)
+    difference = _difference(recording, empty)
+    if difference:
+        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {difference}", remedy=_REMEDY)
     noted = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
     return replace(
         recording,
@@ -311,10 +311,10 @@ def _report(
 ) -> tuple[Path | None, list[str]]:
     if not request.report:
         return None, []
-    sections, missing = report_sections((), plugins)
+    sections, warnings = report_sections((), plugins)
     file = reports_folder() / report_name(path.stem, result.recording.dataset, _request_digest(path, request))
-    write_report(file, render_recording(result, sections, warnings=missing))
-    return file, missing
+    write_report(file, render_recording(result, sections, warnings=warnings))
+    return file, warnings
 
 
 def _request_digest(path: Path, request: AnalyseRequest) -> str:
@@ -324,8 +324,8 @@ def _request_digest(path: Path, request: AnalyseRequest) -> str:
         with open_foreign(each) as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
-    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
+    settings: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
     if request.reconstruction is not None or request.options:
-        asked = (*asked, request.chosen.name, sorted(request.options.items()))
-    sha.update(repr(asked).encode())
+        settings = (*settings, request.chosen.name, sorted(request.options.items()))
+    sha.update(repr(settings).encode())
     return sha.hexdigest()[:8]

@@ -203,10 +203,14 @@ def follow_recording(estimator: Estimator, recording: Recording, request: ApplyR
 
 def _serial_remarks(estimator: Estimator, stated: str | None) -> tuple[str, ...]:
     """Remark that a recording's sensor is unknown, unless it was stated."""
-    own = estimator.identity.serial
+    calibrated_serial = estimator.identity.serial
     if stated is None:
         why = "recordings state no serial number; --serial states it"
-        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",) if own else ()
+        return (
+            (f"not checked: that it is of sensor {calibrated_serial}, as the calibration is ({why})",)
+            if calibrated_serial
+            else ()
+        )
     check_serial(estimator, stated)
     return ()
 
@@ -228,9 +232,9 @@ def is_increasing(time_s: Array) -> bool:
 
 def _estimate_frames(sequence: FrameSequence, recording: Recording, tell: Tell) -> Iterator[FrameForce]:
     count = len(recording.frames)
-    for first in range(0, count, _AT_ONCE):
-        tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
-        frames = recording.frames.select(slice(first, first + _AT_ONCE))
+    for first_frame in range(0, count, _AT_ONCE):
+        tell(f"{recording.path.name}: frames {first_frame + 1} to {min(first_frame + _AT_ONCE, count)} of {count}")
+        frames = recording.frames.select(slice(first_frame, first_frame + _AT_ONCE))
         yield from _list_forces(frames.time_s, sequence.estimate(frames))
 
 

@@ -134,9 +134,12 @@ def _estimate_recording(estimator: Estimator, calibration: Path, path: Path, req
 def _estimate_table(estimator: Estimator, path: Path, pattern: Path, request: ApplyRequest) -> Touches:
     if request.place_mm is not None:
         raise CalibrationError("rows of a table are located; --place is for recordings", remedy="leave --place out")
-    read = read_press_readings(path, read_pairs(pattern, estimator.identity.electrodes), request.rest)
+    press_readings = read_press_readings(path, read_pairs(pattern, estimator.identity.electrodes), request.rest)
     return estimator.estimate_readings(
-        read.distinct.pairs, read.changes, relative=read.rest is not None, differences=request.differences
+        press_readings.distinct.pairs,
+        press_readings.changes,
+        relative=press_readings.rest is not None,
+        differences=request.differences,
     )
 
 
@@ -191,9 +194,9 @@ def _cells(frame: FramePlace) -> Iterator[tuple[str, Any]]:
 def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcome[AppliedPlaces]:
     """Lay places out in a short table, or name the file that holds them."""
     count = len(applied.frames)
-    inside = sum(frame.in_model for frame in applied.frames)
+    in_model_count = sum(frame.in_model for frame in applied.frames)
     printed = () if output is None else (("Places", str(output)),)
-    facts = (("Like what calibrated", f"{inside} of {plural(count, 'frame')}"),)
+    facts = (("Like what calibrated", f"{in_model_count} of {plural(count, 'frame')}"),)
     outcome = answer(applied, "applied", plural(count, "frame"), facts, printed)
     return outcome if output is not None else _with_table(outcome)
 

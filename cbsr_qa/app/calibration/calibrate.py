@@ -180,10 +180,10 @@ def _format_coverage(low: float, high: float) -> str:
 
 def _pose_words(pose: SheetRegistration) -> str:
     x, y = (_with(*each, 1) for each in zip(pose.shift_mm, pose.shift_stderr_mm, strict=True))
-    words = f"centre at ({x}, {y}) mm, turned by {_with(pose.rotation_deg, pose.rotation_stderr_deg, 1)}°"
-    words += f"{', mirrored' if pose.mirrored else ''}, scale {_with(pose.scale, pose.scale_stderr, 3)}"
-    words += f", radius {_with(pose.radius_mm, pose.radius_stderr_mm, 1)} mm"
-    return words if pose.trusted else f"{words}: not used"
+    sentence = f"centre at ({x}, {y}) mm, turned by {_with(pose.rotation_deg, pose.rotation_stderr_deg, 1)}°"
+    sentence += f"{', mirrored' if pose.mirrored else ''}, scale {_with(pose.scale, pose.scale_stderr, 3)}"
+    sentence += f", radius {_with(pose.radius_mm, pose.radius_stderr_mm, 1)} mm"
+    return sentence if pose.trusted else f"{sentence}: not used"
 
 
 def _with(value: float, stderr: float | None, digits: int) -> str:

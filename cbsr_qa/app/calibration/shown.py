@@ -249,7 +249,7 @@ class ShownCalibration:
 def _places(calibration: Calibration, model: ForceModel) -> _Array:
     """Return the lattice nodes within the calibrated radius; all if there are none."""
     everywhere, node = model.lattice.places_mm(), model.node.ravel()
-    fits = np.where(node >= 0, model.fits[node], False)
-    fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
-    near = fits & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
-    return everywhere[near if near.any() else fits]
+    fits_mask = np.where(node >= 0, model.fits[node], False)
+    fits_mask &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
+    near_mask = fits_mask & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
+    return everywhere[near_mask if near_mask.any() else fits_mask]

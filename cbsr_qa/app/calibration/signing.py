@@ -195,7 +195,7 @@ def make_key(path: Path) -> CommandOutcome[NewKey]:
         If a file exists or cannot be written, the passphrase cannot be used, or ``cryptography`` is not installed.
     """
     encrypted = passphrase() is not None
-    made = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
+    new = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
     lock = "encrypted with the passphrase" if encrypted else "not encrypted: anyone who reads it can sign"
-    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{made.public_key} (give it to those who check)"))
-    return answer(made, "key made", made.fingerprint, printed=printed)
+    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{new.public_key} (give it to those who check)"))
+    return answer(new, "key made", new.fingerprint, printed=printed)

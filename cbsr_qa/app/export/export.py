@@ -226,9 +226,9 @@ def _export_runs(
     with writing(target), write_atomically(target) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
-                written, marked = write(page.runs)
+                written, altered_runs = write(page.runs)
                 rows, runs = rows + written, runs + len(page.runs)
-                altered += marked
+                altered += altered_runs
                 trusted += trust_counts(page.runs)
                 _tell(page, tell)
         if not runs:

@@ -42,9 +42,9 @@ def frame_variables(
         *_readings(frames, coordinate_names),
         *_electrodes(sensor_type),
     ]
-    taken = {variable.name for variable in variables}
+    names_taken = {variable.name for variable in variables}
     for block in samples:
-        variables += _samples(block, taken)
+        variables += _samples(block, names_taken)
     return tuple(variables)
 
 
@@ -102,9 +102,13 @@ def _time_variables(frames: RunFrames) -> Iterator[Variable]:
     yield Variable("strain", dimensions, frames.strain, "compressive strain while it is held", "1")
     yield Variable("current", dimensions, frames.current_A, "drive current", "A")
     if frames.frames.reading_time_s is not None:
-        own = frames.frames.reading_time_s
+        reading_times_s = frames.frames.reading_time_s
         yield Variable(
-            "reading_time", ("time", "drive", "measure"), own, "time of the reading, on the run's clock", "s"
+            "reading_time",
+            ("time", "drive", "measure"),
+            reading_times_s,
+            "time of the reading, on the run's clock",
+            "s",
         )
 
 
@@ -131,10 +135,10 @@ def _samples(block: SampleBlock, taken: set[str]) -> Iterator[Variable]:
     name = re.sub(r"\W+", "_", block.channel, flags=re.ASCII).strip("_") or "channel"
     while {name, f"{name}_time"} & taken:
         name += "_"
-    at = (f"{name}_time",)
-    taken |= {name, *at}
-    yield Variable(at[0], at, block.time_s, f"time of {block.channel}, on the run's clock", "s")
-    yield Variable(name, at, block.values, block.channel, block.unit)
+    dimensions = (f"{name}_time",)
+    taken |= {name, *dimensions}
+    yield Variable(dimensions[0], dimensions, block.time_s, f"time of {block.channel}, on the run's clock", "s")
+    yield Variable(name, dimensions, block.values, block.channel, block.unit)
 
 
 def _write(file: h5py.File, variable: Variable) -> None:

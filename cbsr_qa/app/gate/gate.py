@@ -80,10 +80,10 @@ def ask_gate_again(
     store: Repository,
 ) -> tuple[GateAnswer, ...]:
     """Return answers with those of some checks as they are now. RefusedError if one of them refuses."""
-    now = {one.check: one for one in ask_gate(request, configuration, plugins, store, checks)}
-    if (refused := gate_refusal(now.values())) is not None:
+    answer_by_check = {answer.check: answer for answer in ask_gate(request, configuration, plugins, store, checks)}
+    if (refused := gate_refusal(answer_by_check.values())) is not None:
         raise refused
-    return tuple(now.get(one.check, one) for one in answers)
+    return tuple(answer_by_check.get(answer.check, answer) for answer in answers)
 
 
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:

@@ -21,10 +21,10 @@ def operator_known(asked: Asked) -> Finding:
         )
     if not name:
         return Finding(False, "no operator was named", *_REMEDY)
-    known = _find_operator(asked.settings, name)
-    if known is None:
+    operator = _find_operator(asked.settings, name)
+    if operator is None:
         return Finding(False, f"{name} is not on the list of operators", *_REMEDY)
-    return _pin_finding(request, known)
+    return _pin_finding(request, operator)
 
 
 def _pin_finding(request: GateRequest, known: Operator) -> Finding:

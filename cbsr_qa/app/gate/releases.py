@@ -57,9 +57,12 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
     StoreError
         If the database cannot be used.
     """
-    for option, text, what in (("--by", request.by, "who decides"), ("--why", request.why, "for what reason")):
+    for option, text, missing_fact in (
+        ("--by", request.by, "who decides"),
+        ("--why", request.why, "for what reason"),
+    ):
         if not text.strip():
-            raise ConfigError(f"a release needs {option}", remedy=f"say {what}")
+            raise ConfigError(f"a release needs {option}", remedy=f"say {missing_fact}")
     operator, reason = validate_operator(request.by), validate_reason(request.why)
     kind = _kind(request.file)
     content = FileContent.from_table(kind, _LOADERS[kind](request.file, discover()).document.data)

@@ -96,10 +96,10 @@ def files_released(asked: Asked) -> Finding:
     unreleased = [file for file in files if not _is_released(asked.store, file)]
     if not unreleased:
         return Finding(True, f"all {len(files)} files are released")
-    named = ", ".join(
+    unreleased_words = ", ".join(
         f"{file.kind} {file.name} ({_state(asked.store, file)}, SHA-256 {file.sha256[:12]})" for file in unreleased
     )
-    return Finding(False, named, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
+    return Finding(False, unreleased_words, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
 
 
 def _is_released(store: Repository | None, file: FileContent) -> bool:
@@ -108,9 +108,9 @@ def _is_released(store: Repository | None, file: FileContent) -> bool:
 
 
 def _state(store: Repository | None, file: FileContent) -> str:
-    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
-    if found is not None:
-        return f"withdrawn by {found.by}"
+    latest = None if store is None else store.releases.read_latest(file.kind, file.sha256)
+    if latest is not None:
+        return f"withdrawn by {latest.by}"
     unread = () if store is None else store.releases.name_unread(file.kind, file.sha256)
     return "; ".join(["not released", *unread])
 
@@ -123,7 +123,7 @@ def backlog_sent(asked: Asked) -> Finding:
     if asked.store is None:
         return Finding(True, "nothing waits")
     backlog = asked.store.read_backlog()
-    words = f"{backlog.words}; the station allows {limit_h:g} h"
+    clause = f"{backlog.words}; the station allows {limit_h:g} h"
     if not backlog.late(limit_h) and not backlog.unread:
-        return Finding(True, words)
-    return Finding(False, words, "send it to the central database", "cbsr-qa db sync")
+        return Finding(True, clause)
+    return Finding(False, clause, "send it to the central database", "cbsr-qa db sync")

@@ -98,10 +98,10 @@ class Changes:
 
     def add(self, line: RunLine, valid: Iterable[Measurement], new: Iterable[Measurement]) -> None:
         """Add a run's values of both analyses."""
-        before, after = _index_values(valid), _index_values(new)
-        for key in dict.fromkeys((*before, *after)):
+        valid_by_place, new_by_place = _index_values(valid), _index_values(new)
+        for key in dict.fromkeys((*valid_by_place, *new_by_place)):
             values = self._found.setdefault(key[:2], _Values())
-            valid_value, new_value = before.get(key), after.get(key)
+            valid_value, new_value = valid_by_place.get(key), new_by_place.get(key)
             if valid_value is None or new_value is None:
                 values.gained += new_value is not None
                 values.lost += valid_value is not None

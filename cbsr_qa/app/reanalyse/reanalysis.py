@@ -76,9 +76,9 @@ class _Session:
         self._request, self._store, self._tell = request, store, tell
         self._plugins = plugins
         self._software = software_versions(plugins)
-        loaded = None if request.recipe is None else load_recipe(request.recipe, plugins)
-        self.recipe = None if loaded is None else loaded.value
-        self._canonical = None if loaded is None else canonical_json(loaded.document.data)
+        loaded_recipe = None if request.recipe is None else load_recipe(request.recipe, plugins)
+        self.recipe = None if loaded_recipe is None else loaded_recipe.value
+        self._canonical = None if loaded_recipe is None else canonical_json(loaded_recipe.document.data)
         self._clock = RealClock()
         self.lines: dict[str, RunLine] = {}
         self.other_plan: list[NamedRun] = []
@@ -126,19 +126,19 @@ class _Session:
             recipe = self._canonical
         data = self._store.reanalyses.digest_data(line.run)
         key = key_of(data, recipe, self._software)
-        known = None if self._request.fresh else self._store.reanalyses.find(line.run, key)
-        if known is not None:
-            self.stored[line.run] = known
+        stored_name = None if self._request.fresh else self._store.reanalyses.find(line.run, key)
+        if stored_name is not None:
+            self.stored[line.run] = stored_name
             self.reused += 1
             return None
         return Job(line.run, absolute_url(self._request.database), recipe, self._software, data, key)
 
     def check(self, jobs: Iterable[Job]) -> None:
         """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
-        first = next(iter(jobs), None)
-        if first is not None and self.recipe is not None:
+        first_job = next(iter(jobs), None)
+        if first_job is not None and self.recipe is not None:
             check_recipe(
-                self.recipe, restore(self._store.runs.read_configuration(first.run)).sensor_type, self._plugins
+                self.recipe, restore(self._store.runs.read_configuration(first_job.run)).sensor_type, self._plugins
             )
 
     def judge(self, jobs: list[Job]) -> list[Job]:

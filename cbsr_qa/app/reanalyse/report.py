@@ -127,9 +127,9 @@ def _warnings(done: Reanalysed, worse: Sequence[Flip]) -> Iterator[str]:
     for flip in worse:
         if flip.calibration is not None and flip.run not in {run.run for run in done.left_overridden}:
             yield _WITHDRAW.format(calibration=flip.calibration, serial=flip.serial)
-    better = sum(flip.now in _PASSED and flip.was not in _PASSED for flip in done.flips)
-    if better:
-        yield _NO_CALIBRATION.format(count=plural(better, "run"))
+    now_passed_count = sum(flip.now in _PASSED and flip.was not in _PASSED for flip in done.flips)
+    if now_passed_count:
+        yield _NO_CALIBRATION.format(count=plural(now_passed_count, "run"))
 
 
 def _sections(done: Reanalysed) -> Iterator[Section]:

@@ -123,9 +123,9 @@ def _sign_with_key(calibration: Calibration, configuration: Configuration, store
     try:
         key = station_key(configuration.station)
     except RefusedError as error:
-        again = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
+        remedy = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
         raise BrokenRunError(
-            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=again
+            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=remedy
         ) from error
     return calibration if key is None else sign_calibration(calibration, key, RealClock().wall())
 

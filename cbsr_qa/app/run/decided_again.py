@@ -47,10 +47,12 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
             raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {why}")
         return
     _check_measurements(stored, limits if record.chain.chained else None)
-    now = decide(measurements)
+    decided = decide(measurements)
     same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
-    if now.outcome is not verdict.outcome or (same_words and now.reason != verdict.reason):
-        raise _mismatch_error(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
+    if decided.outcome is not verdict.outcome or (same_words and decided.reason != verdict.reason):
+        raise _mismatch_error(
+            stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(decided)}"
+        )
 
 
 def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
@@ -61,9 +63,11 @@ def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
     StoreError
         If an outcome does not follow; it names the measurement.
     """
-    for was, now in zip(judged, _rejudge(judged), strict=True):
-        if was.outcome is not now.outcome:
-            raise StoreError(f"run {run.run}: {_describe_measurement(was)} {_difference(was, now)}", remedy=_REMEDY)
+    for stored, rejudged in zip(judged, _rejudge(judged), strict=True):
+        if stored.outcome is not rejudged.outcome:
+            raise StoreError(
+                f"run {run.run}: {_describe_measurement(stored)} {_difference(stored, rejudged)}", remedy=_REMEDY
+            )
     if not run.finished or run.outcome in (None, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
         return
     if decide(tuple(judged)).outcome is not run.outcome:
@@ -83,15 +87,15 @@ def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) 
     else:
         unjudged = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
         judged = judge(unjudged, [replace(limit, version="") for limit in limits])
-    for number, (was, now) in enumerate(zip(stored.measurements, judged, strict=False)):
-        if (was.limit, was.outcome) != (now.limit, now.outcome):
+    for number, (was, expected) in enumerate(zip(stored.measurements, judged, strict=False)):
+        if (was.limit, was.outcome) != (expected.limit, expected.outcome):
             raise _mismatch_error(
-                stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, now)}"
+                stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, expected)}"
             )
     if len(judged) > len(stored.measurements):
-        missing = judged[len(stored.measurements)]
+        not_stored = judged[len(stored.measurements)]
         raise _mismatch_error(
-            stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(missing)}"
+            stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(not_stored)}"
         )
 
 

@@ -90,11 +90,11 @@ def _resistance(characterised: Characterisation) -> Parameter:
 
 def _range(characterised: Characterisation) -> str:
     """State the strains and stresses for which the lines hold."""
-    kept = [level for level in characterised.levels if not level.why]
-    least = max(min(level.strain for level in kept), characterised.lowest_strain or 0.0)
-    highest = max(kept, key=lambda level: level.strain)
+    kept_levels = [level for level in characterised.levels if not level.why]
+    least_strain = max(min(level.strain for level in kept_levels), characterised.lowest_strain or 0.0)
+    highest = max(kept_levels, key=lambda level: level.strain)
     stress = "" if highest.stress_kPa is None else f", up to {highest.stress_kPa:.3g} kPa"
-    return f"Characterised from {100 * least:g} to {100 * highest.strain:g} % strain{stress}."
+    return f"Characterised from {100 * least_strain:g} to {100 * highest.strain:g} % strain{stress}."
 
 
 def _comments(result: RunResult) -> list[str]:

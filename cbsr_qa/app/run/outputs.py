@@ -37,10 +37,10 @@ def write_outputs(
     html = ""
     with stages.stage("rendering the report"):
         html = render_run(result, sections, warnings=(*missing_sections, *failed))
-    written = _write_report_file(report, html, failed)
+    report_file = _write_report_file(report, html, failed)
     return RunOutcome.from_result(
         result,
-        report=written,
+        report=report_file,
         calibration=calibration,
         material=material,
         warnings=(*result.warnings, *missing_sections, *failed),
@@ -52,9 +52,9 @@ def write_outputs(
 def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
     if result.characterisation is None:
         return None, ""
-    why = why_no_material(result)
-    if why:
-        return None, why
+    reason = why_no_material(result)
+    if reason:
+        return None, reason
     try:
         return write_material(result), ""
     except CbsrError as error:

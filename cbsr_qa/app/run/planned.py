@@ -96,10 +96,12 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     time = duration(planned.dry.duration_s)
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:
-        whys = [f"it breaks {plural(len(planned.violations), 'limit')} of the station"] if planned.violations else []
+        reasons = (
+            [f"it breaks {plural(len(planned.violations), 'limit')} of the station"] if planned.violations else []
+        )
         if any(answer.outcome is GateOutcome.REFUSED for answer in planned.gate):
-            whys.insert(0, "the gate refuses it")
-        banner = Banner("fail", "✗", "This run would be refused", "; ".join(whys))
+            reasons.insert(0, "the gate refuses it")
+        banner = Banner("fail", "✗", "This run would be refused", "; ".join(reasons))
     spent = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in planned.dry.spent)
     peak_words = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
     facts = [

@@ -85,9 +85,9 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
     steps = [step for phase in meant for step in phase.steps(plan.context)]
     places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
     if len(places) != 1:
-        pressed = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
+        phases_found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
         raise ConfigError(
-            f"recipe {recipe.name!r} has [characterisation] and {pressed}; a strip is pressed at one place",
+            f"recipe {recipe.name!r} has [characterisation] and {phases_found}; a strip is pressed at one place",
             remedy='give it one phase with sequence = "characterisation"',
         )
 

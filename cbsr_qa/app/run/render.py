@@ -276,9 +276,9 @@ def _adoption_notes(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator
         return
     decided = f"adopted by {adoption.operator} on {adoption.adopted_at:%Y-%m-%d %H:%M} UTC: {adoption.why}"
     yield f"The verdict and all values are of a re-analysis by recipe {recipe!r}, {decided}. Earlier ones are kept."
-    for earlier in analyses:
-        if earlier.calibration is not None:
-            yield f"Calibration {earlier.calibration}, which an earlier analysis of this run issued, is still stored."
+    for stored in analyses:
+        if stored.calibration is not None:
+            yield f"Calibration {stored.calibration}, which an earlier analysis of this run issued, is still stored."
 
 
 def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:

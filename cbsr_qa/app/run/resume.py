@@ -204,10 +204,10 @@ def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
         ]
         if not removed:
             raise
-        named = ", ".join(f"{name} {version}" for name, version in removed)
+        removed_words = ", ".join(f"{name} {version}" for name, version in removed)
         pinned = " ".join(f"{name}=={version}" for name, version in removed)
         raise type(error)(
-            f"{error.reason}; the run was begun with {named}, which is not installed now",
+            f"{error.reason}; the run was begun with {removed_words}, which is not installed now",
             remedy=f"install it again, then resume the run\n{AT_COMMAND_LINE}pip install {pinned}",
         ) from error
 
@@ -216,9 +216,9 @@ def compare_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdenti
     """Return a warning for each instrument that differs from the one at the start of the run."""
     stored_by_role = {instrument.role: _who(instrument) for instrument in stored.instruments}
     return [
-        f"{role} is another instrument than the run was begun with: {stored_by_role.get(role, 'none')} → {who}"
-        for role, who in ((instrument.role, _who(instrument)) for instrument in instruments)
-        if stored_by_role.get(role) != who
+        f"{role} is another instrument than the run was begun with: {stored_by_role.get(role, 'none')} → {current}"
+        for role, current in ((instrument.role, _who(instrument)) for instrument in instruments)
+        if stored_by_role.get(role) != current
     ]
 
 

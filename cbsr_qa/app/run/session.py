@@ -252,9 +252,9 @@ def clock_warning(moved: timedelta) -> str:
     """Return a warning if the computer's clock was set while a run was measured; else empty."""
     if abs(moved) < _CLOCK_MOVED:
         return ""
-    which, by = "forward" if moved > timedelta() else "back", duration(abs(moved).total_seconds())
+    direction, shift = "forward" if moved > timedelta() else "back", duration(abs(moved).total_seconds())
     return (
-        f"this computer's clock was set {which} by {by} while the run was measured, or the computer slept:"
+        f"this computer's clock was set {direction} by {shift} while the run was measured, or the computer slept:"
         " check the dates of what follows; times within the run, and the order of runs, are by other clocks"
     )
 

@@ -224,19 +224,19 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
 def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     """List sensors, each with the verdict of its last decided run among the selected ones. Raises as list_runs."""
     runs = _select_runs(store, replace(request, latest=None))
-    of: dict[tuple[str, str], list[ListedRun]] = {}
+    runs_by_sensor: dict[tuple[str, str], list[ListedRun]] = {}
     for run in runs:
-        of.setdefault((run.serial, run.recipe), []).append(run)
-    groups = [*of.values(), *([run] for own in of.values() for run in _unshown(own))]
+        runs_by_sensor.setdefault((run.serial, run.recipe), []).append(run)
+    groups = [*runs_by_sensor.values(), *([run] for own in runs_by_sensor.values() for run in _unshown(own))]
     groups.sort(key=lambda own: own[-1].run)
     if request.failed or request.limit:
         groups = [
             own for own in groups if any(_has_failed(run, request.limit) for run in select_settled_runs(own)[-1:])
         ]
     groups = groups[-(request.latest or 0) :]
-    kept = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
-    notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept)))
-    return SensorList(summarise_runs(kept), tuple(map(_state, groups)), notes)
+    kept_runs = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
+    notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept_runs)))
+    return SensorList(summarise_runs(kept_runs), tuple(map(_state, groups)), notes)
 
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:

@@ -151,9 +151,9 @@ class _Look:
             self._mounted.append(mounted)
             if not isinstance(mounted.instrument, Linked):
                 self._ask(mounted)
-        due = _due(spec, self.configuration.station, today)
-        if due is not None:
-            self._add(due)
+        due_line = _due(spec, self.configuration.station, today)
+        if due_line is not None:
+            self._add(due_line)
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
@@ -172,10 +172,10 @@ class _Look:
         ]
         known_parts = [part for part in identity_parts[: 3 if identity.firmware else 2] if part]
         simulation_notes = ["simulated"] if identity.simulated else []
-        who = ", ".join(
+        identity_words = ", ".join(
             [*known_parts, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes]
         )
-        self._add(CheckResult("identity", CheckOutcome.OK, said=who, subject=role))
+        self._add(CheckResult("identity", CheckOutcome.OK, said=identity_words, subject=role))
         self._self_test(mounted)
 
     def _self_test(self, mounted: Mounted) -> None:
@@ -260,9 +260,9 @@ class _Look:
             unsafe = stop_all([(mounted.name, mounted.instrument.safe_state) for mounted in self._mounted])
             unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
         for name, who in (("safe state", unsafe), ("closing", unclosed)):
-            for words in who:
+            for problem in who:
                 remedy = "switch the source off and lift the head by hand, then check this instrument"
-                self._add(CheckResult(name, CheckOutcome.FAILED, said=words, remedy=remedy, subject=_WHOLE))
+                self._add(CheckResult(name, CheckOutcome.FAILED, said=problem, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
             finding = "source off, head up: every instrument says so"
             self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))

@@ -102,10 +102,10 @@ def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
     """Return the comparable values of a run: measured at every place, and not only bounded."""
     figures = {}
     for name, qualifier in FIGURES:
-        of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
-        values = [m.value for m in of if m.value is not None and m.bound is Bound.EXACT]
-        if values and len(values) == len(of):
-            figures[name] = Figure(float(np.mean(values)), len(values), of[0].unit)
+        members = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
+        values = [m.value for m in members if m.value is not None and m.bound is Bound.EXACT]
+        if values and len(values) == len(members):
+            figures[name] = Figure(float(np.mean(values)), len(values), members[0].unit)
     return figures
 
 

@@ -110,10 +110,10 @@ def _sections(
 ) -> list[Section]:
     of_ring = [line for line in check.results if line.subject == RING]
     of_golden = [line for line in check.results if line.subject.startswith("golden")]
-    rest = [line for line in check.results if line not in of_ring and line not in of_golden]
+    other_lines = [line for line in check.results if line not in of_ring and line not in of_golden]
     todo = remedies(check.results)
     sections = [Section("What to do", todo)] if todo else []
-    sections.append(Section("Instruments", (lines_table("Checks of the instruments.", rest),)))
+    sections.append(Section("Instruments", (lines_table("Checks of the instruments.", other_lines),)))
     if of_ring:
         sections.append(Section("Reference ring", _ring_blocks(of_ring, ring, pattern, allowed)))
     if of_golden:

@@ -106,9 +106,9 @@ class StandardOutput(_Client):
 
     def close(self) -> None:
         super().close()
-        lost = self._delivery.describe_loss()
-        if lost and not self.over:
-            self._tell(lost)
+        loss = self._delivery.describe_loss()
+        if loss and not self.over:
+            self._tell(loss)
 
     def _note_end(self, why: str) -> None:
         self.over = f"standard output: {why}"
@@ -156,9 +156,9 @@ class Server:
                 self._header = message
             for client in self._clients:
                 client.send(message)
-            for gone in [client for client in self._clients if client.over]:
-                self._clients.remove(gone)
-                gone.end()
+            for client_over in [client for client in self._clients if client.over]:
+                self._clients.remove(client_over)
+                client_over.end()
 
     def close(self) -> None:
         with self._lock:
@@ -205,9 +205,9 @@ def _remove_dead(path: Path) -> None:
     """Remove the socket that a killed process has left behind."""
     if not (path.exists() and stat.S_ISSOCK(path.stat().st_mode)):
         return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asked:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
-            asked.connect(os.fspath(path))
+            probe.connect(os.fspath(path))
         except ConnectionRefusedError:
             path.unlink()
 

@@ -167,6 +167,6 @@ class _Broker:
     def close(self) -> None:
         self._delivery.end()
         self._delivery.wait(END_S)
-        lost = self._delivery.describe_loss()
-        if lost:
-            self._tell(lost)
+        loss = self._delivery.describe_loss()
+        if loss:
+            self._tell(loss)

@@ -101,9 +101,9 @@ def open_source(
             specs, clock, opened = _prepare_station(frames.station, plugins, sensor_type, stack)
         mounted = []
         for spec in specs:
-            one = Mounted(spec, opened(spec))
-            mounted.append(one)
-            stack.callback(_close_instrument, one, tell)
+            instrument = Mounted(spec, opened(spec))
+            mounted.append(instrument)
+            stack.callback(_close_instrument, instrument, tell)
         yield _ready(mounted, clock)
 
 

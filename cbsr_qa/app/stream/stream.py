@@ -114,9 +114,9 @@ class _Stream:
                 f"{source.spec.driver} has {len(self._taken)} frames; {count} are needed before the stream begins",
                 remedy="give a smaller --reference, or a longer recording",
             ) from error
-        first = join_frames([taken.block for taken in self._taken])
+        first_frames = join_frames([taken.block for taken in self._taken])
         self._sequence_of_frames = self._estimator.follow(
-            source.spec.driver, first, UnloadedFrames(self._request.reference)
+            source.spec.driver, first_frames, UnloadedFrames(self._request.reference)
         )
         return fill_from_object(
             HeaderMessage,
@@ -168,9 +168,9 @@ class _Stream:
         if not self._taken:
             with self._waiting():
                 self._taken = [_Taken.take(self._source)]
-        taken, *self._taken = self._taken
-        for estimate in list_estimates(self._sequence_of_frames.estimate(taken.block)):
-            yield self._message(taken, estimate)
+        batch, *self._taken = self._taken
+        for estimate in list_estimates(self._sequence_of_frames.estimate(batch.block)):
+            yield self._message(batch, estimate)
 
     def _message(self, taken: "_Taken", estimate: Estimate) -> FrameMessage:
         period_s = float(self._source.instrument.frame_period_s)
