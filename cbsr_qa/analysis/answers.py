@@ -35,10 +35,10 @@ def validate_answer(answer: Iterable[Measurement]) -> list[Measurement]:
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
         raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
-    taken = list(islice(answer, MOST_ANSWERS + 1))
-    if len(taken) > MOST_ANSWERS:
+    measurements = list(islice(answer, MOST_ANSWERS + 1))
+    if len(measurements) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
-    return [_validate_measurement(number, measurement) for number, measurement in enumerate(taken, start=1)]
+    return [_validate_measurement(number, measurement) for number, measurement in enumerate(measurements, start=1)]
 
 
 def _validate_measurement(number: int, measurement: object) -> Measurement:

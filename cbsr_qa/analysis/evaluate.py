@@ -238,9 +238,9 @@ def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Mea
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
     """Measure a load relative to the reference that the recipe did not choose; reported, never judged."""
-    other = "before the press" if run.settings.reference == "run" else "unloaded run"
+    reference = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
-        replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=other).text))))
+        replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=reference).text))))
         for m in validate_answer(metric.measure_load(load, run))
     ]
 

@@ -135,9 +135,9 @@ class Description(CheckedTable):
         if self.layout is None:
             return None
         if "places_mm" in self.layout:
-            placed = validate_entry(_Places, self.layout, "description.layout")
-            places_mm = tuple((x, y) for x, y in placed.places_mm[: _MOST_ELECTRODES + 1])
-            return PlacedElectrodes(ElectrodeKind(placed.kind), places_mm, placed.width_mm)
+            layout = validate_entry(_Places, self.layout, "description.layout")
+            places_mm = tuple((x, y) for x, y in layout.places_mm[: _MOST_ELECTRODES + 1])
+            return PlacedElectrodes(ElectrodeKind(layout.kind), places_mm, layout.width_mm)
         ring = validate_entry(_Ring, self.layout, "description.layout")
         return ElectrodeLayout(**{**ring.model_dump(), "kind": ElectrodeKind(ring.kind)})
 

@@ -217,9 +217,9 @@ def _notes(description: Description) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notes and the simulation's description, which earlier versions stored as notes."""
     if description.simulated is not None:
         return tuple(description.notes), tuple(description.simulated)
-    marked = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
-    others = tuple(note for note in description.notes if note not in marked)
-    return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in marked)
+    simulated_notes = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
+    others = tuple(note for note in description.notes if note not in simulated_notes)
+    return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in simulated_notes)
 
 
 def _read_frames(group: h5py.Group) -> FrameBlock:
@@ -246,9 +246,9 @@ def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
 
 def _read_samples(group: h5py.Group) -> SampleBlock:
     times_s = numbers(group, "time_s")
-    held = numbers(group, "values", shape=times_s.shape)
-    known = np.isfinite(times_s) & np.isfinite(held)  # a lost sample is left out
-    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[known], held[known])
+    values = numbers(group, "values", shape=times_s.shape)
+    finite_mask = np.isfinite(times_s) & np.isfinite(values)  # a lost sample is left out
+    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[finite_mask], values[finite_mask])
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:

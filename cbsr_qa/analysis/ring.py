@@ -201,9 +201,9 @@ def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     count = int((~fit.used).sum())
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
-        first = tuple(int(index) for index in np.argwhere(~fit.used)[0])
-        what = ReadingFlag(int(fit.flags[first])).name or "flagged"
-        finding = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first)}: {what.lower()}"
+        first_flagged = tuple(int(index) for index in np.argwhere(~fit.used)[0])
+        what = ReadingFlag(int(fit.flags[first_flagged])).name or "flagged"
+        finding = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first_flagged)}: {what.lower()}"
     remedy = "check that the ring is connected; lower the drive current or the ring's resistance"
     return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
@@ -223,19 +223,19 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
         return _skip_check("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
         return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
-    ok, words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
+    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
     remedy = "zero the meter; look for a thermal voltage or a ground loop in the measuring pair"
-    return _line("offset", ok, 1e3 * fit.offset, "mV", words, "common to all readings", remedy)
+    return _line("offset", ok, 1e3 * fit.offset, "mV", allowed_words, "common to all readings", remedy)
 
 
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     name = "lead resistance"
     if fit.lead_ohm is None:
         return _skip_check(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
-    worst = int(np.argmax(np.abs(fit.lead_ohm)))
-    value = float(fit.lead_ohm[worst])
-    finding = f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
-    ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst}"
+    worst_electrode = int(np.argmax(np.abs(fit.lead_ohm)))
+    value = float(fit.lead_ohm[worst_electrode])
+    finding = f"largest at electrode {worst_electrode}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
+    ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst_electrode}"
     return _line(name, ok, value, "ohm", _within(allowed.lead_ohm, "Ω"), finding, remedy)
 
 
@@ -257,10 +257,10 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
         first, second = swapped
         return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"
     # Half of the drives across a bad resistor deviate far more than the others.
-    off = np.abs(np.median(fit.residual, axis=1))
-    worst = int(np.argmax(off))
-    if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
-        source, sink = pattern.drive[worst]
+    median_residuals = np.abs(np.median(fit.residual, axis=1))
+    worst_pair = int(np.argmax(median_residuals))
+    if median_residuals[worst_pair] > max(limit, _STANDS_OUT * float(np.median(median_residuals))):
+        source, sink = pattern.drive[worst_pair]
         return f"readings driven across electrodes {source} and {sink} are off: check the resistor between them"
     return "check the resistors and the wiring of these electrodes"
 

@@ -51,9 +51,9 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
     if line is None:
         yield Measurement(name, None, unit, qualifier=qualifier, how=blocked or fitted.why)
         return
-    parts = ", ".join(f"{part} {error:.2g}" for part, error in fitted.parts)
+    error_parts = ", ".join(f"{part} {error:.2g}" for part, error in fitted.parts)
     yield Measurement(
-        name, line.slope.value, unit, line.slope.stderr, qualifier=qualifier, how=f"{how}; ± of {parts}"
+        name, line.slope.value, unit, line.slope.stderr, qualifier=qualifier, how=f"{how}; ± of {error_parts}"
     )
     yield Measurement(f"{name}_intercept", line.intercept.value, "1", line.intercept.stderr, how=how)
 
@@ -130,11 +130,11 @@ def _settling(each: StrainSettling) -> Measurement:
 
 def _counts(material: Characterisation) -> Iterator[Measurement]:
     excluded = [level.why for level in material.levels if level.why]
-    used = sum(level.cycles for level in material.levels if not level.why)
-    lost = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
-    yield Measurement("cycles_used", float(used), "1", how="cycles the lines are drawn through")
+    used_count = sum(level.cycles for level in material.levels if not level.why)
+    excluded_count = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
+    yield Measurement("cycles_used", float(used_count), "1", how="cycles the lines are drawn through")
     yield Measurement(
-        "cycles_excluded", float(lost), "1", how="; ".join((*material.unread, *excluded)) or "none left out"
+        "cycles_excluded", float(excluded_count), "1", how="; ".join((*material.unread, *excluded)) or "none left out"
     )
     yield Measurement("strains_excluded", float(len(excluded)), "1", how="; ".join(excluded) or "none left out")
     how = "least strain at which α ε + β is three standard errors from zero"

@@ -90,10 +90,10 @@ def _check(run: RunObservation, calibration: Calibration) -> None:
         raise CalibrationError(
             f"the calibration has frames of shape {issued.reference.shape}, the run {run.reference.shape}"
         )
-    gone = issued.reconstruction.problem.used & ~run.usable
-    if gone.any():
+    lost_mask = issued.reconstruction.problem.used & ~run.usable
+    if lost_mask.any():
         raise CalibrationError(
-            f"{int(gone.sum())} readings that the calibration needs are no longer usable",
+            f"{int(lost_mask.sum())} readings that the calibration needs are no longer usable",
             remedy="see the report's contacts: repair the electrode, or calibrate the sensor again",
         )
 
@@ -112,18 +112,18 @@ class _Reader:
             phase = self._run.record.phase(load.phase)
             if phase.frames is None or load.together > 1:
                 continue
-            late = load_window(phase, load.record, self._run.settings).steady
-            rows.append(self._rows(late.voltages).mean(axis=0))
-            noise.append(1 / len(late))
+            steady_frames = load_window(phase, load.record, self._run.settings).steady
+            rows.append(self._rows(steady_frames.voltages).mean(axis=0))
+            noise.append(1 / len(steady_frames))
             places.append(load.place_mm)
         if not rows:
             return AS_PLACED
         return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
-        before = self._calibration.issued.reference[self._used]
-        now = self._run.reference[self._used] * self._per_A
-        return float(np.linalg.norm(now - before) / np.linalg.norm(before))
+        calibrated = self._calibration.issued.reference[self._used]
+        current = self._run.reference[self._used] * self._per_A
+        return float(np.linalg.norm(current - calibrated) / np.linalg.norm(calibrated))
 
     def noise_ratio(self) -> float:
         """Noise of the unloaded frames about a straight line in time; rows have unit noise in the calibration."""

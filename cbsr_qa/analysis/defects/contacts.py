@@ -45,19 +45,22 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
     frame : (drives, measures), the typical one. used : same shape, sound readings that touch no driven electrode.
     """
     silent = []
-    for readings, sound in ((frame, used), (frame.T, used.T)):
+    for readings, usable_rows in ((frame, used), (frame.T, used.T)):
         spread = np.array(
-            [row[there].std() if there.sum() > 1 else np.nan for row, there in zip(readings, sound, strict=True)]
+            [
+                row[row_mask].std() if row_mask.sum() > 1 else np.nan
+                for row, row_mask in zip(readings, usable_rows, strict=True)
+            ]
         )
-        known = np.isfinite(spread)
-        live = float(np.quantile(spread[known], _LIVE)) if known.any() else 0.0
-        silent.append(known & (spread < SILENT_SPREAD * live))
+        finite_mask = np.isfinite(spread)
+        live = float(np.quantile(spread[finite_mask], _LIVE)) if finite_mask.any() else 0.0
+        silent.append(finite_mask & (spread < SILENT_SPREAD * live))
     pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
     of_each = [
-        [bool(quiet[k]) for of_kind, quiet in pairs for k, pair in enumerate(of_kind) if electrode in pair]
+        [bool(is_silent[k]) for of_kind, is_silent in pairs for k, pair in enumerate(of_kind) if electrode in pair]
         for electrode in range(pattern.electrode_count)
     ]
-    return tuple(electrode for electrode, quiet in enumerate(of_each) if quiet and all(quiet))
+    return tuple(electrode for electrode, is_silent in enumerate(of_each) if is_silent and all(is_silent))
 
 
 def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
@@ -123,7 +126,7 @@ def _may_be_load(load: Array, outside: Array, hidden: Array, readings: Mask, noi
 
 def _parts(change: Array, hidden: Array, readings: Mask) -> tuple[Array, Array]:
     """Split a change; the nuisance is fitted only to the readings outside, as inside it may be part of the fault."""
-    out = ~readings
-    power = float(hidden[out] @ hidden[out])
-    share = float(hidden[out] @ change[out]) / power if power > 0 else 0.0
-    return change[readings] - share * hidden[readings], change[out] - share * hidden[out]
+    outside_mask = ~readings
+    power = float(hidden[outside_mask] @ hidden[outside_mask])
+    share = float(hidden[outside_mask] @ change[outside_mask]) / power if power > 0 else 0.0
+    return change[readings] - share * hidden[readings], change[outside_mask] - share * hidden[outside_mask]

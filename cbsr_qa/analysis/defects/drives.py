@@ -37,10 +37,12 @@ class DeadDrive:
 
     def words(self, unit: str) -> str:
         """Name the drive and what was observed; readings in ``unit``."""
-        own = f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
+        own_words = (
+            f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
+        )
         return (
             f"drive pair {self.drive} is dead: its readings are {self.share:.0%} of those with drive and measurement"
-            f" exchanged{own}; they were left out"
+            f" exchanged{own_words}; they were left out"
         )
 
 
@@ -77,7 +79,7 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
 def _slope(reciprocal: Array, reading: Array) -> tuple[float, float]:
     """Slope of readings over their reciprocals, each about its mean, and their correlation."""
     x, y = reciprocal - reciprocal.mean(), reading - reading.mean()
-    power, other = float(x @ x), float(y @ y)
-    if power == 0 or other == 0:
-        return 0.0 if other == 0 < power else 1.0, float(other == power)
-    return float(x @ y) / power, float(x @ y) / np.sqrt(power * other)
+    power, reading_power = float(x @ x), float(y @ y)
+    if power == 0 or reading_power == 0:
+        return 0.0 if reading_power == 0 < power else 1.0, float(reading_power == power)
+    return float(x @ y) / power, float(x @ y) / np.sqrt(power * reading_power)

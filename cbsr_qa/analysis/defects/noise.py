@@ -110,10 +110,10 @@ def _split(log: Array, start: int, end: int) -> list[int]:
     difference = np.abs((total[n] - total[cuts]) / (n - cuts) - total[cuts] / cuts)
     scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(np.diff(segment)))) / np.sqrt(2), 1e-12)
     statistic = difference / (scatter * np.sqrt(1 / cuts + 1 / (n - cuts)))
-    best = int(np.argmax(statistic))
-    if statistic[best] < _NOISE_T or difference[best] < np.log(_NOISE_RATIO) / 2:
+    best_index = int(np.argmax(statistic))
+    if statistic[best_index] < _NOISE_T or difference[best_index] < np.log(_NOISE_RATIO) / 2:
         return []
-    cut = start + int(cuts[best])
+    cut = start + int(cuts[best_index])
     return [*_split(log, start, cut), cut, *_split(log, cut, end)]
 
 
@@ -135,10 +135,10 @@ def noise_report(
     """
     readings = block.voltages[:, use]
     unit = block.unit.value
-    quiet = _longest_quiet(block.time_s, readings, steps, busy_s)
-    if quiet is None or quiet.stop - quiet.start < _FEWEST or not readings.size:
+    quiet_slice = _longest_quiet(block.time_s, readings, steps, busy_s)
+    if quiet_slice is None or quiet_slice.stop - quiet_slice.start < _FEWEST or not readings.size:
         return NoiseReport(None, unit, None, steps, None, 0)
-    quiet_readings, times = readings[quiet], block.time_s[quiet]
+    quiet_readings, times = readings[quiet_slice], block.time_s[quiet_slice]
     sigma = channel_noise(quiet_readings, counts=block.unit is VoltageUnit.COUNT)
     drift = _drift_per_min(times, quiet_readings) if timed else None
     rounding = 1 if unit == "count" else 0

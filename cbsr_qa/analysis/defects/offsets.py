@@ -66,7 +66,7 @@ def offset_words(offsets: tuple[tuple[int, float], ...], time_s: Array, unit: st
 
 def subtract_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
     """Take offsets out of (n, drives, measures) readings, relative to the first frame."""
-    added = np.zeros(len(voltages))
+    offset_by_frame = np.zeros(len(voltages))
     for frame, size in offsets:
-        added[frame:] += size
-    return voltages - added[:, None, None]
+        offset_by_frame[frame:] += size
+    return voltages - offset_by_frame[:, None, None]

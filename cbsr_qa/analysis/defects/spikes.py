@@ -52,7 +52,7 @@ def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
     square = usable.shape[0] == usable.shape[1]
     partner = usable & usable.T if square else np.zeros_like(usable)
     few = (far.sum(axis=(1, 2)) <= MOST_SPIKES * usable.sum())[:, None, None]
-    alone: Mask = np.broadcast_to(few, far.shape)
+    alone_mask: Mask = np.broadcast_to(few, far.shape)
     if square:
-        alone = np.where(partner, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone)
-    return alone
+        alone_mask = np.where(partner, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone_mask)
+    return alone_mask

@@ -53,10 +53,10 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
     changes: list[Change] = []
     for window in WINDOWS:
         while len(changes) < _MOST_CHANGES:
-            more = _strongest(scores, window, changes)
-            if not more:
+            further = _strongest(scores, window, changes)
+            if not further:
                 break
-            changes += more
+            changes += further
     return tuple(sorted(_rescore(scores, changes), key=lambda change: change.frame))
 
 
@@ -67,9 +67,9 @@ def nearest_step(scores: Array) -> tuple[float, float]:
     """
     steps = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
     for window in WINDOWS:
-        at, z = _steps(scores, window, [])
+        quiet_frames, z = _steps(scores, window, [])
         if z.size:
-            steps.append((float(np.abs(z).max()), threshold_for(len(at), window)))
+            steps.append((float(np.abs(z).max()), threshold_for(len(quiet_frames), window)))
     return max(steps, key=lambda step: step[0] / step[1])
 
 
@@ -115,10 +115,10 @@ def _steps(scores: Array, window: int, known: list[Change]) -> tuple[NDArray[np.
 
 
 def _quiet(frames: int, window: int, known: list[Change]) -> NDArray[np.int64]:
-    at = np.arange(window, frames - window + 1, dtype=np.int64)
+    quiet_frames = np.arange(window, frames - window + 1, dtype=np.int64)
     for change in known:
-        at = at[np.abs(at - change.frame) > _reach(window, change)]
-    return at
+        quiet_frames = quiet_frames[np.abs(quiet_frames - change.frame) > _reach(window, change)]
+    return quiet_frames
 
 
 def _enough(window: int) -> int:

@@ -233,9 +233,9 @@ class _Search:
         )
         for _ in range(2):
             end, along = self._end(group, frames_before, frames_held, window, limits)
-            start, down = rise(along, first_change, int(end)) if clear else step_start(first_change, int(end))
+            start, first_held = rise(along, first_change, int(end)) if clear else step_start(first_change, int(end))
             frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
-            frames_held = slice(down, max(min(int(end) + (end == limits[-1] - 1), limits[0]), down + 1))
+            frames_held = slice(first_held, max(min(int(end) + (end == limits[-1] - 1), limits[0]), first_held + 1))
         return frames_before, frames_held, start, end, along
 
     def _slow(self, group: Group) -> tuple[slice, slice, float, float, Array]:

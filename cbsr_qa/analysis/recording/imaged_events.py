@@ -197,9 +197,13 @@ def image_events(
     fated = with_fates(imaged_events, sheet.radius_mm, together)
     events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
-    alone = images.sequences and all(len(sighting.frames) == 1 for sighting in sightings)
+    single_frames = images.sequences and all(len(sighting.frames) == 1 for sighting in sightings)
     unknown = bool(getattr(reconstruction, "absolute", False)) and offset
-    remarks = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
+    remarks = (
+        *images.remarks,
+        *_limits(chosen.name, alone=single_frames, unknown=unknown),
+        *_unseen(scene, events, images),
+    )
     return Imaged(events, imaging, remarks)
 
 

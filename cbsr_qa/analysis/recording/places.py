@@ -142,13 +142,13 @@ def _weak(change: Array, match: Matcher, places: list[Place], noise: float) -> P
     gain = np.where(
         (distances >= _SEPARATE) & (norms > _HIDDEN), np.maximum(sign * residual @ weak_match.patterns, 0.0) ** 2, 0.0
     )
-    best = int(np.argmax(gain))
+    best_index = int(np.argmax(gain))
     energy_above_noise = float(residual @ residual) - noise * (len(residual) - basis.shape[1])
     needed = max(_WEAK_GAIN * noise + _MODEL_LEAVES * float(change @ change), _WEAK_EXPLAINED * energy_above_noise)
-    if gain[best] < needed:
+    if gain[best_index] < needed:
         return None
-    place = _refine_place(residual, weak_match, best)
-    return replace(place, score=place.score / float(norms[best]))
+    place = _refine_place(residual, weak_match, best_index)
+    return replace(place, score=place.score / float(norms[best_index]))
 
 
 def _surroundings(match: Matcher, index: int) -> Array:

@@ -50,9 +50,11 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
         :func:`~cbsr_qa.calibration.presses.inputs.read_press_readings`.
     """
     if files.differences == (files.rest is not None):
-        found = "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"
+        given_options = (
+            "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"
+        )
         raise RefusedError(
-            f"{found} given",
+            f"{given_options} given",
             remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
         )
     loaded_type, sized = load_pressed_type(files.sensor_type)
@@ -109,6 +111,8 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
     frames = read_whole_frames(files.readings, pattern).voltages[:, pattern.usable()]
     if files.rest is None:
         return PressReadings(files.readings, distinct, frames)
-    rest = read_whole_frames(files.rest, pattern).voltages[:, pattern.usable()]
-    noise = rest.std(axis=0, ddof=1) if len(rest) > 1 else None
-    return PressReadings(files.readings, distinct, frames - rest.mean(axis=0), rest.mean(axis=0), noise)
+    rest_readings = read_whole_frames(files.rest, pattern).voltages[:, pattern.usable()]
+    noise = rest_readings.std(axis=0, ddof=1) if len(rest_readings) > 1 else None
+    return PressReadings(
+        files.readings, distinct, frames - rest_readings.mean(axis=0), rest_readings.mean(axis=0), noise
+    )

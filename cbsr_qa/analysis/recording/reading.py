@@ -66,10 +66,10 @@ def find_format(path: Path, format_name: str | None, plugins: Plugins) -> tuple[
             failed.append(error.reason)
         except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
             failed.append(f"{name}: {type(error).__name__}: {error}")
-    known = ", ".join(plugins.names(Kind.RECORDING))
+    known_formats = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
         f"{path.name} has no known format",
-        remedy="; ".join([f"formats: {known}; name one with --format", _OWN, *failed]),
+        remedy="; ".join([f"formats: {known_formats}; name one with --format", _OWN, *failed]),
     )
 
 

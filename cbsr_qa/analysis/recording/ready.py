@@ -65,9 +65,11 @@ class ReadyReadings:
         """Describe corrections of readings, and channels that failed during the recording."""
         remarks = offset_words(self.offsets, self.block.time_s, self.block.unit.value)
         if self.open_electrodes:
-            named = ", ".join(map(str, self.open_electrodes))
+            electrode_names = ", ".join(map(str, self.open_electrodes))
             kind = "electrodes" if len(self.open_electrodes) > 1 else "electrode"
-            remarks.append(f"no contact, nothing comes through: {kind} {named}; these readings were left out")
+            remarks.append(
+                f"no contact, nothing comes through: {kind} {electrode_names}; these readings were left out"
+            )
         remarks += [dead.words(self.block.unit.value) for dead in self.dead_drives]
         if self.spikes:
             remarks.append(
@@ -91,9 +93,9 @@ class ReadyReadings:
 
 
 def _list_channels(channels: Mask) -> str:
-    more = int(channels.sum()) - _MOST_LISTED
+    unlisted_count = int(channels.sum()) - _MOST_LISTED
     return ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(channels)[:_MOST_LISTED]) + (
-        f" and {more} more" if more > 0 else ""
+        f" and {unlisted_count} more" if unlisted_count > 0 else ""
     )
 
 
@@ -125,9 +127,9 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     used_mask = _usable(recording, pattern) & ~faults.bad
     opened: tuple[int, ...] = ()
     if recording.scan is ScanKind.FULL and used_mask.any():
-        full = pattern or adjacent_pattern(used_mask.shape[0])
-        opened = _find_open_electrodes(block.voltages, used_mask, full)
-        used_mask &= ~full.touching(opened)
+        full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
+        opened = _find_open_electrodes(block.voltages, used_mask, full_pattern)
+        used_mask &= ~full_pattern.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected

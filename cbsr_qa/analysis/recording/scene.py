@@ -105,9 +105,9 @@ class RecordedScene:
     def drop_readings(self, readings: NDArray[np.bool_]) -> Self:
         """Return the scene without some readings, (m,) bool."""
         keep = ~readings
-        used = self.sheet.problem.used.copy()
-        used[used] = keep
-        sheet = sheet_for(self.sheet.problem.sensor_type, used)
+        used_mask = self.sheet.problem.used.copy()
+        used_mask[used_mask] = keep
+        sheet = sheet_for(self.sheet.problem.sensor_type, used_mask)
         model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
         return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
 
@@ -161,9 +161,12 @@ class RecordedScene:
         if plain is None:
             return objects
         match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
-        places = robust_directions(tuple(seen.place for seen in objects), plain.changes(self.readings)[0], match)
+        places = robust_directions(
+            tuple(still_object.place for still_object in objects), plain.changes(self.readings)[0], match
+        )
         return tuple(
-            replace(seen, place=place, track=((0, place),)) for seen, place in zip(objects, places, strict=True)
+            replace(still_object, place=place, track=((0, place),))
+            for still_object, place in zip(objects, places, strict=True)
         )
 
     def presses(self, rate_hz: float | None) -> Searched:
@@ -316,10 +319,10 @@ def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) 
             " of them may be a release or another disturbance"
         )
     for press in unclear:
-        at = float(np.interp(press.start, np.arange(len(times)), times))
-        less = press.places[0].score > 0
+        change_s = float(np.interp(press.start, np.arange(len(times)), times))
+        conducts_less = press.places[0].score > 0
         remarks.append(
-            f"the change at {at:.1f} s is never reversed: it may be the release of a load held from the"
-            f" start, which then conducts {'less' if less else 'more'}"
+            f"the change at {change_s:.1f} s is never reversed: it may be the release of a load held from the"
+            f" start, which then conducts {'less' if conducts_less else 'more'}"
         )
     return remarks

@@ -88,9 +88,9 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )
-    kept = [place for place in places if abs(place.score) >= _DETECTED]
+    detected = [place for place in places if abs(place.score) >= _DETECTED]
     goodness = Goodness.from_fit(change, fit_loads(change, match, places), match.sigma, 1.0)
-    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in kept), ""
+    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in detected), ""
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -157,9 +157,9 @@ class Tank:
 
         Signs stay as they are on a sheet: positive for what conducts more.
         """
-        used = sheet.problem.used
-        reference = self.field.readings()[used]
-        changes = self.field.changes(sheet.places, ball, conducts=conducts)[:, used].T * (1 if conducts else -1)
+        used_mask = sheet.problem.used
+        reference = self.field.readings()[used_mask]
+        changes = self.field.changes(sheet.places, ball, conducts=conducts)[:, used_mask].T * (1 if conducts else -1)
         patterns = changes / reference[:, None] * sheet.problem.reference[:, None]
         return replace(sheet, patterns=patterns)
 
@@ -217,6 +217,6 @@ def _distances(pattern: DrivePattern, used: Mask) -> list[NDArray[np.int64]]:
         np.array([pair[0] for pair in pattern.drive])[drive],
         np.array([pair[0] for pair in pattern.measure])[measure],
     )
-    apart = (first_electrodes[1] - first_electrodes[0]) % count
-    apart = np.minimum(apart, count - apart)
-    return [np.flatnonzero(apart == distance) for distance in np.unique(apart)]
+    steps_apart = (first_electrodes[1] - first_electrodes[0]) % count
+    steps_apart = np.minimum(steps_apart, count - steps_apart)
+    return [np.flatnonzero(steps_apart == distance) for distance in np.unique(steps_apart)]

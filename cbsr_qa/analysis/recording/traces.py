@@ -27,10 +27,10 @@ _DECLINED = 0.25  #: otherwise the end is where this share of the drop is passed
 def rough(change: Change, limit: int, n: int) -> tuple[slice, slice]:
     """Frames before a step, and after it up to ``limit``, for its first pattern."""
     before_end = max(change.frame - change.window, 1)
-    after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
+    begin_after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
     return (
         slice(max(before_end - BEFORE_FRAMES, 0), before_end),
-        slice(after, max(min(after + _ROUGH_AFTER_FRAMES, limit), after + 1)),
+        slice(begin_after, max(min(begin_after + _ROUGH_AFTER_FRAMES, limit), begin_after + 1)),
     )
 
 
@@ -55,18 +55,18 @@ def trace(white: Array, before: slice, held: slice, besides: Sequence[Array] = (
 
 def smooth(along: Array, window: int = 2) -> Array:
     """Running median over the odd number of frames above a window: weak presses are only seen with wide windows."""
-    half = window // 2
-    if len(along) < 2 * half + 1:
+    half_window = window // 2
+    if len(along) < 2 * half_window + 1:
         return along
-    return median_filter(along, 2 * half + 1, mode="nearest")
+    return median_filter(along, 2 * half_window + 1, mode="nearest")
 
 
 def rise(along: Array, first: Change, end: int) -> tuple[float, int]:
     """Start of the press (fractional frame), and the first frame in which it is down."""
-    after = slice(first.frame, max(end, first.frame + 1))
-    plateau = float(np.median(along[after]))
+    slice_after = slice(first.frame, max(end, first.frame + 1))
+    plateau = float(np.median(along[slice_after]))
     earliest = max(first.frame - 2 * first.window, 0)
-    first_down = next((k for k in range(earliest, after.stop) if along[k] >= _REACHED * plateau), first.frame)
+    first_down = next((k for k in range(earliest, slice_after.stop) if along[k] >= _REACHED * plateau), first.frame)
     k = max(first_down, 1)
     while k > earliest + 1 and along[k - 1] > _BEGUN * plateau:
         k -= 1
@@ -130,9 +130,9 @@ def _fades(part: Array, drop: float, noise: float) -> bool:
 
 def _crossing(part: Array, begin: int, level: float, *, last: bool = False) -> float:
     """Fractional index at which a falling trace passes a level: the first time from ``begin`` on, or the last."""
-    above = np.flatnonzero(part[begin:] >= level) + begin
+    frames_above = np.flatnonzero(part[begin:] >= level) + begin
     if last:
-        k = int(above[-1]) if len(above) else begin
+        k = int(frames_above[-1]) if len(frames_above) else begin
     else:
         below = np.flatnonzero(part[begin:] < level) + begin
         k = int(below[0]) - 1 if len(below) else len(part) - 1

@@ -148,9 +148,11 @@ def _refuse_agreement(loading: bool, why: str) -> DirectedAgreement:
 
 
 def _measure_relaxation(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
-    seen = [curve for load in loads if (curve := _find_relaxation(load, signal, loading))]
-    starts = [0 if loading else relaxation_start(curve.trace.values) for curve in seen]
-    traces = [(curve.trace.time_s[at:], curve.trace.values[at:]) for curve, at in zip(seen, starts, strict=True)]
+    curves = [curve for load in loads if (curve := _find_relaxation(load, signal, loading))]
+    starts = [0 if loading else relaxation_start(curve.trace.values) for curve in curves]
+    traces = [
+        (curve.trace.time_s[start:], curve.trace.values[start:]) for curve, start in zip(curves, starts, strict=True)
+    ]
     window_s = max(float(time_s[-1]) for time_s, _ in traces)
     change = None if loading else float(np.mean([_end(load, signal) for load in loads]))
     start_s = min(float(time_s[0]) for time_s, _ in traces)

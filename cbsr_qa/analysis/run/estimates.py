@@ -65,11 +65,13 @@ def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
         estimates = _estimates(run, single_loads, model, noise, reference) if single_loads else {}
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
-    many = "{} loads were held at once; the estimate needs one"
-    rest = {
-        _key(load): EstimatedLoad(None, None, many.format(load.together)) for load in run.loads if load.together > 1
+    several_held = "{} loads were held at once; the estimate needs one"
+    refused = {
+        _key(load): EstimatedLoad(None, None, several_held.format(load.together))
+        for load in run.loads
+        if load.together > 1
     }
-    return {**estimates, **rest}
+    return {**estimates, **refused}
 
 
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
@@ -111,9 +113,9 @@ def _estimates(
     groups: dict[tuple[int, int], list[tuple[LoadObservation, LoadWindow]]] = defaultdict(list)
     for load in loads:
         window = window_of(run, load)
-        own = reference == "load" and len(window.before) > 0
-        count = len(window.before) if own else len(run.unloaded) - run.settings.noise_floor_frames
-        groups[(len(window.steady), count if own else -count)].append((load, window))
+        has_own_reference = reference == "load" and len(window.before) > 0
+        count = len(window.before) if has_own_reference else len(run.unloaded) - run.settings.noise_floor_frames
+        groups[(len(window.steady), count if has_own_reference else -count)].append((load, window))
     estimates: dict[Key, EstimatedLoad] = {}
     scale = model_scale(model, run.reference, run.usable)
     for (steady, signed), members in groups.items():

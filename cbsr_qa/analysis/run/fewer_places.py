@@ -118,9 +118,9 @@ class _Loads:
         return len(self._at)
 
     def first_of_each(self) -> Chosen:
-        first: Chosen = np.zeros(len(self._which), dtype=np.bool_)
-        first[np.unique(self._which, return_index=True)[1]] = True
-        return first
+        first_mask: Chosen = np.zeros(len(self._which), dtype=np.bool_)
+        first_mask[np.unique(self._which, return_index=True)[1]] = True
+        return first_mask
 
     def cost(self, chosen: Chosen) -> MapCost:
         _, variance = self._learn_response(chosen).predict(self._area)
@@ -134,9 +134,9 @@ class _Loads:
     def cost_by_places(self, count: int) -> MapCost:
         """Predictions from all loads at some places, for the sheet and the left-out places, over several choices."""
         ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
-        kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
-        costs = [self.cost(places[self._which]) for places in kept]
-        squares = np.array([self._holdout_errors(places) for places in kept]).mean(axis=0)
+        place_masks = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
+        costs = [self.cost(places[self._which]) for places in place_masks]
+        squares = np.array([self._holdout_errors(places) for places in place_masks]).mean(axis=0)
         return MapCost(
             count,
             round(float(np.mean([cost.loads for cost in costs]))),
@@ -165,9 +165,9 @@ def _line_log_ratio(run: RunObservation, force: RunForce, used: list[LoadObserva
     """Logarithm of the sensor's own line over the material's, for each load."""
     assert force.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
-    given, own = run.record.material.against_stress, force.learned.line
-    nominal = given.slope.value * stress + given.intercept.value
-    return np.log(nominal / (own.slope.value * stress + own.intercept.value))
+    given_line, learned_line = run.record.material.against_stress, force.learned.line
+    nominal = given_line.slope.value * stress + given_line.intercept.value
+    return np.log(nominal / (learned_line.slope.value * stress + learned_line.intercept.value))
 
 
 def _rms(squares: Array) -> float:

@@ -225,10 +225,10 @@ def compensate_loads(
 
 def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | None) -> RelaxationKernel:
     if kernel is None or kernel.why:
-        of = "the longest holds" if loads is None else f"the {loads} longest holds"
-        why = f": {kernel.why}" if kernel is not None else ""
+        holds = "the longest holds" if loads is None else f"the {loads} longest holds"
+        reason = f": {kernel.why}" if kernel is not None else ""
         raise NumericsError(
-            f"{of} do not determine how the {what} relaxes{why}: no hold can be predicted from its start",
+            f"{holds} do not determine how the {what} relaxes{reason}: no hold can be predicted from its start",
             remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
         )
     return kernel
@@ -254,9 +254,9 @@ def _predict_rows(
     residue, fading = traces.residue(load), traces.fading(time_s)
     prediction = predict_steady(time_s, strength - residue * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
     # The rows are the mean of the last frames of the hold, after subtraction of the same residue.
-    last = slice(-int(data.frames[k]), None)
-    fade = float(fading[last].mean())
-    window = float(strength[last].mean()) - residue * fade
+    last_frames = slice(-int(data.frames[k]), None)
+    fade = float(fading[last_frames].mean())
+    window = float(strength[last_frames].mean()) - residue * fade
     factor = _within(float(prediction.values[0]), window)
     rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
     return rows, float((noise / prediction.stderr[0]) ** 2)

@@ -238,10 +238,10 @@ def gauge_factor(
 
 def _blob_traces(run: RunObservation) -> list[TimedValues]:
     return [
-        (seen.trace.time_s, seen.trace.values)
+        (relaxation.trace.time_s, relaxation.trace.values)
         for load in run.loads
-        for seen in load.relaxations
-        if seen.signal == "conductance" and seen.loading
+        for relaxation in load.relaxations
+        if relaxation.signal == "conductance" and relaxation.loading
     ]
 
 
@@ -252,9 +252,11 @@ def _steady_share(
     times = [window_of(run, load).steady.time_s - load.record.hold_start_s for load in loads]
     if run.settings.transients == "predicted" and predicted_s > 0:
         times = [np.array([predicted_s])]
-    fitted = steady_share(fit_common_relaxation(traces), np.concatenate(times))
-    of_residues = _OF_RESIDUES * abs(fitted.value - 1)
-    return Estimate(fitted.value, float(np.hypot(fitted.stderr or 0.0, of_residues)), fitted.degrees)
+    fitted_share = steady_share(fit_common_relaxation(traces), np.concatenate(times))
+    of_residues = _OF_RESIDUES * abs(fitted_share.value - 1)
+    return Estimate(
+        fitted_share.value, float(np.hypot(fitted_share.stderr or 0.0, of_residues)), fitted_share.degrees
+    )
 
 
 def _test_stderr_N(test: ForceTest, *, known: bool) -> float:

@@ -81,9 +81,9 @@ def decide_response(
 
 def mean_under(mesh: Mesh, values: Array, pressed: Footprint) -> float:
     """Area-weighted mean of an image (e,) over the elements with their centroid under a head; 0 without any."""
-    under = pressed.contains(mesh.centroids_mm)
-    area = mesh.areas_mm2 * under
-    return float(values @ area / area.sum()) if under.any() else 0.0
+    under_mask = pressed.contains(mesh.centroids_mm)
+    area = mesh.areas_mm2 * under_mask
+    return float(values @ area / area.sum()) if under_mask.any() else 0.0
 
 
 #: Smaller values are rounding, whatever the noise floor: otherwise a noiseless simulation would have blobs in the
@@ -115,10 +115,12 @@ def mask_views(
     blobs = find_blobs_by_mask(image, settings.masks)
     outlined = _outline_regions(image, settings) if settings.outline == "contour" else blobs
     views = []
-    for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
+    for fraction, mask_blobs, regions in zip(settings.masks, blobs, outlined, strict=True):
         region, fate = _match_region(regions, pressed, others)
         contour = None if isinstance(region, Blob) else region
-        views.append(MaskView(fraction, own, _match_region(own, pressed, others)[0], contour, fate, len(regions)))
+        views.append(
+            MaskView(fraction, mask_blobs, _match_region(mask_blobs, pressed, others)[0], contour, fate, len(regions))
+        )
     return tuple(views)
 
 

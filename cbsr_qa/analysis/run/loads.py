@@ -58,9 +58,9 @@ def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettin
     hold = None if frames is None else frames.select_interval(record.hold_start_s, record.release_start_s)
     if frames is None or hold is None or not len(hold):
         raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
-    before = frames.select_interval(_free_from_s(phase, record), record.press_start_s)
+    frames_before = frames.select_interval(_free_from_s(phase, record), record.press_start_s)
     return LoadWindow(
-        before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
+        frames_before.select(slice(max(len(frames_before) - settings.reference_frames, 0), None)),
         frames.select_interval(record.press_start_s, record.rest_end_s),
         hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
     )
@@ -73,9 +73,9 @@ def window_of(run: RunObservation, load: LoadObservation) -> LoadWindow:
 
 def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
     """Time when the previous press had left the sheet: after a short rest few frames are unloaded."""
-    every = (*phase.loads, *phase.loops)
+    loads_and_loops = (*phase.loads, *phase.loops)
     return max(
-        (other.release_end_s for other in every if other.release_end_s <= record.press_start_s),
+        (earlier.release_end_s for earlier in loads_and_loops if earlier.release_end_s <= record.press_start_s),
         default=phase.started_s,
     )
 
@@ -89,13 +89,13 @@ def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: Loa
 
 def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
     """Analyse one press, also relative to the other reference if residues of earlier loads exceed the noise floor."""
-    imager, before = setting.imager, _image_before(setting, window)
-    residue = float(np.abs(before).max())
+    imager, image_before = setting.imager, _image_before(setting, window)
+    residue = float(np.abs(image_before).max())
     absolute = imager.images(window.steady).mean(axis=0)
-    values = {"run": absolute, "load": absolute - before}
-    chosen = setting.settings.reference
-    other_reference = "load" if chosen == "run" else "run"
-    load = _observe(setting, phase, record, window, values[chosen], residue)
+    values = {"run": absolute, "load": absolute - image_before}
+    reference = setting.settings.reference
+    other_reference = "load" if reference == "run" else "run"
+    load = _observe(setting, phase, record, window, values[reference], residue)
     if residue <= setting.noise_floor:
         return load
     return replace(load, alternate=_observe(setting, phase, record, window, values[other_reference], residue))

@@ -55,9 +55,9 @@ def deepest(record: LoadRecord) -> HeldStrain:
 
 def deepest_hold(record: LoadRecord) -> LoadRecord:
     """Return a loop as if only its deepest strain had been held."""
-    at = deepest(record)
-    load = replace(record.load, strain=at.strain)
-    return replace(record, load=load, hold_start_s=at.start_s, release_start_s=at.end_s, eased=())
+    hold = deepest(record)
+    load = replace(record.load, strain=hold.strain)
+    return replace(record, load=load, hold_start_s=hold.start_s, release_start_s=hold.end_s, eased=())
 
 
 def _observe(
@@ -92,10 +92,10 @@ def _observe(
         at = deepest(loop)
         deep |= (frames_during.time_s >= at.start_s) & (frames_during.time_s < at.end_s)
     span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
-    why = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
+    reason = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
     unit = span if span > 0 else 1.0
     trace = Trace("output", "1", frames_during.time_s, output / unit)
-    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, why)
+    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, reason)
 
 
 def _nothing(
@@ -114,10 +114,12 @@ def _why_no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) ->
 def _frames_before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
     """Frames before the first press: all since the sheet was marked rested, or the last few after other presses."""
     rested = phase.unloaded_from_s
-    others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
-    if rested is not None and not any(rested <= load.press_start_s for load in others):
+    earlier_loads = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
+    if rested is not None and not any(rested <= load.press_start_s for load in earlier_loads):
         return frames.select_interval(rested, press_s)
-    frames = frames.select_interval(max((load.release_end_s for load in others), default=phase.started_s), press_s)
+    frames = frames.select_interval(
+        max((load.release_end_s for load in earlier_loads), default=phase.started_s), press_s
+    )
     return frames.select(slice(max(len(frames) - count, 0), None))
 
 
@@ -131,9 +133,9 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
     windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
     medians, strains, times = [], [0.0], [float(time_s[0])]
     for strain, from_s, to_s in windows:
-        inside = (time_s >= from_s) & (time_s < to_s)
-        if inside.any():
-            medians.append(np.median(rows[inside], axis=0))
+        inside_mask = (time_s >= from_s) & (time_s < to_s)
+        if inside_mask.any():
+            medians.append(np.median(rows[inside_mask], axis=0))
             strains.append(strain)
             times.append((from_s + to_s) / 2)
     values = np.vstack([np.zeros(rows.shape[1]), *medians])  # zero, just before the first press
@@ -167,7 +169,7 @@ def _huber(residual: Array, *, axis: int) -> Array:
 def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:
     if samples is None:
         return None
-    taken = samples.select_interval(loops[0].press_start_s, loops[-1].rest_end_s)
-    if not len(taken):
+    samples_of_loops = samples.select_interval(loops[0].press_start_s, loops[-1].rest_end_s)
+    if not len(samples_of_loops):
         return None
-    return Trace("stress", "kPa", taken.time_s, taken.values / indenter.area_mm2 * 1e3)
+    return Trace("stress", "kPa", samples_of_loops.time_s, samples_of_loops.values / indenter.area_mm2 * 1e3)

@@ -66,9 +66,9 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
 
 def _metrics(setting: LoadSetting, signed: Array, record: LoadRecord, others: list[Footprint]) -> Array:
     """Three metrics of every mask, (3, k); NaN where no blob is seen."""
-    chosen, pressed = setting.settings, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
-    regions = find_sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
-    metrics = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+    settings, footprint = setting.settings, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
+    regions = find_sensed_regions(setting.imager.mesh, signed, setting.noise_floor, settings, footprint, others)
+    metrics = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
     nothing = (np.nan, np.nan, np.nan)
     return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in metrics]).T
 
@@ -172,10 +172,10 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tupl
         )
     if multiple is None:
         return tuple(remarks)
-    early = sum(load.settled is False for load in loads)
-    if early:
+    n_early = sum(load.settled is False for load in loads)
+    if n_early:
         remarks.append(
-            f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
+            f"in {n_early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
             " passed: their images show a sheet that is still relaxing"
         )
     unknown = sum(load.settled is None for load in loads)

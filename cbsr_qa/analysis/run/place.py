@@ -174,10 +174,10 @@ def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, 
 
 def _row_pairs(run: RunObservation) -> Indices:
     """Pairs (r, 4) of the rows, source, sink, plus and minus: of the first reading of each group of equal ones."""
-    pattern, used = run.record.sensor_type.pattern, run.usable
-    groups, signs = (indices[used] for indices in pattern.reading_groups())
+    pattern, used_mask = run.record.sensor_type.pattern, run.usable
+    groups, signs = (indices[used_mask] for indices in pattern.reading_groups())
     _, first_of_group = np.unique(groups, return_index=True)
-    drive, measure = (indices[first_of_group] for indices in np.nonzero(used))
+    drive, measure = (indices[first_of_group] for indices in np.nonzero(used_mask))
     pairs = [
         (*pattern.drive[d], *(pattern.measure[m] if sign > 0 else pattern.measure[m][::-1]))
         for d, m, sign in zip(drive, measure, signs[first_of_group], strict=True)

@@ -130,10 +130,10 @@ def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool
     if not len(kept):
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
-    still = constant if not constant[pattern].all() else np.zeros_like(pattern)
+    constant_mask = constant if not constant[pattern].all() else np.zeros_like(pattern)
     # What varies again is not left out: a reading without noise in a stretch is weighed like a common one.
     ends_still = np.ptp(kept.voltages[-_LAST_FRAMES:], axis=0) == 0
-    stuck: NDArray[np.bool_] = still | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
+    stuck: NDArray[np.bool_] = constant_mask | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
     return stuck
 
 

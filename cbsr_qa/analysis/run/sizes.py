@@ -41,10 +41,10 @@ class SizeResponse:
 
         None with fewer than two regions.
         """
-        seen = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
-        if len(seen) < 2:
+        measured = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
+        if len(measured) < 2:
             return None
-        diameters, areas = np.array(seen).T
+        diameters, areas = np.array(measured).T
         return float(np.polyfit(2 * np.log(diameters), np.log(areas), 1)[0])
 
     @property
