@@ -29,9 +29,11 @@ def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
 
 def gate_words(answers: Sequence[GateAnswer]) -> str:
     """Say which checks did not pass, of how many: ``5 checks; retest overridden: …``; empty if all passed."""
-    asked = [one for one in answers if one.outcome is not GateOutcome.OFF]
-    noted = [f"{one.check} {one.outcome}: {one.sentence}" for one in asked if one.outcome in _NOTED]
-    return "; ".join([plural(len(asked), "check"), *noted]) if noted else ""
+    asked_checks = [answer for answer in answers if answer.outcome is not GateOutcome.OFF]
+    noted = [
+        f"{answer.check} {answer.outcome}: {answer.sentence}" for answer in asked_checks if answer.outcome in _NOTED
+    ]
+    return "; ".join([plural(len(asked_checks), "check"), *noted]) if noted else ""
 
 
 def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:

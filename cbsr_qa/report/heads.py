@@ -138,6 +138,6 @@ def _describe_strongest(result: RecordingResult) -> str:
         return result.events_why
     strongest = max(result.events, key=lambda event: event.snr)
     sense = "conducts more" if strongest.sign > 0 else "conducts less"
-    when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
+    time_words = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
     moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
-    return f"the clearest{when} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"
+    return f"the clearest{time_words} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

@@ -45,10 +45,10 @@ class LocationVerdict:
 
 def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tuple[LocationVerdict, ...]:
     """Return the verdicts of all places where a single load was judged, in the order they were pressed."""
-    at = {(load.phase, load.record.index): load.record.load for load in run.loads}
+    load_by_key = {(load.phase, load.record.index): load.record.load for load in run.loads}
     groups: dict[tuple[str, str, float, float], list[Measurement]] = {}
     for m in judged:
-        if m.load is not None and (place := at.get((m.phase, m.load))) is not None:
+        if m.load is not None and (place := load_by_key.get((m.phase, m.load))) is not None:
             groups.setdefault((m.phase, place.label, place.x_mm, place.y_mm), []).append(m)
     order = {phase.name: number for number, phase in enumerate(run.record.phases)}
     verdicts = []

@@ -82,10 +82,10 @@ def render_fragment(page: Page, sections: Sequence[Section]) -> str:
     """
     environment, style = _environment(), re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", _style(_STYLE))
     style = re.sub(r"(?m)^@page .*\n", "", style)
-    shown = [_prepare(section, "") for section in sections]
+    prepared = [_prepare(section, "") for section in sections]
     return environment.get_template(_FRAGMENT).render(
         page=page,
-        sections=shown,
+        sections=prepared,
         warnings=page.warnings,
         style=Markup(style + _style(_FRAGMENT_STYLE)),
         anchors=False,

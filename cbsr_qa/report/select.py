@@ -102,11 +102,11 @@ def select_relaxed(loads: Sequence[LoadObservation]) -> tuple[SettledLoad, ...]:
 
 def title_load(load: LoadObservation, *, trials: bool, strains: bool) -> str:
     """Name a load with what tells it from its siblings: ``L3``, ``L3 · 20 %``, ``L3 · 20 % · trial 2``."""
-    wanted = load.record.load
-    parts = [wanted.label]
-    parts += [f"{round(100 * wanted.strain, 1):g} %"] if strains else []
-    parts += [f"trial {wanted.trial + 1}"] if trials and wanted.trial else []
-    return " · ".join(parts)
+    planned_load = load.record.load
+    words = [planned_load.label]
+    words += [f"{round(100 * planned_load.strain, 1):g} %"] if strains else []
+    words += [f"trial {planned_load.trial + 1}"] if trials and planned_load.trial else []
+    return " · ".join(words)
 
 
 def _join_load(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:

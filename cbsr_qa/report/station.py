@@ -71,10 +71,10 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
     blocks: list[Block] = [
         Paragraph(f"{sentence}: of {plural(len(check.results), 'check')}, {count_results(check)}.", tone)
     ]
-    bad = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
-    if bad:
-        blocks.append(lines_table("Failed checks and warnings.", bad))
-        blocks += remedies(bad)
+    bad_lines = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
+    if bad_lines:
+        blocks.append(lines_table("Failed checks and warnings.", bad_lines))
+        blocks += remedies(bad_lines)
     full = lines_table(f"All results of check {check.check}.", check.results)
     blocks.append(Table(full.caption, full.columns, full.rows, full.numeric, folded=True))
     return tuple(blocks)

@@ -70,17 +70,17 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     """
     if uncertainty is None or uncertainty <= 0:
         return number(value, digits)
-    first = floor(log10(uncertainty))
-    keep = 1 if round(uncertainty / 10.0**first, 6) < 3 else 0  # 0.3 is stored as a little less
-    decimals = keep - first
+    first_exponent = floor(log10(uncertainty))
+    keep = 1 if round(uncertainty / 10.0**first_exponent, 6) < 3 else 0  # 0.3 is stored as a little less
+    decimals = keep - first_exponent
     largest = max(abs(value), uncertainty)
     if largest < 1e5 and (decimals <= 5 or largest >= 1.0):  # a power would not make these shorter
         return f"{format_fixed(value, max(decimals, 0))} ± {format_fixed(uncertainty, max(decimals, 0))}"
     exponent = floor(log10(largest))
     scale = 10.0**exponent
-    shown = max(decimals + exponent, 0)
+    places = max(decimals + exponent, 0)
     power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
-    return f"({format_fixed(value / scale, shown)} ± {format_fixed(uncertainty / scale, shown)}) × {power}"
+    return f"({format_fixed(value / scale, places)} ± {format_fixed(uncertainty / scale, places)}) × {power}"
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
@@ -199,9 +199,9 @@ def limit_text(limit: Limit) -> str:
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
     scale, shown_unit = scale_unit(max(bounds, key=abs), limit.unit)
     gap = "\N{NO-BREAK SPACE}" if shown_unit else ""
-    written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
+    bound_texts = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
-    return f"{sign}{' to '.join(written)}{gap}{shown_unit}"
+    return f"{sign}{' to '.join(bound_texts)}{gap}{shown_unit}"
 
 
 def margin_text(measurement: Measurement) -> str:

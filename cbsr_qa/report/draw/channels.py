@@ -204,7 +204,9 @@ def _draw_comparison(
     axes = plot(figure, (0.09, 0.17, 0.33, 0.66), "Readings", grid="both", **labels)
     ends = np.array([expected.min(), expected.max()]) / scale
     axes.plot(ends, ends, color=FAINT, linewidth=0.8)
-    for label, which, colour in kinds:
-        if which.any():
-            axes.plot(expected[which] / scale, mean[which] / scale, "o", color=colour, markersize=3, label=label)
+    for label, kind_mask, colour in kinds:
+        if kind_mask.any():
+            axes.plot(
+                expected[kind_mask] / scale, mean[kind_mask] / scale, "o", color=colour, markersize=3, label=label
+            )
     axes.legend(frameon=False, fontsize=6.5, labelcolor=QUIET, loc="upper left")

@@ -178,9 +178,9 @@ def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loa
         if settling.settling.value_s is not None
     ]
     for settling in members:
-        at = (100 * (settling.strain or 0) + shift, settling.settling.value_s or 0.0)
+        strain_and_time = (100 * (settling.strain or 0) + shift, settling.settling.value_s or 0.0)
         symbol, error = "^" if settling.settling.censored else "o", settling.stderr_s or 0.0
-        dots(axes, *at, colour, errors=error, hollow=not loading, fmt=symbol, capsize=2)
+        dots(axes, *strain_and_time, colour, errors=error, hollow=not loading, fmt=symbol, capsize=2)
     common = next(
         (o for o in characterised.settlings if (o.signal, o.loading, o.strain) == (signal, loading, None)), None
     )

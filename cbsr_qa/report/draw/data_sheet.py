@@ -52,15 +52,17 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canva
     figure = canvas(2.75)
     end_kPa = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
     titles = ("way up (filled) and down (open)", "difference at equal stress")
-    left, right = _stress_pair(figure, end_kPa, titles, ("output [% of span]", "down less up [% of span]"))
+    output_axes, difference_axes = _stress_pair(
+        figure, end_kPa, titles, ("output [% of span]", "down less up [% of span]")
+    )
     for curve in curves:
-        _draw_loop(left, curve)
+        _draw_loop(output_axes, curve)
         falling = curve.stress_kPa[curve.peak + 1 :]
-        dots(right, falling, 100 * curve.difference, VERMILION, errors=100 * curve.stderr, hollow=True)
+        dots(difference_axes, falling, 100 * curve.difference, VERMILION, errors=100 * curve.stderr, hollow=True)
     for curve in read:
         falling = curve.stress_kPa[curve.peak + 1 :]
-        right.plot(falling, 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
-    right.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
+        difference_axes.plot(falling, 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
+    difference_axes.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
     return figure
 
 
@@ -110,13 +112,13 @@ def characteristic_figure(
     ends = np.array([0.0, 1.04 * _stress(mean)[-1]])
     titles = ("change against stress", "deviation from the best straight line")
     labels = ("change [% of the location's span]", "change less line [% of span]")
-    left, right = _stress_pair(figure, ends[1], titles, labels)
+    output_axes, deviation_axes = _stress_pair(figure, ends[1], titles, labels)
     lines = [np.column_stack([_stress(c), 100 * c.change / c.span]) for c in curves]
-    left.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
-    dots(left, _stress(mean), 100 * mean.change, BLUE, size=3.5)
-    left.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
-    left.set_ylim(bottom=min(0.0, 100 * line.intercept))
-    _draw_residuals(right, curves, mean, line, scatter)
+    output_axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
+    dots(output_axes, _stress(mean), 100 * mean.change, BLUE, size=3.5)
+    output_axes.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
+    output_axes.set_ylim(bottom=min(0.0, 100 * line.intercept))
+    _draw_residuals(deviation_axes, curves, mean, line, scatter)
     return figure
 
 

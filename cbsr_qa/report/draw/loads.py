@@ -116,10 +116,10 @@ def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns
     draw_heads(axes, heads, color=VERMILION)
     axes.set_xlim(0, columns * cell_x)
     axes.set_ylim(-rows * cell_y, 0)
-    whole = figure.add_axes((0, 0, 1, 1))
-    whole.set_axis_off()
+    whole_axes = figure.add_axes((0, 0, 1, 1))
+    whole_axes.set_axis_off()
     label = "conductance change Δγ/γ₀ [%]"
-    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
+    add_scale(figure, whole_axes, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
     return figure
 
 
@@ -228,9 +228,9 @@ def _draw_dots(axes: Axes, order: list[str], values: list[tuple[str, float | Non
         failed = outcome in (Outcome.FAIL, Outcome.NOT_MEASURED)
         dots(axes, value, rank[label], VERMILION if failed else BLUE, fmt="D" if failed else "o", clip_on=False)
     for label in order:
-        known = [value for name, value, _ in values if name == label and value is not None]
-        if len(known) > 1:
-            axes.plot([min(known), max(known)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
+        label_values = [value for name, value, _ in values if name == label and value is not None]
+        if len(label_values) > 1:
+            axes.plot([min(label_values), max(label_values)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
     name_rows(axes, order)
 
 

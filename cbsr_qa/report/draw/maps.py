@@ -154,9 +154,9 @@ def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
     steps = MaxNLocator(_STEPS, steps=[1, 2, 2.5, 5, 10])
     levels = np.asarray(steps.tick_values(field.about - reach, field.about + reach), dtype=np.float64)
     middle = (levels[:-1] + levels[1:]) / 2
-    far = max(levels[-1] - field.about, field.about - levels[0])
+    farthest = max(levels[-1] - field.about, field.about - levels[0])
     # Two thirds of the range: text and marks on it stay readable.
-    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / far))
+    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / farthest))
 
 
 def round_levels(least: float, most: float) -> Array:

@@ -95,10 +95,10 @@ def _heights(
 ) -> tuple[float, float]:
     """Return limits that show the curve there, its marks and the target."""
     within: NDArray[np.bool_] = (curve.values >= across[0]) & (curve.values <= across[1])
-    seen = [float(value) for value in curve.noise_figures[within] if np.isfinite(value)]
-    seen += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
-    seen += [] if curve.target is None else [curve.target]
-    return min(seen) / 1.25, min(max(seen), _LARGEST) * 1.25
+    shown_figures = [float(value) for value in curve.noise_figures[within] if np.isfinite(value)]
+    shown_figures += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
+    shown_figures += [] if curve.target is None else [curve.target]
+    return min(shown_figures) / 1.25, min(max(shown_figures), _LARGEST) * 1.25
 
 
 def _label_ticks(axes: Axes, *, discrete: bool) -> None:

@@ -121,9 +121,9 @@ def show_sheet(axes: Axes, sensor: SensorType, *, numbered: bool = True) -> None
 def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:
     """Radius of discs that lets most neighbours stand clear; at least ``least`` of the sheet's radius."""
     at = np.array(places_mm)
-    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
-    apart[apart < 1e-9] = np.inf
-    nearest = min(float(np.median(apart.min(axis=1))), sensor.radius_mm)
+    distances_mm = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
+    distances_mm[distances_mm < 1e-9] = np.inf
+    nearest = min(float(np.median(distances_mm.min(axis=1))), sensor.radius_mm)
     return float(np.clip(0.46 * nearest, least * sensor.radius_mm, 0.15 * sensor.radius_mm))
 
 

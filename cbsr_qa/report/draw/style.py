@@ -197,10 +197,10 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
     figure.align_ylabels(labelled)
     boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
     outermost = min((box.x0 for box in boxes if box is not None), default=0.0)
-    lacking = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
-    if lacking <= 0:
+    missing_share = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
+    if missing_share <= 0:
         return
-    grid.update(left=grid.get_subplot_params(figure).left + lacking)
+    grid.update(left=grid.get_subplot_params(figure).left + missing_share)
     for axes in figure.axes:  # a grid only moves the axes of figures that pyplot knows
         place = axes.get_subplotspec()
         if place is not None and place.get_gridspec() is grid:
@@ -230,10 +230,10 @@ def spread_labels(places: list[float], gap: float) -> list[float]:
     for _ in range(50 * len(spread_places)):
         pushed = False
         for lower in range(len(spread_places) - 1):
-            lacking = gap - (spread_places[lower + 1] - spread_places[lower])
-            if lacking > 1e-9 * max(gap, 1e-300):
-                spread_places[lower] -= lacking / 2
-                spread_places[lower + 1] += lacking / 2
+            missing_gap = gap - (spread_places[lower + 1] - spread_places[lower])
+            if missing_gap > 1e-9 * max(gap, 1e-300):
+                spread_places[lower] -= missing_gap / 2
+                spread_places[lower + 1] += missing_gap / 2
                 pushed = True
         if not pushed:
             break
