@@ -94,9 +94,9 @@ class Blob:
         """Edges of exactly one element of the blob, holes' rims included: (k, 2) nodes, the blob to their left."""
         mesh = self.image.mesh
         edges = mesh.element_edges[self.elements]
-        alone = np.bincount(edges.ravel())[edges] == 1
+        single_mask = np.bincount(edges.ravel())[edges] == 1
         corners = mesh.elements[self.elements]
-        return np.column_stack([corners[alone], corners[:, [1, 2, 0]][alone]])
+        return np.column_stack([corners[single_mask], corners[:, [1, 2, 0]][single_mask]])
 
     def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the rim's edges."""

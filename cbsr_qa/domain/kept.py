@@ -87,10 +87,10 @@ class KeptField:
 
     def path(self, within: str, *, group: bool = False) -> str:
         """Return the path of its dataset or group, given that of its parent group."""
-        own = self.kept.path
-        if own is None:
-            own = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
-        return own[1:] if own.startswith("/") else within + own
+        own_path = self.kept.path
+        if own_path is None:
+            own_path = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
+        return own_path[1:] if own_path.startswith("/") else within + own_path
 
     def units(self, of_group: str, default: str) -> str:
         """Return its units, given those of its group."""

@@ -102,9 +102,9 @@ class ClosedCurve:
         return inside_mask
 
     def _on(self, piece: NDArray[np.int64], step: Array) -> Points:
-        half = self.curvature[piece] * step / 2
-        chord = step * np.sinc(half / np.pi)
-        direction = self.heading[piece] + half
+        half_turn = self.curvature[piece] * step / 2
+        chord = step * np.sinc(half_turn / np.pi)
+        direction = self.heading[piece] + half_turn
         on: Points = self.start[piece] + chord[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
         return on
 
@@ -121,9 +121,9 @@ class ClosedCurve:
         angle = np.arctan2(
             begin[0] * from_centre[:, 1] - begin[1] * from_centre[:, 0], from_centre @ begin
         ) * np.sign(curvature)
-        turned, whole = angle % (2 * np.pi), abs(curvature) * length
-        beyond = np.where(2 * np.pi - turned < turned - whole, 0.0, length)
-        return np.where(turned <= whole, turned / abs(curvature), beyond)
+        turned, whole_turn = angle % (2 * np.pi), abs(curvature) * length
+        beyond = np.where(2 * np.pi - turned < turned - whole_turn, 0.0, length)
+        return np.where(turned <= whole_turn, turned / abs(curvature), beyond)
 
 
 def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
@@ -169,9 +169,9 @@ def circle_curve(radius: float) -> ClosedCurve:
 def corner_turns(corners: Points) -> Array:
     """Turning angle at each corner of a polygon, (k,) [rad], positive to the left."""
     edge = np.roll(corners, -1, axis=0) - corners
-    before = np.roll(edge, 1, axis=0)
-    cross = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0]
-    return np.asarray(np.arctan2(cross, (before * edge).sum(axis=1)), dtype=np.float64)
+    edge_before = np.roll(edge, 1, axis=0)
+    cross = edge_before[:, 0] * edge[:, 1] - edge_before[:, 1] * edge[:, 0]
+    return np.asarray(np.arctan2(cross, (edge_before * edge).sum(axis=1)), dtype=np.float64)
 
 
 def rounding_room(corners: Points) -> float:

@@ -171,10 +171,10 @@ def overlap_mm2(footprint: Footprint, corners_mm: Points) -> Values:
     -------
     (e,) float64 [mm²], not below 0.
     """
-    drawn = footprint.outline_mm()
+    drawn_outline_mm = footprint.outline_mm()
     # A drawn circle lies inside the true one.
-    margin = 0.01 * np.ptp(drawn, axis=0)
-    low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
+    margin = 0.01 * np.ptp(drawn_outline_mm, axis=0)
+    low, high = drawn_outline_mm.min(axis=0) - margin, drawn_outline_mm.max(axis=0) + margin
     near_mask = ((corners_mm.min(axis=1) <= high) & (corners_mm.max(axis=1) >= low)).all(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
     area = np.zeros(len(corners_mm))

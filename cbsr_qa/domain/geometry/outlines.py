@@ -75,10 +75,10 @@ class Polygon:
     corner_radius_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        wrong = next(polygon_problems(self.corners_mm), None)
-        if wrong is not None:
-            where = "" if wrong[0] is None else f"corner {wrong[0] + 1} of "
-            raise RefusedError(f"{where}the outline {wrong[1]}")
+        problem = next(polygon_problems(self.corners_mm), None)
+        if problem is not None:
+            where = "" if problem[0] is None else f"corner {problem[0] + 1} of "
+            raise RefusedError(f"{where}the outline {problem[1]}")
         for what in rounding_problems(self.corners_mm, self.corner_radius_mm):
             raise RefusedError(f"the outline's corner radius {what}")
         corners = [(float(x), float(y)) for x, y in self.corners_mm]
@@ -185,9 +185,9 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
     inside_deg = 180 - np.rad2deg(np.abs(corner_turns(corners)))
     for index in np.flatnonzero(inside_deg < SHARPEST_DEG):
         yield int(index), f"turns back to {inside_deg[index]:.3g}°; at least {SHARPEST_DEG:g}° are needed: cut it off"
-    near = _narrowest(corners)
-    if near is not None and near[0] < _NARROWEST * size:
-        width, first, second = near
+    narrowest = _narrowest(corners)
+    if narrowest is not None and narrowest[0] < _NARROWEST * size:
+        width, first, second = narrowest
         yield (
             None,
             (
@@ -205,10 +205,10 @@ def _crossing(corners: Points) -> tuple[int, int] | None:
         boxes_meet = ((low[rows, None] <= high) & (high[rows, None] >= low)).all(axis=-1)
         first, second = np.nonzero(boxes_meet)
         first += begin
-        apart = (second > first + 1) & ~((first == 0) & (second == len(corners) - 1))
-        met = _first_meeting(corners, first[apart], second[apart])
-        if met is not None:
-            return met
+        apart_mask = (second > first + 1) & ~((first == 0) & (second == len(corners) - 1))
+        meeting = _first_meeting(corners, first[apart_mask], second[apart_mask])
+        if meeting is not None:
+            return meeting
     return None
 
 
@@ -226,9 +226,9 @@ def _first_meeting(corners: Points, first: NDArray[np.int64], second: NDArray[np
 
 def _side(start: Points, end: Points, point: Points) -> NDArray[np.int64]:
     """1 where a point is left of a line, −1 right, 0 on it to rounding."""
-    along, off = end - start, point - start
-    cross = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]
-    rounding = 1e-12 * np.hypot(*along.T) * (np.hypot(*along.T) + np.hypot(*off.T))
+    along, from_start = end - start, point - start
+    cross = along[:, 0] * from_start[:, 1] - along[:, 1] * from_start[:, 0]
+    rounding = 1e-12 * np.hypot(*along.T) * (np.hypot(*along.T) + np.hypot(*from_start.T))
     return np.where(np.abs(cross) <= rounding, 0, np.sign(cross)).astype(np.int64)
 
 

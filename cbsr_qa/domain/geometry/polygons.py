@@ -74,12 +74,16 @@ def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Ar
     """
     along = end - start
     length = np.sqrt(_dot(along, along))
-    first, last = _dot(start, along) / length, _dot(end, along) / length
+    start_along, end_along = _dot(start, along) / length, _dot(end, along) / length
     height = np.abs(_cross(start, along)) / length
-    along_distance = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
+    along_distance = np.where(
+        (start_along < 0) & (end_along > 0), 0.0, np.minimum(np.abs(start_along), np.abs(end_along))
+    )
     short = length <= np.hypot(height, along_distance)
     return np.where(
-        short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
+        short,
+        _deviation_at_points(start, along, length, radius),
+        _deviation_primitive(start_along, end_along, height, radius),
     )
 
 
@@ -143,10 +147,10 @@ def simple_polygon(corners_mm: Points) -> Points:
     if len(corners) > _MOST_CORNERS:
         raise NumericsError(f"an outline has {len(corners)} corners; at most {_MOST_CORNERS} are allowed")
     along = np.roll(corners, -1, axis=0) - corners
-    still = np.flatnonzero(~along.any(axis=1))
-    if still.size:
+    repeated = np.flatnonzero(~along.any(axis=1))
+    if repeated.size:
         raise NumericsError(
-            f"corner {still[0] + 1} of the outline is repeated",
+            f"corner {repeated[0] + 1} of the outline is repeated",
             remedy="leave it out: an outline is closed automatically",
         )
     crossed = _first_crossing(corners)
@@ -255,10 +259,10 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
     """Distance of points (…, 2) from sides (…,) of a polygon, one side each."""
     start = corners[side]
     along = corners[(side + 1) % len(corners)] - start
-    away = points - start
-    share = np.clip(_dot(away, along) / _dot(along, along), 0.0, 1.0)
-    off = away - share[..., None] * along
-    return np.sqrt(_dot(off, off))
+    from_start = points - start
+    share = np.clip(_dot(from_start, along) / _dot(along, along), 0.0, 1.0)
+    perpendicular = from_start - share[..., None] * along
+    return np.sqrt(_dot(perpendicular, perpendicular))
 
 
 def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:

@@ -182,10 +182,10 @@ class Transcript:
 
     def pauses_s(self) -> Array:
         """Delay of each row by dumps, (frames, drives)."""
-        late = np.zeros(self.lost.size)
+        delay_s = np.zeros(self.lost.size)
         for dump in self.dumps:
-            late[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
-        return late.reshape(self.lost.shape)
+            delay_s[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
+        return delay_s.reshape(self.lost.shape)
 
 
 @dataclass(slots=True, eq=False)

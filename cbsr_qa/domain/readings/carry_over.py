@@ -69,9 +69,9 @@ def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) 
     stream = voltages.reshape(len(voltages), -1)[:, order].ravel()
     without = stream.copy()
     without[1:] = (stream[1:] - share * stream[:-1]) / (1 - share)
-    out = np.empty((len(voltages), len(order)))
-    out[:, order] = without.reshape(len(voltages), -1)
-    return out.reshape(voltages.shape)
+    corrected = np.empty((len(voltages), len(order)))
+    corrected[:, order] = without.reshape(len(voltages), -1)
+    return corrected.reshape(voltages.shape)
 
 
 def offset_of(frame: Array, used: Mask, *, counts: bool) -> float:

@@ -51,10 +51,10 @@ class Indenter:
         """Squared radius of the disc with the head's second moment, 2⟨r²⟩ about its axis [mm²]; r² of a round one."""
         if not self.outline_mm:
             return self.radius_mm**2
-        here = np.array(self.outline_mm)
-        there = np.roll(here, -1, axis=0)
-        cross = here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]
-        moment = cross @ (here**2 + here * there + there**2).sum(axis=1) / 12
+        corner = np.array(self.outline_mm)
+        next_corner = np.roll(corner, -1, axis=0)
+        cross = corner[:, 0] * next_corner[:, 1] - corner[:, 1] * next_corner[:, 0]
+        moment = cross @ (corner**2 + corner * next_corner + next_corner**2).sum(axis=1) / 12
         return 2 * float(moment) / self.area_mm2
 
     @property

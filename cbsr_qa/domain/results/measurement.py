@@ -152,9 +152,11 @@ def describe_judgement(measurement: Measurement) -> str:
     bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
     bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
     least = "at least " if measurement.bound is Bound.LOWER else ""
-    said = f"{measurement.label} is {least}{_number(measurement.value)} {_format_unit(measurement.unit)}".rstrip()
+    value_words = (
+        f"{measurement.label} is {least}{_number(measurement.value)} {_format_unit(measurement.unit)}".rstrip()
+    )
     allowed = f"allowed: {' and '.join(bounds)} {_format_unit(limit.unit)}".rstrip()
-    return f"{said} ({allowed})"
+    return f"{value_words} ({allowed})"
 
 
 def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:

@@ -61,9 +61,9 @@ class EarlierRun:
             return f"{self.day} {self.end}"
         if self.outcome is None:
             return f"{self.day} no result"
-        why = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
+        reason = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
         decided = "" if self.overridden is None else f", overridden to {self.overridden[0]} by {self.overridden[1]}"
-        return f"{self.day} {self.outcome}{why}{decided}"
+        return f"{self.day} {self.outcome}{reason}{decided}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +215,9 @@ class ConfigurationChange:
 
     def words(self, most: int = 3) -> str:
         """Describe the changes, with at most this many differences."""
-        shown = "; ".join(one.words for one in self.differences[:most])
+        listed = "; ".join(one.words for one in self.differences[:most])
         more = len(self.differences) - most
-        return f"{shown}; and {more} more" if more > 0 else shown
+        return f"{listed}; and {more} more" if more > 0 else listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,9 +288,9 @@ def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
     if isinstance(content, Mapping) and content:
         for key, value in content.items():
             yield from _leaves(f"{at}.{key}" if at else str(key), value)
-    elif isinstance(content, list) and content and all(isinstance(one, Mapping) for one in content):
-        for label, one in zip(_labels(content), content, strict=True):
-            yield from _leaves(f"{at}[{label}]", one)
+    elif isinstance(content, list) and content and all(isinstance(table, Mapping) for table in content):
+        for label, table in zip(_labels(content), content, strict=True):
+            yield from _leaves(f"{at}[{label}]", table)
     else:
         yield at, json.dumps(content, ensure_ascii=False, sort_keys=True)
 

@@ -44,10 +44,10 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
 
     Times are seconds on the run's clock. Frames and samples are summarised.
     """
-    given = asdict(
+    fields = asdict(
         document_of(event), dict_factory=lambda pairs: {key: value for key, value in pairs if value is not None}
     )
-    document: dict[str, Any] = json.loads(json.dumps(given, default=_number, allow_nan=False))
+    document: dict[str, Any] = json.loads(json.dumps(fields, default=_number, allow_nan=False))
     return document
 
 

@@ -216,13 +216,13 @@ def _pins(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int, 
     for number, place in enumerate(places):
         pitch = np.hypot(*(places[:number] - place).T)
         if pitch.size and pitch.min() <= width:
-            other = int(pitch.argmin())
-            yield number, f"overlaps electrode {other}: their centres are {pitch[other]:.4g} mm apart"
+            near = int(pitch.argmin())
+            yield number, f"overlaps electrode {near}: their centres are {pitch[near]:.4g} mm apart"
         elif pitch.size and pitch.min() < width * (1 + LEAST_ROOM):
-            other, needed = int(pitch.argmin()), width * (1 + LEAST_ROOM)
+            near, needed = int(pitch.argmin()), width * (1 + LEAST_ROOM)
             yield (
                 number,
-                f"is too close to electrode {other}: between centres are {pitch[other]:.8g} mm, pins of {width:g} mm"
+                f"is too close to electrode {near}: between centres are {pitch[near]:.8g} mm, pins of {width:g} mm"
                 f" need {needed:g} mm",
             )
 
@@ -237,16 +237,16 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
         pitch = np.abs(along[:number] - place)
         pitch = np.minimum(pitch, curve.perimeter - pitch)
         if pitch.size and pitch.min() <= width:
-            other = int(pitch.argmin())
+            near = int(pitch.argmin())
             yield (
                 number,
-                f"overlaps electrode {other}: their centres are {pitch[other]:.4g} mm apart along the edge",
+                f"overlaps electrode {near}: their centres are {pitch[near]:.4g} mm apart along the edge",
             )
         elif pitch.size and pitch.min() < width * (1 + LEAST_STRIP_ROOM):
-            other, needed = int(pitch.argmin()), width * (1 + LEAST_STRIP_ROOM)
+            near, needed = int(pitch.argmin()), width * (1 + LEAST_STRIP_ROOM)
             yield (
                 number,
-                f"is too close to electrode {other}: between centres are {pitch[other]:.8g} mm along the edge, strips"
+                f"is too close to electrode {near}: between centres are {pitch[near]:.8g} mm along the edge, strips"
                 f" of {width:g} mm need {needed:g} mm",
             )
     if width >= curve.perimeter / 2:

@@ -91,11 +91,11 @@ class DrivePattern:
 
     def __post_init__(self) -> None:
         for kind, pairs in (("drive", self.drive), ("measure", self.measure)):
-            wrong = next(pair_problems(pairs, self.electrode_count), None)
-            if wrong is not None:
-                index, what = wrong
+            problem = next(pair_problems(pairs, self.electrode_count), None)
+            if problem is not None:
+                index, problem_words = problem
                 where = "" if index is None else f"pair {index + 1} {pairs[index]} of "
-                raise RefusedError(f"{where}the {kind} pattern {what}")
+                raise RefusedError(f"{where}the {kind} pattern {problem_words}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -134,9 +134,9 @@ class DrivePattern:
 
     def touching(self, electrodes: Sequence[int]) -> NDArray[np.bool_]:
         """Readings (drive pairs, measure pairs) bool that drive or measure with some electrodes."""
-        chosen = list(electrodes)
-        driven = (self.drive_currents()[chosen] != 0).any(axis=0)
-        measured = (self.measure_matrix()[chosen] != 0).any(axis=0)
+        indices = list(electrodes)
+        driven = (self.drive_currents()[indices] != 0).any(axis=0)
+        measured = (self.measure_matrix()[indices] != 0).any(axis=0)
         touching: NDArray[np.bool_] = driven[:, None] | measured
         return touching
 
@@ -169,9 +169,9 @@ class DrivePattern:
         group, sign = groups.ravel(), signs.ravel()
         _, first = np.unique(group, return_index=True)
         of_first = first[group]
-        other = np.flatnonzero(of_first != np.arange(group.size))
-        equal: Array = sign[of_first[other]] * sign[other]
-        return np.column_stack([of_first[other], other]).astype(np.int64), equal
+        repeated = np.flatnonzero(of_first != np.arange(group.size))
+        equal: Array = sign[of_first[repeated]] * sign[repeated]
+        return np.column_stack([of_first[repeated], repeated]).astype(np.int64), equal
 
     def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
         """Count the independent readings: 104 of the 208 of adjacent/adjacent on 16.
