@@ -37,7 +37,7 @@ class Conclusion:
     ----------
     observation : None if the run could not be analysed; the verdict then gives the reason.
     warnings : including those of the observation.
-    characterisation : of a material, if the recipe requests it; nothing was imaged then.
+    characterisation : characterisation of a material, if the recipe requests it; nothing was imaged then.
     """
 
     observation: RunObservation | None
@@ -52,7 +52,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
 
     Parameters
     ----------
-    record : as loaded from the store; no other input.
+    record : record as loaded from the store; no other input.
     recipe : says how to image, what to measure and what is allowed.
     stages : progress and timing.
 

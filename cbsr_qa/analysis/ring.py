@@ -34,7 +34,7 @@ class RingFit:
         the readings.
     used : (drives, measures) bool; never flagged.
     flags : (drives, measures) uint8; flags of all frames combined.
-    gain_error : as a fraction; None if volts or current are unknown.
+    gain_error : gain error as a fraction; None if volts or current are unknown.
     offset : common to all readings, in their unit; None if the pattern cannot distinguish it from the gain.
     lead_ohm : (electrodes,) as the station reads them, including its gain error; None if the pattern cannot determine
         them, or volts or current are unknown.
@@ -159,7 +159,7 @@ def pair_words(pattern: DrivePattern, reading: Sequence[int]) -> str:
 
 #: Subject of these lines.
 RING: Final = "reference ring"
-#: How much more readings across one pair must deviate than elsewhere for the pair to be named.
+#: Factor by which readings across one pair must deviate more than elsewhere for the pair to be named.
 _STANDS_OUT: Final = 3.0
 _UNKNOWN: Final = "the frames are not in volts, or their current is not known"
 
@@ -170,7 +170,7 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
     Parameters
     ----------
     ring : the frames and the ring's resistors.
-    pattern : of the sensor type the station is set up for.
+    pattern : pattern of the sensor type the station is set up for.
     allowed : limits of the station file.
     """
     try:

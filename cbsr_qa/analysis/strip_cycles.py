@@ -40,7 +40,7 @@ class StripForce:
 
     Parameters
     ----------
-    samples : of the load cell, or None.
+    samples : samples of the load cell, or None.
     area_mm2 : pressed area.
     limit_N : force at which the load cell saturated; None if it never did.
     """

@@ -47,7 +47,8 @@ class Verification:
     Parameters
     ----------
     sensitivity, sensitivity_stderr : estimated over measured force, all loads combined; 1 if nothing changed.
-    reference_change : of the unloaded readings since the calibration, root mean square over that of the readings.
+    reference_change : change of the unloaded readings since the calibration, root mean square over that of the
+        readings.
     noise_ratio : noise of a reading over that of the calibration.
     """
 

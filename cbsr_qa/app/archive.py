@@ -30,7 +30,7 @@ class Archived:
     Parameters
     ----------
     runs : those whose frames were moved, or would be.
-    problems : of runs that were left as they were, by name.
+    problems : problems of runs that were left as they were, by name.
     before_bytes, after_bytes : size of the database.
     archive_bytes : size of the files that were written.
     dry_run : whether nothing was moved.

@@ -80,7 +80,7 @@ class DatabaseStatus:
     url : a password hidden.
     schema, head : version found (None: empty or absent) and version this program reads and writes.
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
-    remedy : what to do if it is not current.
+    remedy : what to do if the schema is not current.
     counts : rows by kind.
     """
 

@@ -37,10 +37,10 @@ class ImagedFrames:
 
     Parameters
     ----------
-    frames, readings, elements : how many were imaged, of how many readings each, on how many elements.
+    frames, readings, elements : numbers of imaged frames, of readings of each, and of elements.
     warnings : what makes the images doubtful.
     values : (frames, elements) relative conductance change; not in a document.
-    mesh, sensor_type : of the images; not in a document.
+    mesh, sensor_type : mesh and sensor type of the images; not in a document.
     """
 
     reconstruction: str

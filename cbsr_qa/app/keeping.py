@@ -147,7 +147,7 @@ def check_database(
 
     Parameters
     ----------
-    since : only runs from this day on, UTC; None for all.
+    since : first day of the runs, UTC; None for all runs.
     quick : without frames, samples and files of calibrations.
 
     Raises

@@ -92,18 +92,18 @@ class Synchronised:
     items, runs, rows, bytes, seconds : sent by this command.
     compared : runs that the centre had rows of, compared at both ends by this command.
     notes : runs that the centre has more than this database, in words; only of a command that sends.
-    lost : what this command found that the centre had lost; it was sent again.
+    lost : items that this command found the centre had lost; it sent them again.
     added : runs that this command compared, and of which the centre has rows that this database does not have.
     unread : rows of ``outbox``, and of ``sync_refusals`` and ``sync_settlements`` at the centre, that cannot be read,
         in words; they are passed over.
     waiting : number of items that wait, by kind.
-    backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
+    backlog_h : waiting time of the oldest of them [h]; None if nothing waits.
     limit_h : longest time that is allowed [h]; None for any.
     late : whether the backlog is older than that.
     blocked : items that wait until the centre has what they refer to.
     held : items that are quarantined or were let go.
-    refused : what the centre refused of all stations and is not settled; only of ``--status`` with a centre that
-        answers.
+    refused : items that the centre refused of all stations and that are not settled; only of ``--status`` with a
+        centre that answers.
     """
 
     database: str

@@ -40,7 +40,7 @@ class Goodness:
 
         Parameters
         ----------
-        variance : of the noise of the change, in units of a frame's.
+        variance : variance of the noise of the change, in units of a frame's.
         """
         residual, energy = (change - fitted) ** 2, change**2
         weighted, unweighted = (

@@ -34,13 +34,14 @@ class Kept:
     Parameters
     ----------
     path : within its parent's group, or from the root of the file if it begins with ``/``; a group's ends with ``/``.
-    units : of a value; of a group, those its fields inherit by :data:`OWN`.
+    units : units of a value; of a group, those its fields inherit by :data:`OWN`.
     since : version of the file that brought it; 0: every version has it. Earlier files are read with the default,
         which is not written, so that they keep their digests.
-    omitted : not written if it is the default, though every version has it.
+    omitted : whether it is left out of the file if it is the default, though every version has it.
     prepared : follows from the rest of the file.
     single : kept in single precision; ``shortest``: if lossless.
-    steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`round_to_steps`.
+    steps : number of steps, up to its largest magnitude, to which an array is rounded when issued, see
+        :func:`round_to_steps`.
     columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.

@@ -24,7 +24,7 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
     ----------
     values : any shape; lists of lists as well.
     what : plural noun that begins the message.
-    remedy : for values of another type; there is a default.
+    remedy : remedy for values of another type; there is a default.
 
     Raises
     ------

@@ -10,7 +10,7 @@ from cbsr_qa.domain.results.measurement import Measurement, metric_words, relati
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.report.tables import limit_text, plural, value_cell
 
-#: What stands before an outcome, so that it reads without colour.
+#: Signs before an outcome, so that it reads without colour.
 SIGNS: Final = {Outcome.PASS: "✓", Outcome.FAIL: "✗", Outcome.MARGINAL: "≈", Outcome.NOT_MEASURED: "?"}
 
 
@@ -30,8 +30,8 @@ class LocationVerdict:
 
     Parameters
     ----------
-    deciding : of the worst outcome, the measurement closest to (or furthest beyond) its limit.
-    judged : how many measurements.
+    deciding : measurement of the worst outcome that is closest to (or furthest beyond) its limit.
+    judged : number of measurements that were judged.
     """
 
     phase: str

@@ -27,7 +27,7 @@ _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
 _FRAGMENT: Final = "fragment.html.j2"
 _FRAGMENT_STYLE: Final = "fragment.css"
-#: What every page begins with.
+#: Beginning of every page.
 _PAGE: Final = "<!DOCTYPE html>"
 
 
@@ -46,9 +46,9 @@ def render_run(result: RunResult, sections: Sequence[ReportSection], *, warnings
     Parameters
     ----------
     result : everything concluded from the run.
-    sections : in the order they are printed. One that raises, or returns what cannot be shown safely, is replaced
-        by a warning with its name and takes nothing else down.
-    warnings : what else went wrong on the way here, e.g. a section plugin that could not be loaded.
+    sections : sections in the order they are printed. One that raises, or returns what cannot be shown safely, is
+        replaced by a warning with its name and takes nothing else down.
+    warnings : other things that went wrong before, e.g. a section plugin that could not be loaded.
 
     Returns
     -------

@@ -57,7 +57,7 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
     Parameters
     ----------
     check : the latest until then; None where there was none.
-    begun : when the run began.
+    begun : start of the run.
     """
     if check is None:
         sentence = f"Station {station} had never been checked when this run began: run cbsr-qa station check."

@@ -25,7 +25,7 @@ _DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1,
 #: Names that are listed before the rest is only counted.
 _MOST_NAMED: Final = 6
 
-#: What a unit is written as.
+#: Units as they are written.
 _SHOWN: Final = {"1": "", "ohm": "Ω", "percent": "%", "mm2": "mm²", "dB": "dB", "degC": "°C", "count": "counts"}
 
 

@@ -17,7 +17,7 @@ _CONSTANT = 0.98
 #: Stuck from some frame on: a run of repeats this improbable, given how often the channel repeats by chance.
 _FALSE_RUNS = 1e-4
 _LEAST_REPEATS = 0.05
-#: With a larger share of repeats, a run of them proves nothing.
+#: Share of repeats above which a run of them proves nothing.
 _SELDOM = 0.25
 _FEWEST_FRAMES = 8
 #: A channel of counts hardly varies if its noise is below this share of the usual in its row and its column.
@@ -39,9 +39,9 @@ class ChannelFaults:
 
     Parameters
     ----------
-    saturated : at the end of the converter's range, or with the source at its limit.
+    saturated : readings at the end of the converter's range, or with the source at its limit.
     stuck : hardly ever changes, stops changing, or repeats for longer than noise explains.
-    missing : not recorded.
+    missing : readings that were not recorded.
     not_connected : whether no reading differs from any other.
     frozen : whether several frames are all the same: the board repeats itself.
     stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 otherwise.

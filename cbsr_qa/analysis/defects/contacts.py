@@ -27,8 +27,8 @@ class Suspect:
 
     Parameters
     ----------
-    name : for messages, "electrode 5".
-    electrodes : with suspected contacts.
+    name : name for messages, e.g. "electrode 5".
+    electrodes : electrodes with suspected contacts.
     readings : (m,) bool, of the used readings.
     """
 

@@ -21,7 +21,7 @@ class DeadDrive:
 
     Parameters
     ----------
-    share : of the current that reaches the sheet, from its readings over their reciprocals.
+    share : share of the current that reaches the sheet, from its readings over their reciprocals.
     own, usual_own : reading of the pair while it is driven itself, and the usual value of the others, as recorded.
     """
 

@@ -9,7 +9,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
-#: With fewer frames scatter about a straight line is meaningless.
+#: Fewest frames for which scatter about a straight line means anything.
 FEWEST_FRAMES: Final = 3
 _ROUNDING: Final = 1e-13  # of the largest level: less is rounding
 

@@ -34,7 +34,7 @@ class AnalysisChoices:
     Parameters
     ----------
     correct_carry_over : None to correct where the estimate is significant and makes reciprocity better.
-    sensor_type : what was measured; None for the nominal disc, without any lengths in millimetres.
+    sensor_type : type of the sensor; None for the nominal disc, without any lengths in millimetres.
     reconstruction : name and options of the reconstruction of events, which are part of the result.
     """
 

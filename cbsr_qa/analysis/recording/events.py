@@ -59,8 +59,8 @@ class Press:
     peak : frame of the largest change.
     end : fractional frame of the release, or the last frame.
     before, held : frames of the reference and of the hold; for a load held from the beginning the reference is later.
-    places : of its loads, several if pressed simultaneously.
-    score : of its strongest step.
+    places : places of its loads, several if pressed simultaneously.
+    score : score of its strongest step.
     slow : whether only its release was a step.
     """
 
@@ -112,7 +112,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
     Parameters
     ----------
     white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
-    changes : in time order, of :func:`changes.find_changes`.
+    changes : changes from :func:`changes.find_changes`, in time order.
     no_loads : patterns not to be mistaken for loads.
     """
     no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))

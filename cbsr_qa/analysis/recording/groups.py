@@ -32,7 +32,7 @@ class Group:
 
     Parameters
     ----------
-    changes : of the press's sign, in time order; for a slow press only its release.
+    changes : changes of the press's sign, in time order; for a slow press only its release.
     sign : +1 where the place conducts more.
     releases : steps that reverse it.
     slow : whether it rose too slowly to be detected as a step.

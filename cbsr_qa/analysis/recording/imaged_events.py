@@ -40,7 +40,7 @@ def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together
 
     Parameters
     ----------
-    radius_mm : of the imaged sheet.
+    radius_mm : radius of the imaged sheet [mm].
     together : images the changes of several events at once.
     """
     fates = [_fate(number, events, radius_mm, together) for number in range(len(events))]
@@ -149,7 +149,7 @@ class Imaged:
 
     Parameters
     ----------
-    imaging : how the images were made.
+    imaging : description of how the images were made.
     remarks : notes on them for a reader.
     """
 
@@ -169,7 +169,7 @@ def image_events(
 
     Parameters
     ----------
-    sightings : of this scene, at least one.
+    sightings : sightings of this scene, at least one.
     chosen : name and options of ``reconstruction``.
     tell : receives the progress of slow images.
 

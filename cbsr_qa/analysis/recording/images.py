@@ -35,12 +35,12 @@ class Sighting:
 
     Parameters
     ----------
-    start_s, peak_s, end_s : on the recording's clock [s].
+    start_s, peak_s, end_s : start, peak and end on the recording's clock [s].
     score : detection statistic over its noise.
     change : (m,) of the used readings, scaled to the unit model.
     frames : (k, m) changes of consecutive frames around it, scaled alike; ``held`` marks those that show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
-    goodness : of the fit of this load and others that changed with it.
+    goodness : goodness of the fit of this load and of others that changed with it.
     track : (time_s, x, y) of an object that moves.
     """
 
@@ -94,7 +94,7 @@ class EventImages:
 
     Parameters
     ----------
-    name : of the reconstruction, for messages.
+    name : name of the reconstruction, for messages.
     gain : (m,) from the unit model's changes to those that the method was prepared for.
     sequences : whether it receives the frames around an event.
     remarks : notes on its preparation for a reader.

@@ -43,8 +43,8 @@ class Place:
 
     Parameters
     ----------
-    x, y : in units of the radius.
-    index : of the nearest candidate place.
+    x, y : place in units of the radius.
+    index : index of the nearest candidate place.
     score : product of the unit pattern with the change; signed, + where the place conducts more.
     """
 
@@ -100,7 +100,7 @@ def find_places(
     ----------
     change : (m,) whitened.
     noise : variance of each reading of the change.
-    most : how many loads to look for.
+    most : largest number of loads to look for.
 
     Returns
     -------

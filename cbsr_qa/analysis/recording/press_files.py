@@ -27,7 +27,7 @@ class PressFiles:
     ----------
     readings : table, or a recording with one frame per press.
     sensor_type : name or file.
-    pattern : of the tables' columns; None if the readings are a recording.
+    pattern : pattern of the tables' columns; None if the readings are a recording.
     differences : whether the readings are changes.
     rest : frames of the unloaded sheet, in the form of the readings.
     """

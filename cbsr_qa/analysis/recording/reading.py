@@ -16,7 +16,7 @@ from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.untrusted import read_untrusted
 
 _HEAD_BYTES = 4096
-#: What to do with a file of another layout.
+#: Remedy for a file of another layout.
 _OWN: Final = "or read the file in Python, and give its frames to cbsr_qa.analyse as an array"
 
 _Read = TypeVar("_Read")

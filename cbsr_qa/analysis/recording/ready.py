@@ -36,7 +36,7 @@ class ReadyReadings:
     ----------
     block : frames, sudden offsets taken out, carry-over too where ``corrected``, spikes replaced.
     reference : (drives, measures) mean of the reference frames, treated alike; None without any.
-    faults : of the raw frames.
+    faults : faults of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
     carry_over : estimate, or None.
     corrected : whether it was removed from ``block``.
@@ -44,7 +44,7 @@ class ReadyReadings:
     offset : whether the readings include an unknown offset, see :func:`has_offset`.
     offsets : frame and size of every sudden offset of all readings.
     dead_drives, open_electrodes : left out.
-    spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`remove_spikes`.
+    spikes, spiky_frames : number of readings that were replaced, and of their frames, see :func:`remove_spikes`.
     """
 
     block: FrameBlock
@@ -119,8 +119,8 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     Parameters
     ----------
     wanted : whether to correct carry-over; None to correct it if that improves the readings.
-    pattern : of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no readings
-        are reciprocal, and checks of reciprocity are skipped.
+    pattern : pattern of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no
+        readings are reciprocal, and checks of reciprocity are skipped.
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)

@@ -39,10 +39,10 @@ class Searched:
 
     Parameters
     ----------
-    scene : in which they were found, without the readings of suspect contacts; None if nothing was searched.
+    scene : scene in which they were found, without the readings of suspect contacts; None if nothing was searched.
     why : why there is no event, or which changes were not events.
     remarks : notes on the recording for a reader.
-    suspect_electrodes : whose readings were left out.
+    suspect_electrodes : electrodes whose readings were left out.
     """
 
     sightings: tuple[Sighting, ...]

@@ -35,10 +35,10 @@ class Object:
     Parameters
     ----------
     first, last, peak : frames; ``peak`` is where it is clearest.
-    place : at its peak.
-    score : at its peak, over the noise.
+    place : place at its peak.
+    score : score at its peak, over the noise.
     track : (frame, place) of every frame it was seen in; a single one for a still image.
-    goodness : of the fit at its peak, with all objects of that frame.
+    goodness : goodness of the fit at its peak, with all objects of that frame.
     """
 
     first: int
@@ -146,7 +146,7 @@ class Tank:
 
     Parameters
     ----------
-    depth : in units of the radius.
+    depth : depth in units of the radius.
     """
 
     depth: float

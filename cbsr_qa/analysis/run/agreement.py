@@ -31,7 +31,7 @@ class DirectedAgreement:
 
     Parameters
     ----------
-    loading : after presses; else after releases.
+    loading : whether loads are compared after presses; else after releases.
     first, second : names of the compared traces.
     loads : number behind the second.
     found : the comparison.

@@ -21,7 +21,7 @@ from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 Key = tuple[str, int]  # phase, index of the load within it
 
-#: With fewer unloaded frames the noise of a single reading is unknown.
+#: Fewest unloaded frames for which the noise of a single reading is known.
 FEWEST_FRAMES: Final = 6
 #: A quieter reading, relative to the median, is quantised rather than that good.
 _QUIETEST: Final = 1e-2
@@ -33,8 +33,8 @@ class EstimatedLoad:
 
     Parameters
     ----------
-    indenter : with the radius of the head given; None if the head is not round, or the estimate failed.
-    size : with an unknown radius; None if the estimate failed.
+    indenter : estimate with the radius of the head given; None if the head is not round, or the estimate failed.
+    size : estimate with an unknown radius; None if the estimate failed.
     why : reason of a failed estimate; empty otherwise.
     """
 

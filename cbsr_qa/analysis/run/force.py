@@ -23,7 +23,7 @@ from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 
-#: How a load is tested.
+#: Names of the tests of a load.
 HELD_OUT: Final = "held out"
 TRIAL_LEFT_OUT: Final = "trial left out"
 #: A load confirms a force model within so many standard errors.
@@ -36,12 +36,12 @@ class ForceTest:
 
     Parameters
     ----------
-    load : of the run; for a predicted hold with the force at the predicted time.
+    load : load of the run; for a predicted hold with the force at the predicted time.
     how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
     measured_N : by the load cell, predicted like the hold.
     known_N, known_stderr_N : with the place of the head given.
     found_N, found_stderr_N : with the place estimated; None if no load was detected.
-    place_error_mm : of that place, or None.
+    place_error_mm : error of that place [mm], or None.
     global_N : with the place given and one response for the whole sheet, the paper's way.
     """
 
@@ -65,7 +65,7 @@ class RunForce:
     learned : None if nothing could be learned, for the reason ``why``.
     used : loads it was learned from, in order of ``learned.refused``; for predicted holds with the force at the
         predicted time.
-    tests : of unused loads: held out, or of a left-out trial at places of the other trials.
+    tests : tests of unused loads: held out, or of a left-out trial at places of the other trials.
     sheet_pose : position of the sheet; places of the map and of all loads are relative to it.
     """
 

@@ -176,7 +176,7 @@ class Compensated:
 
     Parameters
     ----------
-    data : with predicted rows and forces.
+    data : data with predicted rows and forces.
     at_s : their time after the press [s]; None if nothing was predicted.
     predicted : (n,) whether each load was.
     """
@@ -193,7 +193,7 @@ def compensate_loads(
 
     Parameters
     ----------
-    loads : of ``data``, in its order.
+    loads : loads of ``data``, in its order.
     traces : strengths of those loads over time.
 
     Returns

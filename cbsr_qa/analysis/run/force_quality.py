@@ -24,7 +24,7 @@ from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 
 #: Fewest errors for a standard deviation.
 FEWEST: Final = 2
-#: With fewer loads the share inside an interval hardly distinguishes a correct one from one half as wide: its own
+#: Fewest loads for which the share inside an interval tells a correct one from one half as wide: its own
 #: standard deviation is then 9 %.
 FEWEST_COVERED: Final = 30
 #: Relative error of the correction to the steady state, unknown to the common fit: residues of earlier loads bend the
@@ -141,7 +141,7 @@ class MapQuality:
     places_mm, response, stderr : (n, 2), (n,) S and (n,) its relative standard error.
     spread : standard deviation of the sheet's response over its mean: the map's, and unresolved variation.
     rms_error : root mean square of ``stderr``.
-    least_sure_mm : where ``stderr`` is largest.
+    least_sure_mm : place where ``stderr`` is largest [mm].
     """
 
     places_mm: Array
@@ -200,8 +200,8 @@ def gauge_factor(
 
     Parameters
     ----------
-    traces : of holds, which determine how the conductance approaches its steady state; by default those of the run's
-        blobs.
+    traces : traces of holds, which determine how the conductance approaches its steady state; by default those of the
+        run's blobs.
 
     Raises
     ------

@@ -56,7 +56,7 @@ def decide_response(
 
     Parameters
     ----------
-    configured : of the sensor type.
+    configured : response of the sensor type.
     signals : mean relative change under the head, one per load.
     noise_floor : relative.
 

@@ -29,8 +29,9 @@ class PlacePreview:
 
     Parameters
     ----------
-    error_mm, overlap_percent : of the region next to the head, at the recipe's main mask; None where none is seen.
-    band : of the overlap, as the recipe names it; ``"not seen"`` without a region.
+    error_mm, overlap_percent : error and overlap of the region next to the head, at the recipe's main mask; None
+        where none is seen.
+    band : grade of the overlap, as the recipe names it; ``"not seen"`` without a region.
     """
 
     error_mm: float | None

@@ -242,7 +242,7 @@ def _fit_trace(
 
     Parameters
     ----------
-    loaded_change : before a release; None after a press.
+    loaded_change : change under load before a release; None after a press.
     """
     fit = fit_relaxation(
         trace.time_s[start:],

@@ -34,7 +34,7 @@ def observe_loops(
 
     Parameters
     ----------
-    record : of the run, without lost frames.
+    record : record of the run, without lost frames.
     unloaded : frames of the rested sheet, for the noise of each reading.
     usable : (drives, measures) bool, readings to use.
     """

@@ -33,10 +33,11 @@ class PlaceErrors:
 
     Parameters
     ----------
-    presses : how many.
-    learned_mm, modelled_mm : by what was learned without them, and by the model of the sheet.
-    gain_mm, gain_stderr_mm : by which the former is nearer, mean of the differences; presses at one place count once
-        for its standard error.
+    presses : number of presses.
+    learned_mm, modelled_mm : errors of the place as learned without them, and of the place by the model of the sheet
+        [mm].
+    gain_mm, gain_stderr_mm : mean difference by which the learned place is nearer [mm], and its standard error;
+        presses at one place count once for its standard error.
     """
 
     presses: int

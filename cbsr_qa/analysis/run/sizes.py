@@ -27,8 +27,8 @@ class SizeResponse:
 
     Parameters
     ----------
-    diameters_mm : of the targets, rising.
-    areas_mm2 : of each one's region, or None.
+    diameters_mm : diameters of the targets, rising [mm].
+    areas_mm2 : area of each one's region [mm²], or None.
     """
 
     place: str
@@ -65,7 +65,7 @@ def size_response(
 
     Parameters
     ----------
-    head_diameter_mm : of the indenter; targets have :data:`RELATIVE_DIAMETERS` of it.
+    head_diameter_mm : diameter of the indenter [mm]; targets have :data:`RELATIVE_DIAMETERS` of it.
     mask : fraction of the image's maximum, below 1; regions are bounded by its contour.
 
     Returns

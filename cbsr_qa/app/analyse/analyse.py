@@ -47,7 +47,7 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
 
     Parameters
     ----------
-    recording, empty : as read by their formats.
+    recording, empty : recordings as read by their formats.
 
     Raises
     ------
@@ -144,7 +144,7 @@ class AnalyseRequest:
     dataset : one of several data sets in a file.
     reference : file, and a data set in it, with the unloaded domain; its format is recognised separately.
     correct_carry_over : None to decide by the estimate.
-    report : whether to write one.
+    report : whether to write a report.
     reconstruction, options : plugin that images the events (None for the usual one), and its options.
     """
 

@@ -52,7 +52,7 @@ class ReadRecording:
 
     Parameters
     ----------
-    sensor_type : that was given, else the one that the file states.
+    sensor_type : sensor type that was given, else the one that the file states.
     problems : rows left out, or used with reservations.
     loads_documented : presses that the file states.
     """
@@ -236,8 +236,8 @@ class Analysed:
     Parameters
     ----------
     channels : empty if nothing could be analysed.
-    datasets : if the file holds several.
-    compute_s : by stage.
+    datasets : datasets of the file, if it holds several.
+    compute_s : computing time by stage [s].
     """
 
     file: Path

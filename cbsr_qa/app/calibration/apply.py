@@ -70,7 +70,7 @@ class FrameForce:
 
     Parameters
     ----------
-    settled_in_s : until the force counts, 0 where it does; None where that is not known.
+    settled_in_s : time until the force counts [s], 0 where it does; None where that is not known.
     """
 
     time_s: float | None
@@ -93,10 +93,10 @@ class ApplyRequest:
 
     Parameters
     ----------
-    place_mm : of the touch; None to estimate it.
-    format, dataset : of the recordings; None as detected.
+    place_mm : place of the touch [mm]; None to estimate it.
+    format, dataset : format and dataset of the recordings; None as detected.
     reference : number of first frames of a recording that are of the unloaded sheet.
-    serial : of the recorded sensor, if it is stated.
+    serial : serial number of the recorded sensor, if it is stated.
     pattern : pairs of the columns of a table of readings; None for recordings.
     differences : whether the readings are changes; else they are frames, compared with those of ``rest``, with the
         ``reference`` first ones, or with the calibration's unloaded frame. Faults of pairs, electrodes and clipping

@@ -32,7 +32,8 @@ class ByTheModel:
     Parameters
     ----------
     explained : share of the readings' squares that a touch there explains, noise taken off where it is known.
-    in_model : whether that is enough, and the registration trusted; else the place is not to be relied on.
+    in_model : whether the model explains enough, and the registration is trusted; else the place is not to be relied
+        on.
     """
 
     x_mm: float | None
@@ -54,7 +55,7 @@ class FramePlace:
     force_N, depth_mm : None where it was not learned, or no press is detected.
     force_68_N, force_95_N, depth_68_mm, depth_95_mm : lowest and highest of the interval that holds it with that
         probability.
-    modelled : by the modelled sheet; None where the calibration does not hold it.
+    modelled : place found with the modelled sheet; None where the calibration does not hold it.
     """
 
     x_mm: float | None

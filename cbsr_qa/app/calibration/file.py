@@ -27,7 +27,7 @@ class Converted:
     Parameters
     ----------
     digest : SHA-256 of the content; for a firmware file, of its calibration.
-    loss : what a firmware file omits; None if nothing is lost.
+    loss : what a firmware file omits; None if it omits nothing.
     signed_by : fingerprint of the key whose signature it has; None if it has none, as a firmware file.
     """
 
@@ -47,7 +47,7 @@ def export_calibration(
     Parameters
     ----------
     source, output : files; the suffix, .h5, .hdf5 or .json, says which kind.
-    stride : of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware.firmware_document`.
+    stride : stride of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware.firmware_document`.
 
     Raises
     ------

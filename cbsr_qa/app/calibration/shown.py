@@ -146,8 +146,8 @@ class ShownForceModel:
     ----------
     places : nodes of the lattice where the head may be.
     response_lowest, response_highest : response of the sheet relative to that of its material.
-    scatter : of single loads, relative.
-    hold_s : how long after the press the map was learned.
+    scatter : scatter of single loads, relative.
+    hold_s : time after the press at which the map was learned [s].
     """
 
     places: int

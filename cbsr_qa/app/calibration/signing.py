@@ -32,7 +32,8 @@ class CheckedSignature:
     ----------
     key : fingerprint of the signer's public key.
     signed_at : time that the signer stated.
-    checked : whether it fits the content; False only where ``cryptography`` is not installed and no key was pinned.
+    checked : whether the signature fits the content; False only where ``cryptography`` is not installed and no key
+        was pinned.
     pinned : whether the signature had to be by a given key, and is.
     """
 
@@ -138,7 +139,7 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
     Parameters
     ----------
     key : file with the private key.
-    again : whether a signature that it has is replaced.
+    again : whether to replace a signature that the file has.
 
     Raises
     ------

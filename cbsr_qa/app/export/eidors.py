@@ -24,7 +24,7 @@ def write_eidors(file: BinaryIO, record: RunRecord, frames: RunFrames, attribute
 
     Parameters
     ----------
-    attributes : of the run.
+    attributes : attributes of the run.
 
     Raises
     ------

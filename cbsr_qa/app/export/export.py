@@ -48,8 +48,8 @@ class ExportRequest:
     to : file to write; its folder exists.
     run : a run, or a serial number for its latest run; None for the runs of ``runs``.
     runs : the selected runs; None if nothing selects them.
-    format : of the file; None for that of the suffix.
-    table : what a row is; None for runs. Of tables only.
+    format : format of the file; None for that of the suffix.
+    table : what a row is; None for runs. For tables only.
     phase : name of the only phase whose frames are written; None for all. Of frames only.
     force : replace a file that exists.
     """
@@ -69,9 +69,9 @@ class Exported:
 
     Parameters
     ----------
-    runs : how many of them the file is about.
+    runs : number of runs that the file is about.
     run : the only run, where the file is about one that was named; else null.
-    table, rows : what a row is, and how many; null unless the file is a table.
+    table, rows : what a row is, and the number of rows; null unless the file is a table.
     altered : runs that do not match their chains: they are marked in a table, and no other file is written of them.
     frames, loads, overrides : frames and presses of the run, and overrides of its verdict; null and empty unless the
         file holds frames.

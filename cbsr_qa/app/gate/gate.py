@@ -59,7 +59,7 @@ def ask_gate(
     Parameters
     ----------
     store : None if there is no database yet.
-    checks : to ask.
+    checks : checks to ask.
     """
     asked = Asked(request, configuration, plugins, store, RealClock().wall())
     return tuple(_answer(check, asked) for check in GateCheck if check in checks)

@@ -9,9 +9,9 @@ from cbsr_qa.config.merging import FileContent, list_files
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
 
-#: How far ahead the clock of another computer may be.
+#: Time by which the clock of another computer may be ahead.
 _CLOCKS: Final = timedelta(minutes=1)
-#: How the subject of a check's lines about the golden sensor begins.
+#: Beginning of the subject of a check's lines about the golden sensor.
 _SUBJECT: Final = "golden sensor"
 
 

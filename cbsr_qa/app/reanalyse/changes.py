@@ -23,8 +23,9 @@ class ValueChange:
     ----------
     values : pairs of values, the valid one and the new one.
     changed : pairs that differ.
-    median, largest : of new − valid over all pairs, in the unit; the largest by its size. None without pairs.
-    run, serial : where the largest is; empty where nothing changed.
+    median, largest : median and largest of new − valid over all pairs, in the unit; the largest by its size. None
+        without pairs.
+    run, serial : run and serial number where the largest is; empty where nothing changed.
     gained, lost : values that only the new analysis has, and that only the valid one has.
     """
 
@@ -64,8 +65,8 @@ class Flip:
     Parameters
     ----------
     was, now, reason : outcome of the valid analysis (None: there was none) and of the new one, with its reason.
-    overridden_to : what a person decided against the valid verdict; None without that.
-    calibration : that an earlier analysis of the run issued and that is still stored; None without one.
+    overridden_to : verdict that a person decided on against the valid one; None without that.
+    calibration : calibration that an earlier analysis of the run issued and that is still stored; None without one.
     """
 
     run: str

@@ -39,7 +39,7 @@ from cbsr_qa.system.clock import RealClock
 
 #: Least time between two lines of progress [s].
 _SPOKEN_S: Final = 5.0
-#: What takes less has no progress [s].
+#: Time below which a step shows no progress [s].
 _PATIENCE_S: Final = 1.0
 
 Tell = Callable[[str], None]

@@ -42,7 +42,7 @@ class Reanalysed:
 
     Parameters
     ----------
-    recipe, recipe_sha256 : of all runs; None where each run's own was used.
+    recipe, recipe_sha256 : recipe of all runs, and its digest; None where each run's own was used.
     selected, computed, judged, reused, adopted : runs that were selected, analysed now, only judged by other limits
         now, had a stored result, and whose result was made the valid analysis now.
     unchanged : runs with the verdict and all values of their valid analysis.
@@ -52,8 +52,8 @@ class Reanalysed:
     other_plan : runs whose phases are not the recipe's, with the first that differs; they were not analysed.
     left_overridden : runs that were not adopted, as a person decided against their valid verdict.
     new_warnings : warnings that the valid analyses do not have, and of how many runs they are.
-    workers : where they were computed, in words.
-    elapsed_s, runs_per_s : of computing; the rate is None if nothing was computed.
+    workers : place where the results were computed, in words.
+    elapsed_s, runs_per_s : duration and rate of computing; the rate is None if nothing was computed.
     peak_worker_mb : largest resident memory of a worker [MB]; None if unknown.
     """
 

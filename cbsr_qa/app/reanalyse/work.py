@@ -25,8 +25,8 @@ class Job:
     database : URL, by which every worker reaches it.
     recipe : canonical JSON of the recipe's file.
     software : versions that the result must be of.
-    data_sha256 : of what was measured in the run.
-    key_sha256 : of the result, see :class:`~cbsr_qa.store.results.reanalyses.Reanalysis`.
+    data_sha256 : digest of what was measured in the run.
+    key_sha256 : key of the result, see :class:`~cbsr_qa.store.results.reanalyses.Reanalysis`.
     """
 
     run: str

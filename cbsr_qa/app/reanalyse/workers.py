@@ -29,7 +29,7 @@ class Workers(Generic[Job, Result]):
     Parameters
     ----------
     begin : begins workers; called again after one was killed, which makes an executor unusable.
-    count : of workers.
+    count : number of workers.
     work : done with each job; picklable.
     """
 

@@ -27,7 +27,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.types import time_of_id
 from cbsr_qa.system.clock import RealClock, Stages
 
-#: How long what computes a result may take to stop; beyond numerical libraries, which hear nothing in a call [s].
+#: Time that the computation of a result may take to stop [s]; numerical libraries hear nothing within a call.
 _STOPS_WITHIN_S: Final = 30.0
 
 

@@ -65,7 +65,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     ----------
     run_or_serial : a run, or a serial number for its latest run.
     database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
-    folder : where to write; None for the reports folder in ``var/``.
+    folder : folder to write to; None for the reports folder in ``var/``.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def resume_run(
     tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run.run_sensor`.
     station : file of the run's station as it is now, for the gate alone: who may work at it, its policies, and the
         calibration dates of its instruments. None for what is stored with the run, which has no list of operators.
-    override : of the gate's refusals.
+    override : override of the gate's refusals.
 
     Raises
     ------

@@ -47,7 +47,7 @@ class RunRequest:
 
     Parameters
     ----------
-    override : of the gate's refusals.
+    override : override of the gate's refusals.
     golden : whether it measures the golden sensor of a station check.
     """
 
@@ -117,7 +117,7 @@ def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -
 
     Parameters
     ----------
-    pin : as for :func:`run_sensor`; without it a PIN is not asked for.
+    pin : PIN as for :func:`run_sensor`; without it no PIN is asked for.
 
     Raises
     ------

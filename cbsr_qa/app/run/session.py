@@ -46,7 +46,7 @@ from cbsr_qa.system.clock import Stages, WallWatch
 
 Ask = Callable[[str], str]
 
-#: What the clock may be set by without a word: networks correct it by seconds.
+#: Largest correction of the clock that is made without a warning: networks correct it by seconds.
 _CLOCK_MOVED: Final = timedelta(minutes=1)
 
 
@@ -59,7 +59,7 @@ class Done:
     loads : (phase, index) of finished presses.
     phases : finished ones.
     until_s : start of this session on the run's time line [s].
-    prompts : how many were shown.
+    prompts : number of prompts that were shown.
     """
 
     loads: frozenset[LoadKey] = frozenset()
@@ -86,7 +86,7 @@ class Session:
     ----------
     configuration : checked, see :func:`check_configuration`.
     ask : shows a text to the operator and returns the answer; None without an operator.
-    done : by earlier sessions of the same run.
+    done : loads, phases and prompts of earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
     gate : answers of the checks before this session.
     control : takes requests and prompts of others; None: nobody is served.
@@ -266,7 +266,7 @@ def deliver_verdict(
 
     Parameters
     ----------
-    number : of events of the session before this one.
+    number : number of events of the session before this one.
     """
     with suppress(AbortedError), stoppable():
         sinks = EventSinks(configuration.station.events, plugins, identity, on_stderr, first=number)

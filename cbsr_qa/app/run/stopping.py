@@ -11,7 +11,7 @@ from cbsr_qa.domain.errors import AbortedError, StoppedError
 from cbsr_qa.system.redelivery import Redelivery
 from cbsr_qa.system.stubborn import end_later
 
-#: How long it may take to give up opening a bench, to make it safe and to close it [s].
+#: Time that it may take to give up opening a bench, to make it safe and to close it [s].
 _CLOSES_WITHIN_S: Final = 45.0
 
 

@@ -22,7 +22,7 @@ Altered: TypeAlias = Literal["altered"]
 
 #: Runs that are listed if nothing says which: reading 100 000 takes half a minute.
 LATEST_RUNS: Final = 50
-#: What is said of runs that were altered, or of which nobody can tell.
+#: Texts about runs that were altered, or of which nobody can tell.
 _TRUST: Final = {
     "altered": "{count} altered since stored: no verdict, not counted, listed by --failed too; see cbsr-qa db check",
     "unchained": "{count} without a chain: nothing tells whether it was altered",
@@ -39,10 +39,10 @@ class ListRequest:
 
     Parameters
     ----------
-    selection : of the runs.
+    selection : selection of the runs.
     failed : only runs that failed; sensors that failed in their last decided run.
-    limit : only failures of the limit of this name, as recipes write it or in words; empty for any.
-    latest : only so many of the latest that remain; None for all.
+    limit : name of a limit, as recipes write it or in words: only its failures; empty for any.
+    latest : largest number of entries, the latest of those that remain; None for all.
 
     Raises
     ------
@@ -88,13 +88,14 @@ class RunEntry:
 
     Parameters
     ----------
-    verdict : what counts, an override included; None if the run did not finish or has no result. ``altered`` if what
-        is stored of it does not match its chain: it has no outcome then, and ``reason`` says what does not match.
-    outcome, reason : of its analysis.
+    verdict : verdict that counts, an override included; None if the run did not finish or has no result. ``altered``
+        if what is stored of it does not match its chain: it has no outcome then, and ``reason`` says what does not
+        match.
+    outcome, reason : outcome and reason of its analysis.
     overridden_by, overridden_why : operator and reason of the override; None without one.
-    failed_limits : for which it counts as failed, as recipes write them.
-    number : of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
-    of_check : whether it is a golden sensor's, made to check its station.
+    failed_limits : limits for which it counts as failed, as recipes write them.
+    number : number of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
+    of_check : whether the run is a golden sensor's, made to check its station.
     chain : ``unchained`` (nothing would tell if it was altered), ``chained``, ``signed``, ``signature not checked``
         if it is signed with another key than the one that is set.
     """
@@ -159,13 +160,14 @@ class SensorEntry:
     Parameters
     ----------
     runs, tries : all runs of the selection, and those that finished.
-    first, last : when the first and the last run began.
-    station, operator, end, run : of the last run.
-    verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided. ``altered`` if
-        a run after it, or it, does not match its chain; ``reason`` then says what does not.
+    first, last : start of the first and of the last run.
+    station, operator, end, run : station, operator, end and identifier of the last run.
+    verdict, reason, failed_limits : verdict, reason and failed limits of the last decided run; None and empty where
+        nothing was decided. ``altered`` if a run after it, or it, does not match its chain; ``reason`` then says what
+        does not.
     overridden_by, overridden_why : operator and reason of the override of that run; None without one.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
-    chain : of the last decided run, else of the last one, as of a :class:`RunEntry`.
+    chain : chain of the last decided run, else of the last one, as in a :class:`RunEntry`.
     """
 
     serial: str

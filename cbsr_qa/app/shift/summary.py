@@ -22,13 +22,14 @@ class Tally:
 
     Parameters
     ----------
-    name : of the station or recipe; empty for all.
+    name : name of the station or recipe; empty for all.
     runs : passed + failed + not_measured + not_judged + no_result + not_finished + altered.
     decided : passed + failed.
-    passed : of these ``marginal`` only just.
+    passed : number that passed; ``marginal`` of them only just.
     no_result : finished, without an analysis.
     not_finished : aborted, broken, cut off or in progress; a verdict of them does not count.
-    altered : what is stored of them does not match their chains; a sensor counts in no yield if its last run is one.
+    altered : number of runs whose stored rows do not match their chains; a sensor counts in no yield if its last run
+        is one.
     sensors : serial numbers.
     test_yield : share of sensors that passed in their last decided run; a sensor counts once for each recipe. With
         Wilson's interval (95 %); None if nothing was decided.
@@ -60,8 +61,9 @@ class FailureReason:
     Parameters
     ----------
     limit : name of the metric with phase and qualifier, as recipes write it; empty where an operator decided.
-    words : as people say it.
-    sensors, runs : that failed it, in a run that counts as failed; one run may fail several limits.
+    words : the limit as people say it.
+    sensors, runs : numbers of sensors that failed it and of runs that count as failed; one run may fail several
+        limits.
     """
 
     limit: str

@@ -68,9 +68,9 @@ def look_at_bench(
 
     Parameters
     ----------
-    ring : to measure, if any.
+    ring : ring to measure, if any.
     confirm : called before the ring is measured on a real bench.
-    ask : for instruments worked by hand; None without an operator.
+    ask : function that asks an operator to work instruments by hand; None without an operator.
 
     Raises
     ------

@@ -120,8 +120,8 @@ def compare_golden(
 
     Parameters
     ----------
-    measurements, station : of the new run.
-    subject : of the lines.
+    measurements, station : measurements and station of the new run.
+    subject : subject of the lines.
     """
     new_figures = figures_of(measurements)
     runs_here = [run for run in history.runs if run.station == station]

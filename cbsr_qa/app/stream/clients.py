@@ -22,9 +22,9 @@ from cbsr_qa.station.event_sinks import Delivery
 LARGEST_QUEUE: Final = 250
 #: Clients of one socket; further ones are turned away.
 MOST_CLIENTS: Final = 32
-#: How long the last messages are waited for [s].
+#: Time to wait for the last messages [s].
 END_S: Final = 2.0
-#: How long a client may not read before it is cut off [s].
+#: Time that a client may not read before it is cut off [s].
 _STUCK_S: Final = 30.0
 #: Small, so that what a slow client reads is not older than need be [bytes].
 _BUFFER_BYTES: Final = 65536

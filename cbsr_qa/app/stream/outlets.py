@@ -50,7 +50,7 @@ class Outlets:
 
     Parameters
     ----------
-    places : where to, as of ``cbsr-qa stream --to``.
+    places : addresses to send to, as of ``cbsr-qa stream --to``.
     write : writes bytes to standard output; None without one.
     tell : called with addresses, and with what happens to clients.
     """

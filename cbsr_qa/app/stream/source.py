@@ -33,7 +33,7 @@ class FramesFrom:
 
     Parameters
     ----------
-    driver, options : as in the instrument's table of a station file.
+    driver, options : driver and options as in the instrument's table of a station file.
     station : station file, or the name of a shipped one: its frame source is used, and what that works through.
     """
 
@@ -77,7 +77,7 @@ def open_source(
 
     Parameters
     ----------
-    sensor_type, head : of the calibration; None where it does not tell its head.
+    sensor_type, head : sensor type and head of the calibration; None where it does not tell its head.
     tell : called with what could not be made safe or closed.
 
     Raises

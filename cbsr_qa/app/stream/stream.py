@@ -41,8 +41,8 @@ class StreamRequest:
     Parameters
     ----------
     reference : number of first frames that are of the unloaded sheet; None to use the calibration's.
-    sensor_type : of a calibration from presses, if its name is not that of a shipped one.
-    give_up_s : how long an instrument that failed may take until it delivers frames again [s].
+    sensor_type : sensor type of a calibration from presses, if its name is not that of a shipped one.
+    give_up_s : longest time that an instrument that failed may take until it delivers frames again [s].
     public_key : file with the key that must have signed the calibration; None: not checked.
     """
 
@@ -205,9 +205,9 @@ class _Taken:
 
     Parameters
     ----------
-    time_s : of its middle, on the station's clock.
-    wall, monotonic_s : of its middle, on the computer's clocks.
-    ended_s : when it ended, on the monotonic clock.
+    time_s : middle of the frame on the station's clock [s].
+    wall, monotonic_s : middle of the frame on the computer's clocks.
+    ended_s : end of the frame on the monotonic clock [s].
     """
 
     block: FrameBlock

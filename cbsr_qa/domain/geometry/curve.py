@@ -132,7 +132,7 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
     Parameters
     ----------
     corners : (k, 2) counterclockwise.
-    radius : of every corner; 0 leaves them sharp. It must fit: see :func:`rounding_room`.
+    radius : radius of every corner; 0 leaves them sharp. It must fit: see :func:`rounding_room`.
     """
     edge = np.roll(corners, -1, axis=0) - corners
     heading: Array = np.arctan2(edge[:, 1], edge[:, 0])

@@ -61,8 +61,9 @@ class Polygon:
 
     Parameters
     ----------
-    corners_mm : at least three, in either sense; they are kept counterclockwise, beginning with the first.
-    corner_radius_mm : with which every corner is rounded; 0 leaves them sharp.
+    corners_mm : corners [mm], at least three, in either sense; they are kept counterclockwise, beginning with the
+        first.
+    corner_radius_mm : radius with which every corner is rounded [mm]; 0 leaves them sharp.
 
     Raises
     ------

@@ -27,7 +27,7 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
     Parameters
     ----------
     corners_mm : (e, 3, 2) float64 [mm], each triangle counterclockwise.
-    centre_mm, radius_mm : of the circle.
+    centre_mm, radius_mm : centre and radius of the circle [mm].
 
     Returns
     -------

@@ -18,7 +18,7 @@ _SIGNIFICANT = 5.0
 #: … and its removal improves reciprocity by at least this share.
 _WORTHWHILE = 0.2
 _LARGEST = 0.5
-#: Above this, more than a quarter of the readings' power is not reciprocal, so no passive sheet was measured. A
+#: Error above which more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A
 #: correction must get clearly below it to explain the readings.
 RECIPROCITY_LIMIT = 1.0
 

@@ -52,7 +52,7 @@ class FrameBlock:
     time_s : (n,) float64, the middle of each frame [s] on the run's or the recording's clock.
     voltages : (n, drives, measures) float64 in ``unit``.
     flags : (n, drives, measures) uint8 of :class:`ReadingFlag`.
-    unit : of the voltages.
+    unit : unit of the voltages.
     current_A : drive current [A]; None where the recording does not state it.
     reading_time_s : (n, drives, measures) float64, each reading's own time [s]; None where not recorded.
 
@@ -214,14 +214,14 @@ class Recording:
     samples : force and other channels; may be empty.
     loads : presses the recording documents (our own exports); may be empty.
     problems : rows left out or noteworthy, by line.
-    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"given"`` (with an array),
+    clock : clock that the times are from: ``"board"``, ``"computer"``, ``"given"`` (with an array),
         ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
     layout : documented electrode numbering, or their places; None if unknown.
     sensor_type : name of the sensor type if stated.
     notes : facts for a reader, in words.
     frames_dropped : incomplete frames within the file; those cut by its beginning and end do not count.
-    simulated : what was simulated, in words; empty for a real rig.
+    simulated : simulated parts in words; empty for a real rig.
     """
 
     path: Path

@@ -16,7 +16,7 @@ class Indenter:
 
     Parameters
     ----------
-    diameter_mm : of a round head; of the disc of the same area for another, see :meth:`with_outline`.
+    diameter_mm : diameter of a round head [mm]; of the disc of the same area for another, see :meth:`with_outline`.
     outline_mm : corners (x, y) from the head's axis, counterclockwise; empty for a round head.
     """
 
@@ -103,7 +103,7 @@ class EasedStrain:
 
     Parameters
     ----------
-    strain : as a fraction.
+    strain : strain as a fraction.
     start_s, hold_start_s : the head starts to move there, and is there. It is held until the next one starts, or the
         release does.
     """
@@ -131,7 +131,7 @@ class LoadRecord:
     Parameters
     ----------
     index : 0-based within its phase.
-    load : as it was pressed first.
+    load : load as it was pressed first.
     press_start_s … rest_end_s : the head starts down, is down, starts up, is up, the rest is over.
     clear_s : the head has left the sheet, on its way up; None if not recorded (recordings of others).
     eased : the strains it was brought to after the first one, in order; none for an ordinary press.

@@ -25,8 +25,8 @@ class ChartSettings:
     ----------
     subgroup : runs a point; 1 but for means and ranges.
     rules : numbers of Nelson's tests, for individuals and means.
-    weight, width : of EWMA; limits are ``width`` deviations of the average wide.
-    slack, threshold : of CUSUM, in deviations.
+    weight, width : weight and width of EWMA; limits are ``width`` deviations of the average wide.
+    slack, threshold : slack and threshold of CUSUM, in deviations.
     """
 
     chart: ChartKind = ChartKind.INDIVIDUALS
@@ -45,10 +45,10 @@ class ChartReference(ChartSettings):
     Parameters
     ----------
     golden : serial number where only runs of this sensor are charted; None for production runs.
-    name, phase, qualifier, location : of the metric.
-    mean, deviation : of single values, in ``unit``.
+    name, phase, qualifier, location : name, phase, qualifier and location of the metric.
+    mean, deviation : mean and deviation of single values, in ``unit``.
     runs, first_run, last_run : the reference period (phase I).
-    operator, made_at, why : who set it, when by the computer's clock, and for what reason.
+    operator, made_at, why : person who set it, time by the computer's clock, and reason.
     retired : nothing is charted against these limits from here on; all else is what held before.
     """
 
@@ -94,10 +94,10 @@ class StandingSignal:
     ----------
     rules : those that spoke, the earliest first.
     since_run, since_serial, since : the run at which it began, its sensor, and when by the station's clock.
-    runs : how many runs there were from then on, that one included.
-    at_least : it may have begun earlier than was looked back.
-    began_run, began_serial, began : of a cumulative sum the run after the last at which it was zero, about when the
-        change began; None of other charts.
+    runs : number of runs from then on, that one included.
+    at_least : whether it may have begun earlier than was looked back.
+    began_run, began_serial, began : identifier, sensor and start of the run after the last at which a cumulative sum
+        was zero, about when the change began; None of other charts.
     """
 
     label: str
@@ -134,8 +134,8 @@ class StationCharts:
 
     Parameters
     ----------
-    charts : how many have a stored reference and were looked at.
-    notes : what could not be charted, and doubtful clocks, in sentences.
+    charts : number of charts that have a stored reference and were looked at.
+    notes : notes on what could not be charted, and on doubtful clocks, in sentences.
     """
 
     station: str

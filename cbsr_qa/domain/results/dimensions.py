@@ -14,14 +14,14 @@ class Dimensions:
 
     Parameters
     ----------
-    words : what has no type: a kind (``"watershed"``), a signal (``"image"``), a place of a simulated target.
+    words : parts that have no type: a kind (``"watershed"``), a signal (``"image"``), a place of a simulated target.
     direction : ``"loading"`` or ``"unloading"``.
     target_mm : diameter of a simulated target; its text has three digits.
     mask : percentage mask as a fraction; None also for the run's main mask.
     pair : electrodes of a pair.
     drive, measure : row and column of a reading.
-    strain : as a fraction.
-    reference : what a load was compared with instead of the recipe's choice.
+    strain : strain as a fraction.
+    reference : reference that a load was compared with instead of the recipe's choice.
     """
 
     words: str = ""

@@ -147,8 +147,8 @@ class EventImaging:
     Parameters
     ----------
     reconstruction : the plugin, and the options it was given.
-    choice : of its parameter; None if there was no event to image.
-    elements : of an image; None likewise.
+    choice : choice of its parameter; None if there was no event to image.
+    elements : number of elements of an image; None likewise.
     """
 
     reconstruction: PluginChoice
@@ -199,19 +199,20 @@ class LoadEvent(_OnDisc):
 
     Parameters
     ----------
-    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame if it lasts to the end.
+    start_s, peak_s, end_s : start, peak and end on the recording's clock [s]; ``end_s`` is the last frame if it lasts
+        to the end.
     x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
     electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
     sign : +1 if the place conducts more, −1 less.
     snr : detection statistic over its noise, dimensionless.
-    x_mm, y_mm : only if a sensor type was named.
+    x_mm, y_mm : place [mm]; only if a sensor type was named.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
-    motion : of an object; None if it stays, and for a press.
+    motion : motion of an object; None if it stays, and for a press.
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
     imaged : its place in its image; None if the image shows nothing near it.
-    goodness : of the fit of loads on the modelled sheet.
+    goodness : goodness of the fit of loads on the modelled sheet.
     """
 
     start_s: float
@@ -243,7 +244,7 @@ class RecordingResult:
     frame_rate_hz : None for still images.
     events_why : why there is no event ("nothing stands out of the noise", …), else empty.
     sensor_type : None if not stated.
-    imaging : how the images were made; None if such a recording cannot be imaged.
+    imaging : description of how the images were made; None if such a recording cannot be imaged.
     """
 
     recording: Recording

@@ -125,7 +125,7 @@ class PlaceMixture:
 
     Parameters
     ----------
-    share : of the templates' estimate.
+    share : share of the templates' estimate.
     spread : (3,) weights in the covariance Σ of a place: of the templates' own, of 1 mm², and of the squared
         distance between both estimates.
     quantiles : (2,) of dᵀΣ⁻¹d that hold 68 and 95 % of presses that were left out.
@@ -145,8 +145,8 @@ class ModelledPlace:
     node : (k, 2) columns and rows from the sheet's centre, in its axes.
     step_mm : between nodes, on the sheet.
     templates : (k, m) changes of the readings per strength; zero of those that do not answer.
-    variance_mm2 : of a place along an axis, from the presses that the sheet was registered with.
-    widening : of covariances, so that regions of the learned places' quantiles hold those presses.
+    variance_mm2 : variance of a place along an axis [mm²], from the presses that the sheet was registered with.
+    widening : factor of covariances, so that regions of the learned places' quantiles hold those presses.
     noise : standard deviation of a reading's noise, root mean square; 0 if unknown.
     """
 
@@ -189,7 +189,8 @@ class PlaceOfRun:
 
     Parameters
     ----------
-    learned : of the rows of :attr:`~cbsr_qa.domain.results.ForceModel.merging`, as readings [V], on the sheet.
+    learned : place learned from the rows of :attr:`~cbsr_qa.domain.results.ForceModel.merging`, as readings [V], on
+        the sheet.
     presses : number it was learned from.
     error_mm, modelled_error_mm : mean distance of found from pressed places of presses left out, and of the same
         presses by the force model's templates; ``gain_stderr_mm`` of their difference.

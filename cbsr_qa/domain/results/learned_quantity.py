@@ -16,10 +16,10 @@ class QuantityScales:
 
     Parameters
     ----------
-    ring : of what depends on the distance from the centre alone.
-    relief : of what depends on the place.
-    curve : of what depends on the strength, beside a straight line.
-    noise : of a press.
+    ring : variance of what depends on the distance from the centre alone.
+    relief : variance of what depends on the place.
+    curve : variance of what depends on the strength, beside a straight line.
+    noise : variance of the noise of a press.
     weak_noise : beside it, of a press of median strength; it falls with the square of the strength.
     length_mm : over which ring and relief change.
     """

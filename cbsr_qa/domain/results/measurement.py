@@ -29,12 +29,12 @@ class Measurement:
     phase : the phase it was measured in; empty for the whole run.
     location : label of the load; empty if not about one.
     trial : 0-based; None if not about one.
-    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
+    qualifier : text that tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
     how : method, or the reason of a refusal with its remedy.
     bound : whether the value is the quantity or only a lower bound of it.
     load : index of the load within its phase, as in ``LoadRecord``; None if not about one.
         With ``phase`` it tells apart loads of one label and trial at several strains.
-    strain : of that load, as a fraction.
+    strain : strain of that load, as a fraction.
     limit, outcome : set by :meth:`judge`.
     """
 

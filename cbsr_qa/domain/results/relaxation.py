@@ -79,7 +79,7 @@ class RelaxationKernel:
     covariance : (2 k, 2 k) of (w, log τ): how well their means are known.
     scatter : (k,) standard deviation of each weight from load to load, beyond what noise explains.
     scatter_freedom : degrees of freedom of these: how well the scatter itself is known.
-    loads : how many the kernel was learned from.
+    loads : number of loads that the kernel was learned from.
     start_s : frames before this are not described by it (an unloading spike) [s].
     why : why there is no kernel; empty if there is one.
     """

@@ -59,8 +59,8 @@ class Pause:
     Parameters
     ----------
     phase : index of the phase it was in.
-    started_s, ended_s : on the run's clock [s]; no end if the run ended or was cut off in it.
-    by, continued_by : who asked for its start and its end; the latter is empty without an end.
+    started_s, ended_s : start and end on the run's clock [s]; no end if the run ended or was cut off in it.
+    by, continued_by : people who asked for its start and its end; the latter is empty without an end.
     """
 
     phase: int
@@ -80,7 +80,8 @@ class AskedPrompt:
 
     Parameters
     ----------
-    shown_s, answered_s : on the run's clock [s]; no answer if the run ended or was cut off before.
+    shown_s, answered_s : times of question and answer on the run's clock [s]; no answer if the run ended or was cut
+        off before.
     answer, by : empty without an answer.
     """
 

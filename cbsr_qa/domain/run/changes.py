@@ -22,10 +22,12 @@ class EarlierRun:
 
     Parameters
     ----------
-    outcome, reason : of its latest analysis after its last session; None and empty where it has none.
+    outcome, reason : outcome and reason of its latest analysis after its last session; None and empty where it has
+        none.
     overridden : outcome of an override, and its operator; or None.
-    of_check : whether it belongs to a check of a station.
-    changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.
+    of_check : whether the run belongs to a check of a station.
+    changed : description of what is not as it was stored; only name, day and recipe are then known. Empty where
+        nothing is.
     chained : whether changed rows of it would be noticed.
     """
 
@@ -72,7 +74,7 @@ class SensorHistory:
 
     Parameters
     ----------
-    sensor, recipe : of the run itself.
+    sensor, recipe : sensor and recipe of the run itself.
     earlier : oldest first.
     """
 
@@ -170,8 +172,8 @@ class Difference:
 
     Parameters
     ----------
-    key : as in the file, tables of a list by their names: ``"limits[drift].upper"``.
-    before, after : as JSON; None where the key was not there.
+    key : key as in the file, tables of a list by their names: ``"limits[drift].upper"``.
+    before, after : values as JSON; None where the key was not there.
     """
 
     key: str
@@ -195,11 +197,11 @@ class ConfigurationChange:
 
     Parameters
     ----------
-    run, earlier_run : that used the new content, and the latest one that used the old.
+    run, earlier_run : run that used the new content, and the latest one that used the old.
     old_digest, new_digest : SHA-256 of the contents.
     differences : key by key, limits first.
     by, at : operator of the run, and when it began.
-    why : in the operator's words, or :data:`NO_REASON`.
+    why : reason in the operator's words, or :data:`NO_REASON`.
     """
 
     run: str
@@ -229,7 +231,7 @@ class ChangeHistory:
     accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty without one, and
         ``changes`` are then all there are.
     changes : oldest first; those of the run itself among them.
-    altered : what is wrong with runs whose changes are left out, because they do not match their chains.
+    altered : problems of runs whose changes are left out, because they do not match their chains.
     """
 
     accepted_run: str = ""
@@ -250,9 +252,9 @@ class VerdictOverride:
 
     Parameters
     ----------
-    analysis, verdict : whose verdict it overrides, and what that was.
+    analysis, verdict : analysis whose verdict it overrides, and that verdict.
     outcome : passed or failed.
-    by, at, why : who decided, when, and for what reason.
+    by, at, why : person who decided, time and reason.
     """
 
     override: str

@@ -27,7 +27,7 @@ class ResultState(StrEnum):
 
         Parameters
         ----------
-        end : of its last session.
+        end : end of its last session.
         analysed : whether an analysis was stored after that session.
         """
         if end is EndReason.RUNNING:

@@ -152,7 +152,7 @@ class PlacedElectrodes:
 Electrodes = ElectrodeLayout | PlacedElectrodes
 
 
-#: How far from the edge the stated centre of a strip may lie, of its length.
+#: Largest distance of the stated centre of a strip from the edge, as a share of its length.
 _OFF_EDGE: Final = 0.05
 #: Least room between a pin and the edge or another pin, of its diameter: elements have to fit in, and go round.
 LEAST_ROOM: Final = 0.05

@@ -27,7 +27,7 @@ class CircleArcs:
     Parameters
     ----------
     edges : (k, 2) int64, pairs of nodes on the circle, less than half a turn apart.
-    centre_mm, radius_mm : of the circle.
+    centre_mm, radius_mm : centre and radius of the circle [mm].
     """
 
     edges: NDArray[np.int64]

@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, is_whole
 #: Coefficients by unknown; none is zero.
 Functional = dict[tuple[int, int], int]
 
-#: Of the largest: eigenvalues below count as zero. Coefficients are small whole numbers.
+#: Share of the largest eigenvalue below which others count as zero. Coefficients are small whole numbers.
 _ZERO: Final = 1e-10
 
 

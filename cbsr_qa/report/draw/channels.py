@@ -86,7 +86,7 @@ def pair_bar_figure(
     Parameters
     ----------
     values : (pairs,) float64, finite, at least one.
-    names : of the pairs, e.g. ``"3–4"``.
+    names : names of the pairs, e.g. ``"3–4"``.
     outside : pairs drawn in the warning colour.
     """
     figure = canvas(2.0)

@@ -103,7 +103,7 @@ def characteristic_figure(
 
     Parameters
     ----------
-    curves : of the locations, each with stresses and a positive span.
+    curves : curves of the locations, each with stresses and a positive span.
     mean : over them, in shares of the span.
     line : through the mean.
     scatter : repeatability in shares of the span; None if unknown.

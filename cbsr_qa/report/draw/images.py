@@ -114,10 +114,10 @@ def image_figure(
 
     Parameters
     ----------
-    panels : at least one; all in the same unit of length.
+    panels : panels, at least one; all in the same unit of length.
     sheet : its outline in that unit (a disc of radius 1 where lengths are in units of the radius).
     electrodes : drawn and numbered where they are known, on a disc's edge where the disc is in another unit.
-    columns : at most this many side by side.
+    columns : largest number of panels side by side.
     shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
     """
     across = min(columns, len(panels))

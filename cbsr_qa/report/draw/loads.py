@@ -60,12 +60,13 @@ class SeenLoad:
     Parameters
     ----------
     label, title : short name; name with strain or trial.
-    x_mm, y_mm, radius_mm, strain : what was pressed; the radius of a head that is not round is that of its area.
+    x_mm, y_mm, radius_mm, strain : place, radius and strain of the press; the radius of a head that is not round is
+        that of its area.
     pressed : the head's outline there.
     image : un-subtracted.
     sensed : region of the main mask; None where nothing was seen.
     error_mm, overlap_percent : None where not measured.
-    outcome, overlap_outcome : of the centre-of-mass error, and of the overlap.
+    outcome, overlap_outcome : outcomes of the centre-of-mass error and of the overlap.
     group : heading it stands under, e.g. the phase.
     """
 

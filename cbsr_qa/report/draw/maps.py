@@ -99,7 +99,7 @@ class SheetField:
     title, unit : over the map and at its scale.
     x_mm, y_mm, values : (n,), (m,) and (m, n).
     about : centre of a scale in two colours; None for one from zero up.
-    least_reach : of that scale to both sides, so that an even sheet is not drawn as an uneven one.
+    least_reach : least reach of that scale to both sides, so that an even sheet is not drawn as an uneven one.
     """
 
     title: str
@@ -121,7 +121,7 @@ def force_map_figure(
     ----------
     fields : one or two.
     used_mm, refused_mm : (n, 2) places of the loads.
-    radius_mm : of the calibrated area, dashed.
+    radius_mm : radius of the calibrated area [mm], dashed.
     """
     figure = canvas(3.35)
     for number, field in enumerate(fields):

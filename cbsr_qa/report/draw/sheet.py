@@ -69,7 +69,7 @@ class Raster:
 
     Parameters
     ----------
-    mesh : of the images.
+    mesh : mesh of the images.
     sheet : its outline, in the mesh's unit; the picture ends where it does.
     pixels : along the longer side; they are square.
     """
@@ -155,7 +155,7 @@ def draw_electrodes(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, *, 
 
     Parameters
     ----------
-    sheet : as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
+    sheet : sheet as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
     numbered : every number where there is room, else only electrode 0.
     """
     if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
