@@ -13,7 +13,7 @@ from cbsr_qa.domain.numbers import with_type
 from cbsr_qa.domain.plan.limits import Bound, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
 
-#: More measurements from one call are refused: a generator may never end.
+#: Largest number of measurements from one call; more are refused, as a generator may never end.
 MOST_ANSWERS: Final = 10_000
 #: Longest text of a measurement [characters].
 LONGEST_TEXT: Final = 2_000
@@ -54,7 +54,7 @@ def _validate_measurement(number: int, measurement: object) -> Measurement:
     return replace(measurement, **plain)
 
 
-#: Returned by a check for a value that is not allowed.
+#: Value that a check returns for a value that is not allowed.
 _WRONG: Final = object()
 
 

@@ -190,7 +190,7 @@ def measure_run(
     return measured, tuple(failed[name] for name in metrics if name in failed)
 
 
-#: Why a limit found nothing to judge: of a measurement that is there for the limit alone.
+#: Reason stated by a measurement that only shows that a limit found nothing to judge.
 _NOT_ENABLED: Final = "no metric of this recipe measures it: enable one, or remove the limit"
 _OTHER_UNIT: Final = "the limit is in "
 

@@ -73,7 +73,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
     Parameters
     ----------
-    what : its name in messages.
+    what : name in messages.
     """
     if name not in item.attrs:
         return None

@@ -107,7 +107,7 @@ def read_recording(path: Path) -> Recording:
         If the file is not a recording file, truncated, edited (its digest does not match), or of a later version.
     """
     try:
-        # By its bytes: HDF5 shares a file that the program has open, even where that descriptor is closed.
+        # Open the file by its bytes: HDF5 shares a file that the program has open, even if that descriptor is closed.
         with open_foreign(path) as data, h5py.File(data, "r") as file:
             _check(path, file)
             return _read(path, file)

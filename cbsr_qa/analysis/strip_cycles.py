@@ -20,7 +20,7 @@ from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor.sensor_type import Parameter, SensorType
 from cbsr_qa.eit.loads.bodies import StripModel
 
-#: Samples are averaged into this many points per hold: ten times fewer than the load cell's, and enough for seconds.
+#: Points per hold into which samples are averaged: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60
 _FEWEST: Final = 8
 

@@ -61,7 +61,7 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
 def _relative_error(material: Characterisation) -> Measurement:
     """Relative standard error of the slope, without the assumed contacts: they affect all slopes equally.
 
-    None if a characterisation does not represent its material, so that a limit on it is not met.
+    The value is None if a characterisation does not represent its material, so that a limit on it is not met.
     """
     name, fitted_line = "gauge_factor_error", material.local_against_strain
     if material.refused or fitted_line.line is None:

@@ -19,7 +19,7 @@ from cbsr_qa.domain.results.calibration import LoadRelaxation
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import FitStatus
 
-#: Earlier force samples are of a head still coming to rest [s].
+#: Time before which force samples are of a head still coming to rest [s].
 _SETTLED_S: Final = 1.0
 _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 

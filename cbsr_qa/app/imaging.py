@@ -27,7 +27,7 @@ from cbsr_qa.report.draw.images import ImagePanel, image_figure
 from cbsr_qa.report.tables import plural
 from cbsr_qa.system.copies import come_back_once
 
-#: Most images that are drawn.
+#: Largest number of images that are drawn.
 _MOST_DRAWN: Final = 6
 
 

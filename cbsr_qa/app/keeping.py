@@ -89,7 +89,7 @@ class DatabaseCheck:
 
 
 def timestamp_path(path: Path, words: str) -> Path:
-    """Return a name beside a file that says what it is and when it was made."""
+    """Return a path next to a file whose name says what it is and when it was made."""
     return path.with_name(f"{path.stem}-{words}-{RealClock().wall():%Y%m%dT%H%M%S}{path.suffix}")
 
 
@@ -114,7 +114,7 @@ def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup
 
 
 def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOutcome[Restored]:
-    """Put a backup in the place of a database that nobody uses; what was there is kept beside it.
+    """Replace a database that nobody uses by a backup; the replaced file is kept next to it.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def check_database(
     Parameters
     ----------
     since : first day of the runs, UTC; None for all runs.
-    quick : without frames, samples and files of calibrations.
+    quick : whether frames, samples and files of calibrations were left out.
 
     Raises
     ------

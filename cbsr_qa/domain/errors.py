@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-#: Begins a line of a remedy that only helps at the command line.
+#: Beginning of a line of a remedy that only helps at the command line.
 AT_COMMAND_LINE: Final = "at the command line: "
 #: Last commit of cbsr-qa that reads and exports databases and calibration files from before 0.1.0.
 LAST_UNRELEASED: Final = "2ab34542"

@@ -26,7 +26,7 @@ def fill_from_mapping(kind: type[T], values: Mapping[str, Any], /, **rest: Any) 
 def convert_json(hint: Any, value: Any) -> Any:
     """Return JSON as the type of a field: tables as dataclasses, lists as tuples, words as members of enumerations.
 
-    Of several dataclasses the first with all keys is used. Numbers and texts are unchanged.
+    If the type allows several dataclasses, the first that has all keys is used. Numbers and texts are unchanged.
 
     Raises
     ------

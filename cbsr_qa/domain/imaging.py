@@ -267,7 +267,7 @@ class LinearReconstruction:
         Raises
         ------
         RefusedError
-            As :func:`check_readings`.
+            For the reasons of :func:`check_readings`.
         """
         return check_readings(changes, self.problem) @ self.matrix.T
 

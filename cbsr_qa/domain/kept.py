@@ -33,19 +33,19 @@ class Kept:
 
     Parameters
     ----------
-    path : within its parent's group, or from the root of the file if it begins with ``/``; a group's ends with ``/``.
+    path : path in its parent's group, or from the root if it begins with ``/``; a group's path ends with ``/``.
     units : units of a value; of a group, those its fields inherit by :data:`OWN`.
     since : version of the file that brought it; 0: every version has it. Earlier files are read with the default,
         which is not written, so that they keep their digests.
     omitted : whether it is left out of the file if it is the default, though every version has it.
-    prepared : follows from the rest of the file.
-    single : kept in single precision; ``shortest``: if lossless.
+    prepared : whether the field follows from the rest of the file.
+    single : whether the field is kept in single precision; ``shortest``: if that is lossless.
     steps : number of steps, up to its largest magnitude, to which an array is rounded when issued, see
         :func:`round_to_steps`.
-    columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
+    columns : whether an array in steps is kept by columns, so that equal columns are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
-    source : its attribute in a run's observation, e.g. ``"settings.size_ratio"``.
+    source : attribute of a run's observation, e.g. ``"settings.size_ratio"``.
     given : fields of a group that follow from its path: (name, value).
     not_kept : a field not in the file, or (``from_above``) one that the parent has as well.
     """

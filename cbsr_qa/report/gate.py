@@ -1,4 +1,4 @@
-"""What reports say of the checks before a run."""
+"""Texts of reports about the checks before a run."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""What sections have in common: which results they are about, and that they are left out where they have no block."""
+"""The base of sections: the results they are about, and the rule that a section without blocks is left out."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import ReportSection
 from cbsr_qa.system.copies import come_back_once
 
-#: More paragraphs, tables and figures of one section are refused.
+#: Largest number of paragraphs, tables and figures of one section; more are refused.
 MOST_BLOCKS: Final = 1_000
 
 

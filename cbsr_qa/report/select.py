@@ -58,7 +58,7 @@ class Measured:
 
 
 def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None:
-    """Return mean and standard deviation (None for a single value); None where there is no value."""
+    """Return mean and standard deviation (None for a single value), or None without values."""
     if not values:
         return None
     return fmean(values), stdev(values) if len(values) > 1 else None

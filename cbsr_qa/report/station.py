@@ -1,4 +1,4 @@
-"""What reports and pages say of a station: its latest check, and its control charts."""
+"""Texts of reports and pages about a station: its latest check, and its control charts."""
 
 from collections.abc import Sequence
 from datetime import datetime

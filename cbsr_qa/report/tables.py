@@ -19,10 +19,10 @@ _PREFIXES: Final = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 #: Units that take a prefix; lengths and times stay in the unit their name states.
 _SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
 
-#: Decimals beyond which a value in this unit says nothing on this bench, unless its uncertainty says otherwise.
+#: Decimals beyond which a value in this unit means nothing on this bench, unless its uncertainty is smaller.
 _DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
 
-#: Names that are listed before the rest is only counted.
+#: Number of names that are listed; the rest is only counted.
 _MOST_NAMED: Final = 6
 
 #: Units as they are written.
@@ -207,7 +207,7 @@ def limit_text(limit: Limit) -> str:
 def margin_text(measurement: Measurement) -> str:
     """Write the distance from the nearer bound, negative outside; empty without one.
 
-    Of a lower bound that fails it is written too: it is at best that far outside.
+    The margin of a lower bound that fails is written too: the value is at least that far outside.
     """
     if measurement.limit is None or measurement.value is None:
         return ""

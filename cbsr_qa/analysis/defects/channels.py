@@ -14,7 +14,7 @@ _AT_RAIL = 0.5
 _FLAGGED = 0.01
 #: A channel is stuck if this share of its readings equals one value while the others vary.
 _CONSTANT = 0.98
-#: Stuck from some frame on: a run of repeats this improbable, given how often the channel repeats by chance.
+#: Probability of a run of repeats, given how often the channel repeats by chance, below which it is stuck.
 _FALSE_RUNS = 1e-4
 _LEAST_REPEATS = 0.05
 #: Share of repeats above which a run of them proves nothing.
@@ -25,7 +25,7 @@ _HARDLY = 0.05
 #: Largest share of the previous reading in a clipped reading, and how well the channels must agree on it.
 _LARGEST_MEMORY = 0.25
 _MEMORY_SPREAD = 0.03
-#: Readings always within one count of each other: nothing is connected.
+#: Range of all readings [counts] up to which nothing is connected.
 _SILENT_COUNTS = 2.0
 _CONVERTER_ENDS = (2**16 - 1, -(2**15))
 #: A ceiling: at least this share of the pairs is at it, and no reading exceeds it by so many times the noise.
@@ -40,7 +40,7 @@ class ChannelFaults:
     Parameters
     ----------
     saturated : readings at the end of the converter's range, or with the source at its limit.
-    stuck : hardly ever changes, stops changing, or repeats for longer than noise explains.
+    stuck : readings that hardly ever change, stop changing, or repeat for longer than noise explains.
     missing : readings that were not recorded.
     not_connected : whether no reading differs from any other.
     frozen : whether several frames are all the same: the board repeats itself.

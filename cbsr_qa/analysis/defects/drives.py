@@ -57,7 +57,7 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
 
     Returns
     -------
-    None if the readings are not reciprocal enough to decide, because of noise or carry-over.
+    The answer; None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
     both_mask = used & used.T
     drives = np.flatnonzero(both_mask.sum(axis=1) >= FEWEST_OF_PAIR)

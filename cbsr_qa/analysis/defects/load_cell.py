@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.readings.loads import LoadRecord
 
-#: A hold with fewer samples does not show that a cell is stuck.
+#: Fewest samples of a hold that show that a cell is stuck.
 _FEWEST: Final = 8
 #: Share of a hold's samples that equal the highest reading of the phase exactly: noise and relaxation would move away
 #: from it.

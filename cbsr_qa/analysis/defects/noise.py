@@ -15,7 +15,7 @@ MAD_TO_SIGMA = 1.4826
 #: with q = 1.2816 the normal distribution's 90 % point.
 _TRIMMED = 0.2
 _TRIMMED_MEAN = 0.5586
-#: Uniform rounding to whole counts has this standard deviation.
+#: Standard deviation of uniform rounding to whole counts.
 _ROUNDING = 1 / np.sqrt(12)
 #: A level step: at least half of the channels jump by this many times their noise within one frame, and stay.
 _JUMP = 8.0
@@ -43,7 +43,7 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     """
     steps = np.diff(readings, axis=0)
     steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
-    # Not the median: for counts it takes few distinct values, and so would the noise.
+    # The median would not do: for counts it takes few distinct values, and so would the noise.
     kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
     sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
     level = float(np.median(np.abs(readings))) if readings.size else 0.0
@@ -130,7 +130,7 @@ def noise_report(
     Parameters
     ----------
     use : (drives, measures) bool, readings to judge by.
-    busy_s : (start, end) of loads.
+    busy_s : start and end of each load [s].
     timed : whether the times are meaningful; otherwise no drift is given.
     """
     readings = block.voltages[:, use]

@@ -13,7 +13,7 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
 
     Returns
     -------
-    None if one polarity has too few of the readings to tell.
+    The side that answers; None if one polarity has too few of the readings to tell.
     """
     positive = modelled > 0
     if not _LEAST_SIDE <= positive.mean() <= 1 - _LEAST_SIDE:

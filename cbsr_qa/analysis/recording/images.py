@@ -22,7 +22,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.system.copies import come_back_once
 
-#: Receives each step, in words.
+#: Function that receives each step, in words.
 Tell = Callable[[str], None]
 
 _REMEDY: Final = "use other options or another reconstruction; the default is gauss-newton-noser"
@@ -37,7 +37,7 @@ class Sighting:
     ----------
     start_s, peak_s, end_s : start, peak and end on the recording's clock [s].
     score : detection statistic over its noise.
-    change : (m,) of the used readings, scaled to the unit model.
+    change : (m,) changes of the used readings, scaled to the unit model.
     frames : (k, m) changes of consecutive frames around it, scaled alike; ``held`` marks those that show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
     goodness : goodness of the fit of this load and of others that changed with it.

@@ -31,9 +31,9 @@ _BUMP = 0.11
 #: Places further out (nearer to the edge of another sheet than the rest of the radius) are too close to electrodes:
 #: contact changes there look like loads.
 _OUTERMOST = 0.9
-#: The reference frame must follow the model this well (correlation) before counts are imaged.
+#: Least correlation of the reference frame with the model for counts to be imaged.
 _LEAST_CORRELATION = 0.5
-#: One scale for all channels suffices if the reference follows the model this closely (cosine).
+#: Cosine between reference and model from which one scale suffices for all channels.
 _CLOSE_COSINE = 0.9
 
 

@@ -30,7 +30,7 @@ _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: It must then stand out of the noise by this (noise alone reaches it at one of all places once in 10 000 changes)
 #: and of what the model leaves of the strong ones, as shares of energy …
 _WEAK_GAIN, _MODEL_LEAVES = 30.0, 3e-3
-#: … and explain this share of what is left above noise: a sheet that is not as modelled leaves what is like no load.
+#: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
 _WEAK_EXPLAINED = 0.7
 _ROBUST_ROUNDS = 8
 _HUBER = 1.5
@@ -60,7 +60,7 @@ class Matcher:
 
     Parameters
     ----------
-    places : (p, 2) in units of the radius.
+    places : (p, 2) candidate places in units of the radius.
     sigma : (m,) noise of the readings.
     nuisance : (m,) unit vector, whitened.
     patterns : (m, p) float64, unit columns.
@@ -122,7 +122,7 @@ def find_places(
             break
         place_indices, explained = refined_indices, explained + gain
     places = _all_refined(change, match, place_indices)
-    # Beside one load alone, what drift and the sheet's own shape leave would be taken for another.
+    # With a single load, the remains of drift and of the sheet's own shape would be taken for another load.
     while 1 < len(places) < most and (weak := _weak(change, match, places, noise)):
         places.append(weak)
     explained = _fit_power(change, match, [place.index for place in places])

@@ -23,7 +23,7 @@ Key = tuple[str, int]  # phase, index of the load within it
 
 #: Fewest unloaded frames for which the noise of a single reading is known.
 FEWEST_FRAMES: Final = 6
-#: A quieter reading, relative to the median, is quantised rather than that good.
+#: Noise relative to the median below which a reading is quantised rather than quiet.
 _QUIETEST: Final = 1e-2
 
 
@@ -52,7 +52,7 @@ def estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimate
 
     Returns
     -------
-    By phase and index of the load within it.
+    Estimates by phase and by index of the load within it.
     """
     return run.derive(_estimate_loads, reference)
 

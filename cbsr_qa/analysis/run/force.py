@@ -26,13 +26,13 @@ from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 #: Names of the tests of a load.
 HELD_OUT: Final = "held out"
 TRIAL_LEFT_OUT: Final = "trial left out"
-#: A load confirms a force model within so many standard errors.
+#: Number of standard errors within which a load confirms a force model.
 _BORNE_OUT: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class ForceTest:
-    """Force of one held-out load as estimated, beside the load cell's.
+    """Estimated force of one held-out load, and the load cell's.
 
     Parameters
     ----------

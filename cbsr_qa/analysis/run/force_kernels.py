@@ -26,10 +26,10 @@ from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
-#: Phase of a load and its index there.
+#: Key of a load: its phase and its index there.
 LoadKey = tuple[str, int]
 
-#: Weaker loads contribute little to a shape and cost as much time.
+#: Least detectability of a load that is used: weaker ones contribute little to a shape and cost as much time.
 _LEAST_DETECTABILITY: Final = 15.0
 _MOST: Final = 60
 #: Time constant with which residues of earlier loads decay to their share at the steady frames: of the order of the
@@ -44,7 +44,7 @@ def force_kernels(
 
     Parameters
     ----------
-    places_mm : (n, 2) of the loads, on the sheet.
+    places_mm : (n, 2) places of the loads, on the sheet.
     merging : maps changes of used readings to rows.
 
     Returns
@@ -143,7 +143,7 @@ class StrengthTraces:
 
 
 def ramp_s(load: LoadObservation) -> float:
-    """How long the head moved in the sheet: as long down as up."""
+    """Return the time that the head moved in the sheet [s]: as long down as up."""
     return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
 
 
@@ -161,10 +161,10 @@ def _usable(
     return None if kernel.why else kernel
 
 
-#: Loads held for this share of the longest hold are not predicted.
+#: Share of the longest hold from which a load is held long enough not to be predicted.
 LONG: Final = 0.9
-#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is present; more is
-#: noise over noise, from weak loads.
+#: Largest factor by which a prediction may change readings. After a second of hold a third of a change is present;
+#: a larger factor is noise over noise, from weak loads.
 LARGEST_FACTOR: Final = 5.0
 #: Force samples are averaged over this time before a kernel is learned: relaxations take seconds.
 _BIN_S: Final = 1.0

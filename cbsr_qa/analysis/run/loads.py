@@ -188,7 +188,7 @@ def relaxations_of(
 
     Parameters
     ----------
-    load : its main mask gives the blob's elements; without a blob there is no conductance trace.
+    load : load whose main mask gives the blob's elements; without a blob there is no conductance trace.
     """
     record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
     cycle, force = window.cycle, phase.channel("force")

@@ -15,7 +15,7 @@ from cbsr_qa.domain.readings.loads import HeldStrain, Indenter, LoadRecord
 from cbsr_qa.domain.results.observation import LoopObservation, Trace
 from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 
-#: The output at the deepest strain must be so many of its own standard errors from zero.
+#: Number of its own standard errors that the output at the deepest strain must be away from zero.
 _CLEAR: Final = 5.0
 _SILENT: Final = "no load stands out of the noise"
 _FRAMELESS: Final = "no frame was taken before the loop, or while a strain was held"

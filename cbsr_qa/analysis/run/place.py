@@ -23,7 +23,7 @@ from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 
-#: A difference of means counts beyond so many of its standard errors.
+#: Number of its standard errors beyond which a difference of means counts.
 _CLEAR: Final = 2.0
 
 

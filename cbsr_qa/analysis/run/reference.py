@@ -23,7 +23,7 @@ from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import reading_noise
 from cbsr_qa.plugin.interfaces import Reconstruction
 
-#: A frame with a larger share of its imaged readings flagged is lost as a whole.
+#: Share of flagged readings among the imaged ones above which a frame is lost as a whole.
 _LOST_SHARE = 0.25
 #: Channels are left out until at most this share of the frames is still affected by a flag.
 _TOUCHED_SHARE = 0.01
@@ -64,7 +64,7 @@ class UsableData:
     Parameters
     ----------
     record : the run without lost frames, offsets taken out, spikes replaced by their neighbours in time.
-    corrected : the same with all frames.
+    corrected : the corrected record with all frames.
     readings : (drives, measures) bool, fit for imaging in every remaining frame.
     warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
@@ -131,7 +131,7 @@ def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
     constant_mask = constant if not constant[pattern].all() else np.zeros_like(pattern)
-    # What varies again is not left out: a reading without noise in a stretch is weighed like a common one.
+    # A reading that varies again is kept: if it has no noise in some stretch, it is weighed like a common one.
     ends_still = np.ptp(kept.voltages[-_LAST_FRAMES:], axis=0) == 0
     stuck: NDArray[np.bool_] = constant_mask | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
     return stuck
@@ -140,7 +140,7 @@ def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool
 def _find_silent_readings(
     kept: FrameBlock, sound: NDArray[np.bool_], pattern: DrivePattern
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Readings (drives, measures) through electrodes without contact and by dead drives, and what is said of them."""
+    """Return readings (drives, measures) of electrodes without contact and of dead drives, and remarks on them."""
     if not len(kept):
         return np.zeros_like(sound), []
     frame = np.median(kept.voltages, axis=0)
@@ -168,7 +168,7 @@ def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) 
     Parameters
     ----------
     unloaded : frames of the unloaded sheet.
-    modelled : (m,) of the usable readings.
+    modelled : (m,) modelled values of the usable readings.
     """
     side = answering_levels(unloaded.voltages.mean(axis=0)[data.readings], modelled)
     if side is None or not side.words:

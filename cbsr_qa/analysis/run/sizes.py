@@ -12,7 +12,7 @@ from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.eit.imaging.blobs import nearest_blob
 from cbsr_qa.eit.imaging.contours import contour_regions
 
-#: Smaller slopes are called flat: a target of twice the area then has a region less than 19 % larger.
+#: Slope below which the response is flat: a target of twice the area then has a region less than 19 % larger.
 FLAT: Final = 0.25
 #: Diameters of the targets, relative to the head's: 8, 13 and 20 mm for the 13 mm head.
 RELATIVE_DIAMETERS: Final = (8 / 13, 1.0, 20 / 13)

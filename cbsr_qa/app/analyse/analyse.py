@@ -34,9 +34,9 @@ from cbsr_qa.system.words import echo
 _MOST_SCALE: Final = 1.5
 #: Correlation of the frames. Two rods in a tank leave 0.98; a chest against a tank, by one instrument, has 0.85.
 _LEAST_ALIKE: Final = 0.9
-#: Difference of the offsets of counts, in sizes of the readings.
+#: Largest difference of the offsets of counts, relative to the size of the readings.
 _MOST_OFFSET: Final = 0.5
-#: The same drive current, as far as it is stated.
+#: Tolerance within which two stated drive currents are the same.
 _SAME_CURRENT: Final = 0.1
 
 _REMEDY: Final = "name a recording of the same domain, empty, by the same instrument with the same settings"
@@ -244,7 +244,7 @@ def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell 
     RecordingError
         If they hold no signal of a sensor, or do not fit the sensor type.
     CbsrError
-        As the analysis of a file is refused.
+        For the same reasons as the analysis of a file.
     """
     reconstruction = _reconstruction(request, discover())
     _check_shape(recording, _sensor_type(recording, request)[0])

@@ -92,7 +92,7 @@ class PressesCalibrated:
 
     Parameters
     ----------
-    calibration : its file.
+    calibration : file of the calibration.
     used, left_out : presses that it was, and was not, learned from; rows are counted from 1 below the header.
     explained : share of the readings' changes that the modelled sheet explains.
     """

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.calibration import (
 )
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
-#: Most values of an array that is shown.
+#: Largest number of values of an array that is shown.
 _MOST_SHOWN: Final = 8
 
 _Array = np.ndarray[Any, np.dtype[np.float64]]

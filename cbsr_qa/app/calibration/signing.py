@@ -188,7 +188,7 @@ class NewKey:
 
 
 def make_key(path: Path) -> CommandOutcome[NewKey]:
-    """Make a key pair that signs calibrations: the private key, and beside it FILE.pub.
+    """Make a key pair that signs calibrations: the private key, and FILE.pub next to it.
 
     Raises
     ------

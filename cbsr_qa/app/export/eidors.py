@@ -12,7 +12,7 @@ from cbsr_qa.app.export.frames import LoadStage, RunFrames
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run.run import RunRecord
 
-#: A variable of this version of the format is smaller [bytes].
+#: Size that a variable of this version of the format must stay below [bytes].
 _LARGEST: Final = 2**31
 
 

@@ -34,7 +34,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.words import echo
 
-#: Progress is shown so many times at most.
+#: Largest number of times that progress is shown.
 _STEPS: Final = 10
 _ALTERED: Final = "restore the database from a copy; nothing was written (a table, CSV or Parquet, marks such runs)"
 

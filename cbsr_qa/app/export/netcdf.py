@@ -33,7 +33,7 @@ class Variable(NamedTuple):
 def frame_variables(
     sensor_type: SensorType, frames: RunFrames, samples: Sequence[SampleBlock]
 ) -> tuple[Variable, ...]:
-    """Return frames, what was going on at each, their pairs and electrodes, and the samples taken beside them."""
+    """Return the variables of frames: readings, events, pairs and electrodes, and the samples of other channels."""
     coordinates = [*_time_variables(frames), *_pattern_variables(sensor_type)]
     coordinate_names = " ".join(variable.name for variable in coordinates)
     variables = [

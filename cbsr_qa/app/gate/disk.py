@@ -11,10 +11,10 @@ from cbsr_qa.station.setup import plan_of
 from cbsr_qa.store.engine import parse_url, sqlite_file
 
 _GB: Final = 1e9
-#: Time of a frame that is assumed: how fast the instruments are is known only once they are open. The shipped
+#: Assumed time of a frame: how fast the instruments are is known only once they are open. The shipped
 #: drivers take 0.24 s or more.
 _FRAME_S: Final = 0.1
-#: Bytes in the database of a reading (a voltage, its time and its flag), and beside the readings of a frame.
+#: Bytes in the database of a reading (a voltage, its time and its flag), and those of a frame besides its readings.
 _READING: Final = 17
 _FRAME: Final = 1500
 #: Bytes a second of the sampled channels: four of them, in blocks of their own at every frame.

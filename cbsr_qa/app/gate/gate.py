@@ -37,8 +37,8 @@ CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.BACKLOG: backlog_sent,
     GateCheck.BEFORE_RUN: plugins_agree,
 }
-#: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others
-#: decide whether a run may begin, and this one has.
+#: Checks that are asked again when a run is resumed: their answers may have changed and matter for its rest. Others
+#: decide whether a run may begin, and this one has begun.
 ASKED_AGAIN: Final = frozenset({GateCheck.CALIBRATION_DUE, GateCheck.DISK, GateCheck.OPERATOR})
 #: A golden sensor is run again and again, also while the station is out of control, to find out about the station.
 _NOT_OF_GOLDEN: Final = frozenset({GateCheck.RETEST, GateCheck.GOLDEN, GateCheck.CHARTS})

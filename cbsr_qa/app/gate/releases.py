@@ -42,7 +42,7 @@ class ReleaseRequest:
 
 @dataclass(frozen=True, slots=True)
 class Released(Release):
-    """The release or withdrawal that was stored, and what was said of this content before."""
+    """The stored release or withdrawal, and the one of this content before it."""
 
     before: Release | None
 
@@ -53,7 +53,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
     Raises
     ------
     ConfigError
-        If the file does not exist, is no file of a run or has mistakes, or name or reason is missing.
+        If the file does not exist, is not a file of a run or has mistakes, or if name or reason is missing.
     StoreError
         If the database cannot be used.
     """

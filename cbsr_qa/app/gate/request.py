@@ -1,4 +1,4 @@
-"""What the gate is asked about, and what a check finds."""
+"""Requests to the gate, and findings of its checks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -54,12 +54,12 @@ class GateRequest:
     Parameters
     ----------
     serial, batch, operator : checked names.
-    override : checked.
+    override : checked override.
     golden : whether the run measures the golden sensor of a station check.
     resumed : whether the run goes on with earlier loads.
     pin : asks for the operator's PIN; None if nobody can be asked. Called only if the station file has one.
     preview : whether the answers are only shown; no PIN is asked for.
-    tested_by : another process that tests the sensor with this recipe now; empty for none.
+    tested_by : name of another process that tests the sensor with this recipe now; empty for none.
     database : URL.
     folders : other folders the run writes to.
     """

@@ -45,7 +45,7 @@ class ValueChange:
 
 @dataclass(frozen=True, slots=True)
 class NamedRun:
-    """A run, and what is said of it."""
+    """A run, and a remark on it."""
 
     run: str
     serial: str

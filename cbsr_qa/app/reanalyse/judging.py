@@ -14,14 +14,15 @@ from cbsr_qa.domain.results.measurement import decide
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.reanalyses import Reanalysis, key_of
 
-#: Tables of a recipe that say nothing of how a run is imaged and measured.
+#: Tables of a recipe that do not affect how a run is imaged and measured.
 _AFTERWARDS: Final = ("limits", "limits_version", "report")
 
 
 def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
     """Return the result of a job from stored measurements; None if none were made as its recipe says.
 
-    None by the run's own recipe too: then somebody wants to know whether its analysis can be repeated.
+    Also return None if the job's recipe is the run's own: the user then wants to know whether the analysis can be
+    repeated.
     """
     own_recipe, wanted_measuring = (
         canonical_json(json.loads(store.runs.read_configuration(job.run))["recipe"]),

@@ -39,7 +39,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Worked:
-    """What became of a job.
+    """Result of a job.
 
     Parameters
     ----------

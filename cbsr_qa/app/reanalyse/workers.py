@@ -1,4 +1,4 @@
-"""Where jobs are done: processes of this computer or a Dask cluster, through the interface of an Executor."""
+"""Workers that do jobs: processes of this computer or a Dask cluster, through the interface of an Executor."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence, Set
@@ -14,11 +14,11 @@ from cbsr_qa.system.workers import delay_interrupts, worker_pool
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-#: A job whose worker dies this often while it is done alone is given up.
+#: Number of workers that may die while they do a job alone, before the job is given up.
 _DEATHS: Final = 2
-#: Workers that die one after the other before any job is done: they cannot work here at all.
+#: Number of workers in a row that die before any job is done: then workers cannot run here at all.
 _DEATHS_IN_A_ROW: Final = 6
-#: Time to reach a scheduler, and until it has a worker [s].
+#: Longest time to reach a scheduler, and then to wait until it has a worker [s].
 _REACHED_S: Final = 10
 _NOTHING: Final = "nothing was computed, and the database is unchanged"
 

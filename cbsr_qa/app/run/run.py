@@ -101,7 +101,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`, but violated limits of the station are listed in the result.
+        For the reasons of :func:`run_sensor`, except violated limits of the station: the result lists those.
     """
     plugins, _ = _check_request(request.validate())
     configuration = request.configuration(_seed(request))
@@ -122,7 +122,7 @@ def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`, but what the gate refuses is listed in the result.
+        For the reasons of :func:`run_sensor`, except refusals of the gate: the result lists those.
     """
     plugins, _ = _check_request(request.validate())
     configuration = request.configuration(0)

@@ -52,12 +52,12 @@ _CLOCK_MOVED: Final = timedelta(minutes=1)
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What earlier sessions of a run have done.
+    """Loads, phases and prompts of earlier sessions of a run.
 
     Parameters
     ----------
-    loads : (phase, index) of finished presses.
-    phases : finished ones.
+    loads : phase and index of each finished press.
+    phases : indices of finished phases.
     until_s : start of this session on the run's time line [s].
     prompts : number of prompts that were shown.
     """
@@ -84,7 +84,7 @@ class Session:
 
     Parameters
     ----------
-    configuration : checked, see :func:`check_configuration`.
+    configuration : checked configuration, see :func:`check_configuration`.
     ask : shows a text to the operator and returns the answer; None without an operator.
     done : loads, phases and prompts of earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.

@@ -20,9 +20,9 @@ from cbsr_qa.system.words import echo
 
 Altered: TypeAlias = Literal["altered"]
 
-#: Runs that are listed if nothing says which: reading 100 000 takes half a minute.
+#: Number of runs that are listed by default: reading 100 000 takes half a minute.
 LATEST_RUNS: Final = 50
-#: Texts about runs that were altered, or of which nobody can tell.
+#: Texts about runs that were altered, and about runs that cannot be checked.
 _TRUST: Final = {
     "altered": "{count} altered since stored: no verdict, not counted, listed by --failed too; see cbsr-qa db check",
     "unchained": "{count} without a chain: nothing tells whether it was altered",

@@ -26,8 +26,8 @@ class Tally:
     runs : passed + failed + not_measured + not_judged + no_result + not_finished + altered.
     decided : passed + failed.
     passed : number that passed; ``marginal`` of them only just.
-    no_result : finished, without an analysis.
-    not_finished : aborted, broken, cut off or in progress; a verdict of them does not count.
+    no_result : number of finished runs without an analysis.
+    not_finished : number of runs that were aborted, broken, cut off or in progress; their verdicts do not count.
     altered : number of runs whose stored rows do not match their chains; a sensor counts in no yield if its last run
         is one.
     sensors : serial numbers.

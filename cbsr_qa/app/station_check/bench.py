@@ -33,7 +33,7 @@ from cbsr_qa.station.setup import check_clock, opener
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.copies import come_back_once
 
-#: Called with a request, returns whether the operator carried it out; None without an operator.
+#: Function that is called with a request and returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
 
 #: Subject of lines about all instruments together.

@@ -31,7 +31,7 @@ FIGURES: Final = (
     ("reciprocity_error", ""),
     ("drift", ""),
 )
-#: Joint confidence that an unchanged station is within all intervals: beyond it fails, or warns.
+#: Joint confidence that an unchanged station is within all intervals: values outside of them fail, or warn.
 FAILS_BEYOND: Final = 0.99
 WARNS_BEYOND: Final = 0.95
 _MOST_DECIMALS: Final = 9

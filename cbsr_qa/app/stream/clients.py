@@ -18,15 +18,15 @@ from cbsr_qa.app.stream.messages import AliveMessage, DroppedMessage, HeaderMess
 from cbsr_qa.domain.errors import DeliveryError, RefusedError
 from cbsr_qa.station.event_sinks import Delivery
 
-#: Messages that wait for a client at most; beyond it the oldest are dropped.
+#: Largest number of messages that wait for a client; beyond it the oldest are dropped.
 LARGEST_QUEUE: Final = 250
-#: Clients of one socket; further ones are turned away.
+#: Largest number of clients of one socket; further ones are turned away.
 MOST_CLIENTS: Final = 32
 #: Time to wait for the last messages [s].
 END_S: Final = 2.0
 #: Time that a client may not read before it is cut off [s].
 _STUCK_S: Final = 30.0
-#: Small, so that what a slow client reads is not older than need be [bytes].
+#: Size of the send buffer [bytes]: small, so that a slow client does not read old messages.
 _BUFFER_BYTES: Final = 65536
 
 Tell = Callable[[str], None]

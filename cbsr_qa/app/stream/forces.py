@@ -1,4 +1,4 @@
-"""What a stream tells of single frames, by a calibration of any kind."""
+"""Estimates that a stream sends of single frames, by a calibration of any kind."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one frame tells; fields as of :class:`~cbsr_qa.app.stream.messages.FrameMessage`."""
+    """Estimate of one frame, with the fields of :class:`~cbsr_qa.app.stream.messages.FrameMessage`."""
 
     force_N: float | None
     force_68_N: Interval | None
@@ -71,7 +71,7 @@ def prepare_estimator(
 
 
 def list_estimates(touches: Touches) -> list[Estimate]:
-    """Return what each of some frames tells. A place is told where something presses."""
+    """Return the estimate of each frame. An estimate has a place only where something presses."""
     return [_estimate_frame(touches, frame) for frame in range(len(touches))]
 
 

@@ -1,4 +1,4 @@
-"""Where the messages of a stream go: standard output, TCP, a Unix socket, an MQTT broker.
+"""Outlets of the messages of a stream: standard output, TCP, a Unix socket, an MQTT broker.
 
 None of them waits for another, or holds up the frames.
 """
@@ -23,7 +23,7 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.event_sinks import Delivery
 
-#: A second without a message is filled with one that says that the stream goes on.
+#: Time without a message after which one says that the stream goes on [s].
 _ALIVE_S: Final = 1.0
 _ALLOWED: Final = "give -, tcp://HOST:PORT, unix:PATH or mqtt://HOST[:PORT][/TOPIC]"
 
@@ -31,7 +31,7 @@ _ALLOWED: Final = "give -, tcp://HOST:PORT, unix:PATH or mqtt://HOST[:PORT][/TOP
 class Outlet(Protocol):
     """One ``--to``."""
 
-    #: Why nothing can be sent there any more; empty while it can.
+    #: Reason why nothing can be sent there any more; empty while it can.
     over: str
 
     def send(self, message: StreamMessage) -> None:

@@ -1,4 +1,4 @@
-"""Where the frames of a stream come from: an instrument opened by its driver alone, or that of a station."""
+"""Sources of the frames of a stream: an instrument opened by its driver alone, or that of a station."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -21,9 +21,9 @@ from cbsr_qa.station.control.lock import station_held
 from cbsr_qa.station.setup import check_clock, configure, open_instrument, opener, station_clock
 from cbsr_qa.system.clock import Clock, RealClock
 
-#: Simulated instruments want a material; those that measure something do not look at it.
+#: Material for simulated instruments; real ones do not use it.
 _MATERIAL: Final = "cbsr-8wt"
-#: A station is configured together with a recipe, of which a stream uses nothing.
+#: Recipe that a station is configured with; a stream does not use it.
 _RECIPE: Final = "golden-check"
 
 
@@ -121,7 +121,7 @@ def _alone(
     driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, head: Indenter | None
 ) -> _Opened:
     clock = RealClock()
-    # Nothing presses here. What is simulated wants a head all the same: that of a station that states none.
+    # Nothing presses here, but simulated instruments need a head: take the one of a station that states none.
     indenter = IndenterTable().to_domain() if head is None else head
     if options.get("address") == "emulated":
         raise ConfigError(

@@ -30,7 +30,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 5.0
 #: Exit code of a stream that its instrument ended.
 _FAILED: Final = InstrumentError.exit_code
 
-#: Entered while the stream waits for a frame: what may break in then.
+#: Context that is entered while the stream waits for a frame: it decides what may interrupt the wait.
 Waiting = Callable[[], AbstractContextManager[Any]]
 
 

@@ -16,7 +16,7 @@ class ClosedCurve:
 
     Parameters
     ----------
-    start : (k, 2) where each piece begins.
+    start : (k, 2) start of each piece.
     heading : (k,) its direction there [rad].
     length : (k,) along it; the last piece ends where the first begins.
     curvature : (k,) one over its radius, positive where it turns left, 0 where it is straight; no piece turns by

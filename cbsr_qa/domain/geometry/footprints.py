@@ -22,7 +22,7 @@ from cbsr_qa.domain.geometry.polygons import (
     simple_polygon,
 )
 
-#: A circle of this many sides is round in print.
+#: Number of sides with which a circle is round in print.
 _SIDES = 72
 
 

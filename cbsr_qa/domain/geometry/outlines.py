@@ -15,13 +15,13 @@ from cbsr_qa.domain.numbers import Array
 
 Points = NDArray[np.float64]
 
-#: A sharper corner would need elements as thin as itself.
+#: Sharpest corner: a sharper one would need elements as thin as itself.
 SHARPEST_DEG: Final = 10.0
-#: Edges closer together than this, and edges shorter than a hundredth of it, in radii of the disc of equal area.
+#: Least distance of edges, in radii of the disc of equal area; the least length of an edge is a hundredth of it.
 _NARROWEST: Final = 0.01
-#: Corners of an outline: the checks compare every edge with every other.
+#: Largest number of corners of an outline: the checks compare every edge with every other.
 MOST_CORNERS: Final = 1000
-#: Edges that are compared with all others at once.
+#: Number of edges that are compared with all others at once.
 _AT_ONCE: Final = 256
 
 

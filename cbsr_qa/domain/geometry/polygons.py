@@ -112,7 +112,7 @@ def _cross(a: Points, b: Points) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-#: Difference of a stretch's two Simpson's rules, of the polygon's area and of the whole edge's length, that is small.
+#: Largest difference of a stretch's two Simpson's rules, relative to the polygon's area and the whole edge's length.
 _TOLERANCE: Final = 1e-9
 _DEEPEST: Final = 48  # halvings; 2⁻⁴⁸ of an edge is rounding
 _QUARTERS: Final = np.linspace(0.0, 1.0, 5)[:, None, None]
@@ -120,7 +120,7 @@ _COARSE: Final = np.array([1, 0, 4, 0, 1]) / 6  # Simpson's rule of a stretch �
 _FINE: Final = np.array([1, 4, 2, 4, 1]) / 12  # … and of its halves
 
 
-#: The check compares every side with every other.
+#: Largest number of sides: the check compares every side with every other.
 _MOST_CORNERS: Final = 1000
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 
 class GateCheck(StrEnum):
-    """What is asked before a run, in the order of the answers."""
+    """Checks before a run, in the order of the answers."""
 
     SERIAL_PATTERN = "serial_pattern"  #: the serial number fits the pattern of the sensor type
     RETEST = "retest"  #: the sensor has not passed this recipe yet, or may be tested again
@@ -22,7 +22,7 @@ class GateCheck(StrEnum):
 
 
 class GatePolicy(StrEnum):
-    """What follows from a check that does not pass."""
+    """Consequence of a check that does not pass."""
 
     REFUSE = "refuse"
     WARN = "warn"

@@ -73,7 +73,7 @@ class Motion:
     Parameters
     ----------
     press_speed_mm_s : 40 mm/min in the paper.
-    travel_speed_mm_s, hover_mm : between places, and how high above the sheet.
+    travel_speed_mm_s, hover_mm : speed between places, and height above the sheet.
     homing_s : time the machine takes to find the zero of its axes [s]; None where it goes there at its travel speed.
     """
 

@@ -38,7 +38,7 @@ class SimulatedPress:
 
     Parameters
     ----------
-    index : counts every press of the run; random numbers of a press are addressed with it.
+    index : number of the press in the run; random numbers of a press are addressed with it.
     x_mm, y_mm : place of the press [mm].
     steps : strain ramps so far, in time order.
     """
@@ -176,7 +176,7 @@ class Transcript:
 
     @classmethod
     def complete(cls, setting: SceneSetting, time_s: Array) -> Self:
-        """Nothing lost, no dumps."""
+        """Return a transcript without lost rows and dumps."""
         rows = setting.sensor_type.pattern.shape[0]
         return cls(setting, time_s, np.zeros((len(time_s), rows), dtype=np.bool_))
 

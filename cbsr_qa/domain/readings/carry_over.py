@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
 
-#: An estimate counts only if it is this many of its own standard errors away from zero …
+#: Number of its own standard errors that an estimate must be away from zero to count, …
 _SIGNIFICANT = 5.0
-#: … and its removal improves reciprocity by at least this share.
+#: … and least share by which its removal must improve reciprocity.
 _WORTHWHILE = 0.2
 _LARGEST = 0.5
 #: Error above which more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A

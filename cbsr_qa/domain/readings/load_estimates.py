@@ -24,7 +24,7 @@ class Estimated:
     Parameters
     ----------
     value : the estimate.
-    stderr : its standard error.
+    stderr : standard error.
     low, high : 68 % interval; not symmetric about the value where the standard error itself depends on it.
     """
 

@@ -19,10 +19,10 @@ from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, S
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Response, SensorIdentity, SensorType
 
-#: Larger than any number of a force model, with a finite square; and larger than any logarithm in one.
+#: Largest number of a force model, with a finite square, and largest logarithm in one.
 _LARGEST: Final = 1e12
 _LARGEST_LOG: Final = 50.0
-#: Nodes along an axis: more than any lattice has, with a representable product.
+#: Largest number of nodes along an axis: more than any lattice has, with a representable product.
 _MOST_NODES: Final = 10_000
 #: Steps of templates and slopes in a file: errors of a template add up to 5e-4 of its length (docs/decisions/0047).
 _STEPS: Final = 2**12
@@ -124,7 +124,7 @@ class BaselineConductance:
     ----------
     location : label of the load, e.g. ``"L0"``.
     value, stderr : relative image units; ``value`` is None if the load does not determine it.
-    loads : their number.
+    loads : number of loads.
     why : reason for a missing value, or a remark.
     """
 

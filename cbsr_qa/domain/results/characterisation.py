@@ -78,11 +78,11 @@ class CycleChange:
     Parameters
     ----------
     load, strain, cycle : load, strain and cycle as in :class:`CycleReadings`.
-    apparent, apparent_stderr : steady, between the pins, from the level the rest before was going to.
-    local, local_stderr : the same under the head.
-    from_before, from_rested : between the pins at the end of the hold, from the last readings before the press and
+    apparent, apparent_stderr : steady change between the pins, from the level that the rest before was going to.
+    local, local_stderr : steady change under the head.
+    from_before, from_rested : change between the pins at the end of the hold, from the last readings before it and
         from the rested strip.
-    stress_kPa, stress_stderr_kPa : steady; None where no force can be used.
+    stress_kPa, stress_stderr_kPa : steady stress; None where no force can be used.
     """
 
     load: int
@@ -175,7 +175,7 @@ class StripFacts:
 
     Parameters
     ----------
-    resistance_ohm : between the pins, rested.
+    resistance_ohm : rested resistance between the pins.
     relative_noise : rms of one reading over their mean, rested.
     squares : resistance between the pins over the sheet resistance, by the forward model.
     contact_share : share of the resistance that is assumed to lie in the contacts.
@@ -198,8 +198,8 @@ class Characterisation:
     settings, strip : assumptions, and the strip that was characterised.
     cycles, levels : changes of every cycle that was used, and by strain.
     response : INCREASE or DECREASE; AUTO where the cycles do not say.
-    against_strain, against_stress : between the pins, as the paper has them (Eqs 1 and 2).
-    local_against_strain, local_against_stress : under the head, corrected for the rest of the strip.
+    against_strain, against_stress : lines between the pins, as in the paper (Eqs 1 and 2).
+    local_against_strain, local_against_stress : lines under the head, corrected for the rest of the strip.
     end_of_hold : slopes against strain of the changes as they were read at the end of the holds, without what fits
         add: from before the press, and from the rested strip.
     modulus_kPa : slope of the steady stress against strain; None without one.

@@ -49,7 +49,7 @@ class ChartReference(ChartSettings):
     mean, deviation : mean and deviation of single values, in ``unit``.
     runs, first_run, last_run : the reference period (phase I).
     operator, made_at, why : person who set it, time by the computer's clock, and reason.
-    retired : nothing is charted against these limits from here on; all else is what held before.
+    retired : whether nothing is charted against these limits from here on; all other fields hold as before.
     """
 
     reference: str

@@ -20,7 +20,7 @@ def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
     Parameters
     ----------
     electrode : direction as a fractional 0-based electrode number.
-    electrodes : their number; a direction just before the first is rounded to 0.0.
+    electrodes : number of electrodes; a direction just before the first is rounded to 0.0.
     """
     if r_over_R < _AT_CENTRE:
         return f"centre (r/R {r_over_R:.2f})"
@@ -165,7 +165,7 @@ class Motion:
     begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
     turns : round the centre, positive towards higher electrode numbers; undefined for a path through the centre.
     nearest_r_over_R : smallest distance from the centre.
-    electrodes : their number.
+    electrodes : number of electrodes.
     """
 
     begins: tuple[float, float]

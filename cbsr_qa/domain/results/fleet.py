@@ -153,7 +153,7 @@ class RunFigure:
     value : None where one of the values is missing, or only a lower bound.
     places : number of values it is the mean of.
     missing, bounded : numbers of them that have no value, and that are only lower bounds.
-    lower, upper : its limit; None for a side without one.
+    lower, upper : bounds of its limit; None for a side without one.
     units : units of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of
         them.
     """

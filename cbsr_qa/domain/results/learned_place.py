@@ -12,10 +12,10 @@ import numpy as np
 from cbsr_qa.domain.kept import Kept
 from cbsr_qa.domain.numbers import Array, Indices
 
-#: Presses that are learned from: opening a calibration grows with their cube, and takes 6 s for so many.
+#: Largest number of presses to learn from: the time to open a calibration grows with its cube, to 6 s at this number.
 MOST_PRESSES: Final = 4000
 _LARGEST = 1e12
-#: Far more than any sheet has from its centre.
+#: Largest number of a node, counted from the centre: far more than any sheet has.
 _LARGEST_NODE = 1000
 
 _Positive = Annotated[float, Kept(least=0, most=_LARGEST)]
@@ -90,8 +90,8 @@ class PlaceProcess:
 
     Parameters
     ----------
-    features : (n, m) of the presses.
-    places_mm : (n, 2) of the presses.
+    features : (n, m) features of the presses.
+    places_mm : (n, 2) places of the presses.
     weights : (n, 2) K⁻¹y [1/mm].
     """
 
@@ -128,7 +128,7 @@ class PlaceMixture:
     share : share of the templates' estimate.
     spread : (3,) weights in the covariance Σ of a place: of the templates' own, of 1 mm², and of the squared
         distance between both estimates.
-    quantiles : (2,) of dᵀΣ⁻¹d that hold 68 and 95 % of presses that were left out.
+    quantiles : (2,) quantiles of dᵀΣ⁻¹d that hold 68 and 95 % of presses that were left out.
     """
 
     share: _Positive
@@ -143,7 +143,7 @@ class ModelledPlace:
     Parameters
     ----------
     node : (k, 2) columns and rows from the sheet's centre, in its axes.
-    step_mm : between nodes, on the sheet.
+    step_mm : distance between nodes, on the sheet.
     templates : (k, m) changes of the readings per strength; zero of those that do not answer.
     variance_mm2 : variance of a place along an axis [mm²], from the presses that the sheet was registered with.
     widening : factor of covariances, so that regions of the learned places' quantiles hold those presses.
@@ -164,7 +164,7 @@ class LearnedPlace:
 
     Parameters
     ----------
-    centre_mm : (2,) of the sheet in the frame of the presses.
+    centre_mm : (2,) centre of the sheet in the frame of the presses.
     axes : (2, 2) orthogonal A: a place p is A (p − centre) in the electrodes' axes.
     misfit : largest squared misfit per reading of a touch like those learned from.
     least_size : smallest root mean square of the readings that is a touch, in their unit.

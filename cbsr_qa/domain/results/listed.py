@@ -28,7 +28,7 @@ class ListedRun:
 
     Parameters
     ----------
-    run : its identifier; sorted as text, runs are in the order they were made in.
+    run : identifier; sorted as text, runs are in the order they were made in.
     started_at : start by the station's clock.
     end : RUNNING if it was cut off or is in progress.
     station_s : station time until its last session began or ended [s].

@@ -88,7 +88,7 @@ class SourceFile:
     Parameters
     ----------
     role : ``"readings"``, ``"presses"``, ``"pattern"``, ``"rest"`` or ``"sensor type"``.
-    name : without its folder.
+    name : name of the file, without its folder.
     digest : SHA-256 of its bytes.
     """
 
@@ -134,7 +134,7 @@ class PressCalibration:
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : model that converts changes to places.
-    modelled : the same by the modelled sheet alone.
+    modelled : figures by the modelled sheet alone.
     force, depth : models that turn located changes into newtons and millimetres; None where presses had none.
     drive, measure : pairs by row and column of a frame of the sensor type.
     digest, record_digest, file, signature : digests, file and signature as in

@@ -150,7 +150,7 @@ def _runs(some: Iterable[EarlierRun]) -> str:
     return f"{count} run{'' if count == 1 else 's'}"
 
 
-#: Stored and shown if no reason was given.
+#: Text that is stored and shown if no reason was given.
 NO_REASON: Final = "no reason given"
 
 #: Fields that tell the tables of a list apart, in the order they are named.

@@ -26,7 +26,7 @@ class GateAnswer:
     Parameters
     ----------
     words : finding as a clause that begins in lower case or with a name.
-    remedy : remedy; empty where nothing is to be done.
+    remedy : remedy; empty where nothing needs doing.
     by, why : person who overrode a refusal, and the reason; empty otherwise.
     session : 0 when the run began; counts its resumptions.
     command : command that does the remedy; not stored.

@@ -140,7 +140,7 @@ class PhaseRecord:
     index, name, sequence : order, the recipe's name for it, the plugin that made its steps.
     started_s, ended_s : start and end on the run's clock [s].
     frames : every frame of the phase, or None.
-    samples : one joined block per channel.
+    samples : joined blocks, one per channel.
     loads : the presses held to their end, but for loops: one press is one strain.
     loops : the presses that were eased to other strains before the release (see ``StrainStep``), as they were.
     unloaded_from_s : time from which the sheet counted as rested (see ``MarkUnloaded``), or None.

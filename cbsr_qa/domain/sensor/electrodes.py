@@ -148,7 +148,7 @@ class PlacedElectrodes:
         return float(electrode_after if share > 0.5 else electrode_before)
 
 
-#: Either way to say where electrodes are.
+#: Electrodes by either kind of layout.
 Electrodes = ElectrodeLayout | PlacedElectrodes
 
 

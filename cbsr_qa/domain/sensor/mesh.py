@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array, real_numbers
 
-#: Farthest a node may be from the sheet's centre [mm]; products of lengths stay far from overflow.
+#: Largest distance of a node from the sheet's centre [mm]; products of lengths stay far from overflow.
 FARTHEST_MM: Final = 1e9
 _OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
 
@@ -159,7 +159,7 @@ NAMES = (
     "arc_edge_counts",
     "arc_circles",
 )
-#: Those that are whole numbers; the others are float64.
+#: Names of the arrays of whole numbers; the others are float64.
 INTEGERS = ("elements", "electrode_edges", "electrode_edge_counts", "arc_edges", "arc_edge_counts")
 
 

@@ -61,7 +61,7 @@ def _dense_rank(functionals: Sequence[Functional]) -> int:
 Pair = tuple[int, int]
 Pairs = tuple[Pair, ...]
 
-#: Fewer independent readings than this leave nothing that deserves to be called an image.
+#: Fewest independent readings for a meaningful image.
 FEWEST_INDEPENDENT: Final = 8
 
 

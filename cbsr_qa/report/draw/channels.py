@@ -160,7 +160,7 @@ def ring_figure(
 
     Parameters
     ----------
-    expected, mean : (drives, measures) in ``unit``.
+    expected, mean : (drives, measures) readings in ``unit``.
     residual : (drives, measures) as a fraction of the expected reading.
     driven : (drives, measures) bool; readings that touch a driven electrode.
     used : (drives, measures) bool; readings without a flag, the others are not drawn.

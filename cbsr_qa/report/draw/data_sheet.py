@@ -47,7 +47,7 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canva
 
     Parameters
     ----------
-    curves, read : without what had not relaxed, and as they were read (may be empty).
+    curves, read : curves without what had not relaxed, and curves as they were read (may be empty).
     """
     figure = canvas(2.75)
     end_kPa = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
@@ -104,7 +104,7 @@ def characteristic_figure(
     Parameters
     ----------
     curves : curves of the locations, each with stresses and a positive span.
-    mean : over them, in shares of the span.
+    mean : mean curve over them, in shares of the span.
     line : through the mean.
     scatter : repeatability in shares of the span; None if unknown.
     """

@@ -33,7 +33,7 @@ class ForcePanel:
 
     Parameters
     ----------
-    title : over the panel.
+    title : text over the panel.
     measured_N, estimated_N, stderr_N : (n,) each.
     sampled : (n,) loads at random places; the others are drawn as open marks.
     missed_N : forces of the loads without an estimate.

@@ -91,7 +91,7 @@ class ImagePanel:
 
     Parameters
     ----------
-    track : (n, 2) in the unit of the image's mesh, in order of time; None where nothing moves.
+    track : (n, 2) places in the unit of the image's mesh, in order of time; None where nothing moves.
     """
 
     title: str

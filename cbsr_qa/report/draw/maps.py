@@ -96,7 +96,7 @@ class SheetField:
 
     Parameters
     ----------
-    title, unit : over the map and at its scale.
+    title, unit : texts over the map and at its scale.
     x_mm, y_mm, values : (n,), (m,) and (m, n).
     about : centre of a scale in two colours; None for one from zero up.
     least_reach : least reach of that scale to both sides, so that an even sheet is not drawn as an uneven one.

@@ -95,9 +95,9 @@ class Raster:
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
 
 
-#: More places than this are too close for their names.
+#: Largest number of places that have room for their names.
 MOST_NAMES: Final = 16
-#: A circle of this many sides is round in print.
+#: Number of sides with which a circle is round in print.
 _SIDES: Final = 72
 
 Shift = tuple[float, float]
@@ -280,7 +280,7 @@ def fit_sheet(axes: Axes, sheet: SheetOutline) -> None:
 
 
 def reach(sheet: SheetOutline) -> float:
-    """Half the longer side of the box round a sheet: by it what is drawn beside the sheet is placed."""
+    """Return half the longer side of the box round a sheet; what is drawn next to the sheet is placed by it."""
     low_x, high_x, low_y, high_y = sheet.extent_mm
     return max(high_x - low_x, high_y - low_y) / 2
 

@@ -41,10 +41,10 @@ ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
 #: Text width of an A4 page with the report's margins [in].
 WIDTH_IN: Final = 6.9
 
-#: A line of secondary importance.
+#: Colour of lines of secondary importance.
 DASHED: Final = (0, (4, 2))
 
-#: Kept clear at a figure's left edge [in].
+#: Width that is kept clear at a figure's left edge [in].
 _MARGIN_IN: Final = 0.03
 
 #: Conductance falls (orange-brown), nothing (white), rises (blue).
@@ -208,7 +208,7 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
 
 
 def name_rows(axes: Axes, names: Sequence[str], most: int = 34) -> None:
-    """Name the rows of a dot plot, the first on top; of more than fit beside each other every second, third …."""
+    """Name the rows of a dot plot, the first on top. If the names do not fit, write every second, third …."""
     every = -(-len(names) // most)
     rows = range(0, len(names), max(every, 1))
     axes.set_yticks(rows, [names[row] for row in rows])
