@@ -81,7 +81,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 def recording_file(path: Path) -> Iterator[BinaryIO]:
     """Write a recording file of any format, atomically.
 
-    RecordingError if the folder cannot be written to.
+    Raise RecordingError if the folder cannot be written to.
     """
     with writing(path, refusal=RecordingError, remedy="choose a writable folder"):
         path.parent.mkdir(parents=True, exist_ok=True)

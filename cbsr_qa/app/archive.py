@@ -108,7 +108,7 @@ def _shrunk(store: Repository) -> tuple[str, ...]:
 
 
 def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[Archived]:
-    """Bring the frames of a run back. StoreError if it is not archived, or its file is missing or altered."""
+    """Bring the frames of a run back. Raise StoreError if it is not archived, or its file is missing or altered."""
     with open_store(database_url(database), create=False) as store:
         size = store.measure_size_bytes()
         run = store.archives.unarchive(store.runs.resolve(run_or_serial))

@@ -161,7 +161,7 @@ def database_roles() -> Roles:
 
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
-    """Return the state of a database without changing it. StoreError if it cannot be opened or read."""
+    """Return the state of a database without changing it. Raise StoreError if it cannot be opened or read."""
     engine = open_engine(parse_url(database_url(option)))
     try:
         version = read_version(engine)

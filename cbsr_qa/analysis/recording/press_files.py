@@ -82,7 +82,7 @@ def read_pressed_recording(path: Path, format_: str | None = None, dataset: str 
 def read_whole_frames(path: Path, pattern: DrivePattern) -> FrameBlock:
     """Read frames of presses, or of the unloaded sheet, whose usable readings must all be there.
 
-    RecordingError if the recording cannot be read, has another pattern, or a reading is missing or saturated.
+    Raise RecordingError if the recording cannot be read, has another pattern, or a reading is missing or saturated.
     """
     recording = read_pressed_recording(path)
     check_pressed_recording(recording, pattern)

@@ -85,7 +85,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     contain 75 and 74 % of the loads, now 73 and 72 %), and the allowances for residues and places were determined
     with these variances.
 
-    NumericsError if there are too few frames, or they do not differ.
+    Raise NumericsError if there are too few frames, or they do not differ.
     """
     count = len(unloaded)
     if count < FEWEST_FRAMES:
@@ -154,7 +154,7 @@ def _group(
 def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool_]) -> float:
     """Scale of a sensor against the model of unit conductance: a least-squares fit of its reference frame [A/S].
 
-    NumericsError if the frame has nothing in common with the model's.
+    Raise NumericsError if the frame has nothing in common with the model's.
     """
     expected, readings = model.solve_unloaded()[usable], reference[usable]
     scale = float(readings @ expected / (expected @ expected))

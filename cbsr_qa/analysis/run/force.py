@@ -104,7 +104,7 @@ def _learn_and_test(run: RunObservation) -> RunForce:
 def learn_without_tests(run: RunObservation) -> RunForce:
     """Learn the force model from all loads of phases that calibrate, without a test.
 
-    CbsrError if nothing can be learned, with the reason.
+    Raise CbsrError if nothing can be learned, with the reason.
     """
     loads = run.derive(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
@@ -118,7 +118,7 @@ def learn_without_tests(run: RunObservation) -> RunForce:
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
     """Test a model, learned elsewhere, on every load of a run, without predicting holds.
 
-    CbsrError if the run has no load with a force, or its noise cannot be estimated.
+    Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
     return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
@@ -127,7 +127,7 @@ def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, 
 def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], CalibrationLoads]:
     """Loads pressed alone with their force recorded, and what force is learned from, at their places on the sheet.
 
-    CbsrError if the run has no such load, or its noise cannot be estimated.
+    Raise CbsrError if the run has no such load, or its noise cannot be estimated.
     """
     of_run = run.derive(_RunForce)
     return of_run.loads, of_run.data
@@ -136,7 +136,7 @@ def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], Calib
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
     """Strengths under holds at the places of loads, from the start of each [s], without residues of earlier ones.
 
-    CbsrError if the run has no load with a force, or its noise cannot be estimated.
+    Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     strengths = run.derive(_RunForce).strengths()
     return [strengths.change(load) for load in loads]

@@ -67,7 +67,7 @@ class ForceErrors:
     def bias(self) -> Estimate:
         """Return the mean error [N] and its standard error.
 
-        NumericsError if there are fewer than two loads.
+        Raise NumericsError if there are fewer than two loads.
         """
         count = self._enough()
         spread = float(self.error_N.std(ddof=1))
@@ -178,7 +178,7 @@ class Detectable:
 def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -> tuple[Detectable, ...]:
     """Return the force of the detection threshold at places (n, 2): half of such loads are detected.
 
-    NumericsError if by the line no load would be detected.
+    Raise NumericsError if by the line no load would be detected.
     """
     model = learned.model
     template = TemplateFilter(model).template(places_mm)

@@ -34,7 +34,7 @@ _LAST_FRAMES = 8  # of a run, in which a reading that stopped changing does not 
 def find_unloaded_frames(record: RunRecord) -> FrameBlock:
     """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
 
-    NumericsError if the run has none.
+    Raise NumericsError if the run has none.
     """
     for phase in record.phases:
         frames = _select_unloaded(phase)

@@ -39,7 +39,7 @@ class SizeResponse:
     def slope(self) -> float | None:
         """Slope of the region's log area over the target's: 1 if proportional, 0 if the size makes no difference.
 
-        None with fewer than two regions.
+        Return None with fewer than two regions.
         """
         measured = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
         if len(measured) < 2:

@@ -216,7 +216,7 @@ def _serial_remarks(estimator: Estimator, stated: str | None) -> tuple[str, ...]
 
 
 def check_serial(estimator: Estimator, stated: str) -> None:
-    """Check that a calibration is of a sensor. CalibrationError if not, or if it states none."""
+    """Check that a calibration is of a sensor. Raise CalibrationError if not, or if it states none."""
     require_ability(estimator, Ability.SERIAL, "leave --serial out: of which sensor it is cannot be checked")
     if validate_serial(stated) != estimator.identity.serial:
         raise CalibrationError(
@@ -316,6 +316,6 @@ def _format_settling(frame: FrameForce) -> str:
 
 
 def write_table(path: Path, table: str) -> None:
-    """Write a table to a new file. RefusedError if the file exists already, or cannot be written."""
+    """Write a table to a new file. Raise RefusedError if the file exists already, or cannot be written."""
     check_free(path)
     write_text(path, table)

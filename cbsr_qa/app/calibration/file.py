@@ -106,7 +106,7 @@ def is_json(path: Path) -> bool:
 
 
 def write_json(path: Path, calibration: Issued) -> None:
-    """Write a calibration as JSON, whole or not at all. RefusedError if it cannot be written."""
+    """Write a calibration as JSON, whole or not at all. Raise RefusedError if it cannot be written."""
     write_text(path, _json(json_document(calibration)))
 
 
@@ -115,7 +115,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def check_free(output: Path) -> None:
-    """Make sure that a file does not exist yet. RefusedError if it does, or its path cannot be used."""
+    """Make sure that a file does not exist yet. Raise RefusedError if it does, or its path cannot be used."""
     with writing(output):
         taken = output.is_symlink() or output.exists()
     if taken:
@@ -123,7 +123,7 @@ def check_free(output: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all. RefusedError if it cannot be written."""
+    """Write a text file whole or not at all. Raise RefusedError if it cannot be written."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as file:

@@ -21,7 +21,7 @@ _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settlin
 
 
 def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
-    """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
+    """Return the contents of a calibration file. Raise CalibrationError if it is damaged or altered."""
     verified, calibration = read_in_child(path, partial(_verify_and_read, path))
     if isinstance(calibration, PressCalibration):
         return press_calibration_outcome(path, calibration)

@@ -165,7 +165,7 @@ def _export_frames(
 
 
 def _sound_run(store: Repository, run: str) -> ListedRun:
-    """Return a run as it is listed. StoreError if it was altered."""
+    """Return a run as it is listed. Raise StoreError if it was altered."""
     (listed,) = store.lists.read_runs(RunSelection(up_to=run, latest=1))
     if listed.altered:
         raise StoreError(listed.altered, remedy=_ALTERED)

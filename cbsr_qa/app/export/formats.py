@@ -50,7 +50,7 @@ _SUFFIXES: Final = {
 
 
 def format_of(to: Path, given: str | None) -> ExportFormat:
-    """Return the format that was given, else that of the suffix. RefusedError if neither names a format."""
+    """Return the format that was given, else that of the suffix. Raise RefusedError if neither names a format."""
     if given is not None:
         if given not in list(ExportFormat):
             known_formats = ", ".join(ExportFormat)

@@ -180,7 +180,7 @@ def _assign_loads(
 def as_recording(
     record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...], overrides: tuple[VerdictOverride, ...] = ()
 ) -> Recording:
-    """Join phases of a run into one recording. RefusedError if they hold no frame."""
+    """Join phases of a run into one recording. Raise RefusedError if they hold no frame."""
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
         raise missing_frames_error(record, phases)

@@ -79,7 +79,7 @@ class TableWriter(Protocol):
 def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> tuple[Rows, tuple[str, ...]]:
     """Return the rows of some runs, and which of the runs were altered: their rows say so.
 
-    StoreError if a cell of one is damaged; the message names the run.
+    Raise StoreError if a cell of one is damaged; the message names the run.
     """
     if table is ExportTable.RUNS:
         entries = map(RunEntry.from_run, runs)
@@ -109,7 +109,7 @@ def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> 
 
 @contextmanager
 def table_writer(file: BinaryIO, kind: ExportFormat, table: ExportTable) -> Iterator[TableWriter]:
-    """Write a table to an open file. RefusedError if a library is missing."""
+    """Write a table to an open file. Raise RefusedError if a library is missing."""
     columns = _COLUMNS[table]
     if kind is ExportFormat.CSV:
         yield _Csv(file, columns)

@@ -79,7 +79,7 @@ def ask_gate_again(
     plugins: Plugins,
     store: Repository,
 ) -> tuple[GateAnswer, ...]:
-    """Return answers with those of some checks as they are now. RefusedError if one of them refuses."""
+    """Return answers with those of some checks as they are now. Raise RefusedError if one of them refuses."""
     answer_by_check = {answer.check: answer for answer in ask_gate(request, configuration, plugins, store, checks)}
     if (refused := gate_refusal(answer_by_check.values())) is not None:
         raise refused

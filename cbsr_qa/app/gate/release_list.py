@@ -35,7 +35,7 @@ class ReleaseList:
 
 
 def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
-    """List releases. StoreError if there is no database, or it cannot be read."""
+    """List releases. Raise StoreError if there is no database, or it cannot be read."""
     with open_store(database_url(database), create=False) as store:
         releases, unread = store.releases.read_all(), store.releases.name_unread()
     latest = {(release.kind, release.sha256): release.release for release in releases}

@@ -87,7 +87,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
 
 
 def _kind(file: str) -> DocumentKind:
-    """Return what a file is by its table, and a shipped one by its name. ConfigError if it is neither."""
+    """Return what a file is by its table, and a shipped one by its name. Raise ConfigError if it is neither."""
     kinds = list(_kinds(file))
     if len(kinds) == 1:
         return kinds[0]

@@ -26,7 +26,7 @@ class Override:
     why: str = ""
 
     def validate(self) -> Self:
-        """Return itself. ConfigError if a check is unknown, or name or reason is missing or not allowed."""
+        """Return itself. Raise ConfigError if a check is unknown, or name or reason is missing or not allowed."""
         known_checks = [str(check) for check in GateCheck]
         for name in self.checks:
             if name not in known_checks:

@@ -31,7 +31,7 @@ class ReanalyseRequest:
     database: str | None = None
 
     def check(self) -> None:
-        """RefusedError or ConfigError if options contradict each other, or a decision has no name or reason."""
+        """Raise RefusedError or ConfigError if options contradict each other, or a decision has no name or reason."""
         if self.workers is not None and self.workers < 1:
             raise RefusedError(f"--workers {self.workers} is not a number of processes", remedy="give 1 or more")
         if self.workers is not None and self.scheduler is not None:

@@ -36,7 +36,7 @@ def material_path(result: RunResult) -> Path:
 
 
 def write_material(result: RunResult) -> Path:
-    """Write the material file of a run whole or not at all. RefusedError if the folder cannot be written to."""
+    """Write the material file of a run whole or not at all. Raise RefusedError if the folder cannot be written to."""
     path = material_path(result)
     write_report(path, material_text(material_of(result), _comments(result)))
     return path

@@ -78,7 +78,7 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
 
 
 def check_cycles(plan: Plan, recipe: Recipe) -> None:
-    """Check that a recipe for a strip presses cycles, all in one place. ConfigError if not."""
+    """Check that a recipe for a strip presses cycles, all in one place. Raise ConfigError if not."""
     if recipe.characterisation is None:
         return
     meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
@@ -93,7 +93,7 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
 
 
 def station_key(station: Station) -> SigningKey | None:
-    """Return the key that signs a station's calibrations, or None. RefusedError if it cannot be used."""
+    """Return the key that signs a station's calibrations, or None. Raise RefusedError if it cannot be used."""
     if station.signing_key is None:
         return None
     try:

@@ -97,7 +97,7 @@ def resume_run(
 
 
 def _configuration(store: Repository, run: str) -> str:
-    """Return the configuration of a run. StoreError if it is unknown or damaged."""
+    """Return the configuration of a run. Raise StoreError if it is unknown or damaged."""
     try:
         return store.runs.read_configuration(run)
     except StoreError as error:
@@ -229,7 +229,7 @@ def _who(instrument: InstrumentIdentity) -> str:
 def find_next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
     """Return the phase in which a resumed run would continue, and its next step in words.
 
-    None if its configuration or one of its plugins can no longer be used.
+    Return None if its configuration or one of its plugins can no longer be used.
     """
     try:
         plan, ended = plan_of(restore(store.runs.read_configuration(run)), plugins), store.runs.list_ended_phases(run)

@@ -65,7 +65,7 @@ class RunRequest:
     golden: bool = False
 
     def validate(self) -> Self:
-        """Return itself. ConfigError if serial, batch, operator, reason or override is not allowed."""
+        """Return itself. Raise ConfigError if serial, batch, operator, reason or override is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
@@ -74,7 +74,7 @@ class RunRequest:
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
-        """Load and merge the files. ConfigError if one is missing or wrong."""
+        """Load and merge the files. Raise ConfigError if one is missing or wrong."""
         return configure(
             self.station,
             self.recipe,

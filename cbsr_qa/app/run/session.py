@@ -69,7 +69,7 @@ class Done:
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
-    """Check recipe, plugins and limits before anything moves. RefusedError if one fails."""
+    """Check recipe, plugins and limits before anything moves. Raise RefusedError if one fails."""
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
     planned = plan_of(configuration, plugins)
     station_key(configuration.station)

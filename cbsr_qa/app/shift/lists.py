@@ -73,7 +73,7 @@ def list_request(
 ) -> ListRequest:
     """Return which runs are meant by a day and criteria; ``selection``: further fields of a RunSelection.
 
-    RefusedError if two of them exclude each other.
+    Raise RefusedError if two of them exclude each other.
     """
     if today and (since or until):
         raise RefusedError("--today with --since or --until", remedy="give one of them")

@@ -148,5 +148,5 @@ StreamMessage = HeaderMessage | FrameMessage | AliveMessage | DroppedMessage | I
 
 
 def json_line(message: StreamMessage) -> bytes:
-    """Return a message as one line of JSON. ValueError if a number in it is not finite."""
+    """Return a message as one line of JSON. Raise ValueError if a number in it is not finite."""
     return json.dumps(asdict(message), separators=(",", ":"), allow_nan=False).encode() + b"\n"

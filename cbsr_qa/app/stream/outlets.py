@@ -46,7 +46,7 @@ class Outlet(Protocol):
 class Outlets:
     """All outlets of a stream; a context manager.
 
-    RefusedError or ConfigError if one is malformed or cannot be used (a port that is taken, no broker).
+    Raise RefusedError or ConfigError if one is malformed or cannot be used (a port that is taken, no broker).
 
     Parameters
     ----------
