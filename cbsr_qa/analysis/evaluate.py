@@ -66,8 +66,8 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         If the recipe's reconstruction or a metric is unknown or refuses its options.
     """
     if record.end is not EndReason.FINISHED:
-        why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-        return _empty_conclusion(why)
+        reason = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
+        return _empty_conclusion(reason)
     if recipe.characterisation is not None:
         return _evaluate_strip(record, recipe.characterisation, recipe.limits, stages)
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
@@ -219,8 +219,14 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 def judge_again(judged: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
     """Judge measurements by other limits than those they were judged by."""
-    own = (one for one in judged if not (one.how == _NOT_ENABLED or one.how.startswith(_OTHER_UNIT)))
-    return judge((replace(one, limit=None, outcome=Outcome.NOT_JUDGED) for one in own), limits)
+    own_measurements = (
+        measurement
+        for measurement in judged
+        if not (measurement.how == _NOT_ENABLED or measurement.how.startswith(_OTHER_UNIT))
+    )
+    return judge(
+        (replace(measurement, limit=None, outcome=Outcome.NOT_JUDGED) for measurement in own_measurements), limits
+    )
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:

@@ -218,8 +218,8 @@ def _notes(description: Description) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if description.simulated is not None:
         return tuple(description.notes), tuple(description.simulated)
     simulated_notes = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
-    others = tuple(note for note in description.notes if note not in simulated_notes)
-    return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in simulated_notes)
+    other_notes = tuple(note for note in description.notes if note not in simulated_notes)
+    return other_notes, tuple(note.removeprefix(_SIMULATED_NOTE) for note in simulated_notes)
 
 
 def _read_frames(group: h5py.Group) -> FrameBlock:
@@ -289,8 +289,8 @@ def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
     The whole file is checked (see :func:`~cbsr_qa.calibration.file.hdf5_content.members`) before any value is read.
     """
     sha = hashlib.sha256()
-    held = dict(members(file, size_bytes))
-    for name, item in [("/", file), *sorted(held.items())]:
+    item_by_name = dict(members(file, size_bytes))
+    for name, item in [("/", file), *sorted(item_by_name.items())]:
         sha.update(name.encode() + b"\x00")
         if isinstance(item, h5py.Dataset):
             if item.dtype.kind not in "iufcb":

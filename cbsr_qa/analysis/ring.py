@@ -202,8 +202,10 @@ def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
         first_flagged = tuple(int(index) for index in np.argwhere(~fit.used)[0])
-        what = ReadingFlag(int(fit.flags[first_flagged])).name or "flagged"
-        finding = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first_flagged)}: {what.lower()}"
+        flag_name = ReadingFlag(int(fit.flags[first_flagged])).name or "flagged"
+        finding = (
+            f"{count} of {fit.used.size}; the first is {pair_words(pattern, first_flagged)}: {flag_name.lower()}"
+        )
     remedy = "check that the ring is connected; lower the drive current or the ring's resistance"
     return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
@@ -214,8 +216,8 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     limit = allowed.gain + allowed.tolerance
     finding = "readings over closed form × current, all together"
     remedy = "check the ring's resistance, then the source's current and the meter's calibration"
-    ok, words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
-    return _line("gain error", ok, 100 * fit.gain_error, "%", words, finding, remedy)
+    ok, allowed_words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
+    return _line("gain error", ok, 100 * fit.gain_error, "%", allowed_words, finding, remedy)
 
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
@@ -273,8 +275,10 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
     drive, measure = np.unravel_index(int(np.argmax(relative)), relative.shape)
     noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
     finding = f"rms over {int(judged_mask.sum())} readings; the noisiest is {noisiest}"
-    ok, words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
-    return _line("noise of a reading", ok, 1e6 * rms, "ppm", words, finding, "" if ok else _less_noise(rms, allowed))
+    ok, allowed_words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
+    return _line(
+        "noise of a reading", ok, 1e6 * rms, "ppm", allowed_words, finding, "" if ok else _less_noise(rms, allowed)
+    )
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:

@@ -102,8 +102,8 @@ class _Pins:
     ohm: Array
 
     def slice_time(self, start_s: float, end_s: float) -> "_Pins":
-        inside = (self.time_s >= start_s) & (self.time_s < end_s)
-        return _Pins(self.time_s[inside], self.ohm[inside])
+        inside_mask = (self.time_s >= start_s) & (self.time_s < end_s)
+        return _Pins(self.time_s[inside_mask], self.ohm[inside_mask])
 
 
 @lru_cache(maxsize=8)

@@ -129,8 +129,8 @@ class _Reader:
     def noise_ratio(self) -> float:
         """Noise of the unloaded frames about a straight line in time; rows have unit noise in the calibration."""
         rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
-        left = off_the_line(rows, time_s)
-        return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
+        residuals = off_the_line(rows, time_s)
+        return float(np.sqrt((residuals**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> VerifiedLoad | None:
         """Evaluate one load; None if it was not alone, has no force, or is out of range."""

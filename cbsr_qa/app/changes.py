@@ -48,7 +48,7 @@ class Changes:
 
 
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
-    """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
+    """List changes of files and control limits, and overrides. Raise StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         charts = tuple(_chart_changes(store.charts.read_all()))
         altered = store.changes.find_altered()

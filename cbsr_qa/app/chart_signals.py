@@ -35,7 +35,7 @@ def find_chart_signals(
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
-        members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
+        members = [member for member in references if (member.recipe, member.golden) == (recipe, golden)]
         selection = _select_chart_runs(station, members, until)
         table = store.fleet.load_table(selection)
         cut = selection.latest is not None and len(table.runs) >= selection.latest
@@ -113,7 +113,11 @@ def _find_signal(
     figure_by_run = figures.get(reference.key, {})
     later = [line for line in lines if line.run in figure_by_run and line.run > reference.last_run]
     pairs = [(line, figure_by_run[line.run]) for line in later]
-    charted = [(line, one.value) for line, one in pairs if one.value is not None and one.unit == reference.unit]
+    charted = [
+        (line, measurement.value)
+        for line, measurement in pairs
+        if measurement.value is not None and measurement.unit == reference.unit
+    ]
     if len(charted) < reference.subgroup:
         return None
     charts = charts_of([value for _, value in charted], reference, Standard(reference.mean, reference.deviation))

@@ -188,8 +188,8 @@ def check_database(
 def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
     """Yield what a part of the check finds; where a cell that cannot be read ends it, that too: the others go on."""
     try:
-        for what in find():
-            yield FoundProblem(None, what)
+        for problem in find():
+            yield FoundProblem(None, problem)
     except OddCellError as error:
         yield FoundProblem(None, error.reason)
 

@@ -125,8 +125,8 @@ def keep_synchronised(
 
 def _tell_pass(sent: Sent, tell: Callable[[str], None], *, told: Sequence[str]) -> None:
     """Tell what a pass did, and rows that it passed over unless they were told before."""
-    for words in (words for words in sent.unread[:MOST_LISTED] if words not in told):
-        tell(f"passed over: {words}")
+    for row in (row for row in sent.unread[:MOST_LISTED] if row not in told):
+        tell(f"passed over: {row}")
     if sent.items or sent.quarantined:
         tell(describe_sent(sent, len(sent.quarantined)))
     for lost in sent.lost[:MOST_LISTED]:

@@ -206,8 +206,8 @@ def sync_outcome(
         (f"lost {lost_item.kind}", f"{lost_item.item}: {lost_item.why}") for lost_item in sent.lost[:MOST_LISTED]
     ]
     facts += [("rows added", added_rows.why) for added_rows in sent.added[:MOST_LISTED]]
-    facts += [("passed over", words) for words in unread[:MOST_LISTED]]
-    facts += [("Note", words) for words in sent.notes[:MOST_LISTED]]
+    facts += [("passed over", note) for note in unread[:MOST_LISTED]]
+    facts += [("Note", note) for note in sent.notes[:MOST_LISTED]]
     facts += (
         [("Let go", plural(len(held_entries) - len(quarantined), "item"))]
         if len(held_entries) > len(quarantined)
@@ -219,8 +219,8 @@ def sync_outcome(
     )
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
     outcome = answer(result, headline, "", facts, printed=remedies if quarantined else ())
-    why = _describe_failure(result, quarantined=bool(quarantined))
-    return _mark_failed(outcome, headline, why) if why else outcome
+    failure = _describe_failure(result, quarantined=bool(quarantined))
+    return _mark_failed(outcome, headline, failure) if failure else outcome
 
 
 def _describe_failure(result: Synchronised, *, quarantined: bool) -> str:

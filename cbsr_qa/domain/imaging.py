@@ -1,6 +1,6 @@
 """Images: one value per mesh element, and the regions found in them.
 
-What a reconstruction is given and what a linear one becomes.
+Problem that a reconstruction is given, and result of a linear one.
 """
 
 from dataclasses import dataclass, field

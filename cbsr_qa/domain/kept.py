@@ -120,8 +120,10 @@ def _read_fields(of: Any) -> tuple[KeptField, ...]:
 
 
 def _read_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
-    said = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Kept)]
-    return KeptField(field.name, hint.__origin__ if said else hint, field.default, said[0] if said else Kept())
+    annotations = [annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Kept)]
+    return KeptField(
+        field.name, hint.__origin__ if annotations else hint, field.default, annotations[0] if annotations else Kept()
+    )
 
 
 def as_filed(held: _Kind) -> _Kind:
@@ -166,8 +168,10 @@ def round_to_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float6
 def group_of(hint: Any) -> type | None:
     """Return the dataclass of a field, which may be optional; None for other types."""
     types = hint.__args__ if isinstance(hint, UnionType) else (hint,)
-    found = [one for one in types if isinstance(one, type) and dataclasses.is_dataclass(one)]
-    return found[0] if len(found) == 1 else None
+    dataclass_types = [
+        candidate for candidate in types if isinstance(candidate, type) and dataclasses.is_dataclass(candidate)
+    ]
+    return dataclass_types[0] if len(dataclass_types) == 1 else None
 
 
 def walk_fields(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:

@@ -21,8 +21,8 @@ _NOTED: Final = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN, GateOutcome.REFUSED
 def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
     """Return answers of the gate, one a row."""
     rows = [
-        (str(one.check), str(one.policy), Cell(str(one.outcome), _CELLS[one.outcome]), one.sentence)
-        for one in answers
+        (str(answer.check), str(answer.policy), Cell(str(answer.outcome), _CELLS[answer.outcome]), answer.sentence)
+        for answer in answers
     ]
     return text_table(caption, ("Check", "Policy", "Outcome", "Finding"), rows)
 

@@ -64,8 +64,8 @@ def _describe_issued(result: RunResult) -> tuple[str, str]:
         issued = f"issued, signed by {signature.words}" if signature else "issued"
         return "Calibration", issued if result.calibration else f"none: {result.calibration_why}"
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
-    why = next(iter(characterised.refused), "" if passed else "the run did not pass")
-    return "Material file", f"none: {why}" if why else "issued"
+    reason = next(iter(characterised.refused), "" if passed else "the run did not pass")
+    return "Material file", f"none: {reason}" if reason else "issued"
 
 
 def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:

@@ -152,8 +152,8 @@ def _render(
     page: Page, result: RunResult | RecordingResult, sections: Sequence[ReportSection], warnings: Sequence[str]
 ) -> str:
     failed: list[str] = []
-    shown = tuple(_render_each(sections, result, failed))
-    return _page(page, shown, (*warnings, *failed))
+    rendered = tuple(_render_each(sections, result, failed))
+    return _page(page, rendered, (*warnings, *failed))
 
 
 def _page(page: Page, shown: Sequence[_Shown], warnings: Sequence[str]) -> str:

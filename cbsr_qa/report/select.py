@@ -103,10 +103,10 @@ def select_relaxed(loads: Sequence[LoadObservation]) -> tuple[SettledLoad, ...]:
 def title_load(load: LoadObservation, *, trials: bool, strains: bool) -> str:
     """Name a load with what tells it from its siblings: ``L3``, ``L3 · 20 %``, ``L3 · 20 % · trial 2``."""
     planned_load = load.record.load
-    words = [planned_load.label]
-    words += [f"{round(100 * planned_load.strain, 1):g} %"] if strains else []
-    words += [f"trial {planned_load.trial + 1}"] if trials and planned_load.trial else []
-    return " · ".join(words)
+    title_parts = [planned_load.label]
+    title_parts += [f"{round(100 * planned_load.strain, 1):g} %"] if strains else []
+    title_parts += [f"trial {planned_load.trial + 1}"] if trials and planned_load.trial else []
+    return " · ".join(title_parts)
 
 
 def _join_load(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:

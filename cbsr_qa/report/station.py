@@ -47,8 +47,8 @@ def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:
 def count_results(check: StationCheck) -> str:
     """Say how many results failed and warn: ``2 failed, 1 warning``; ``none failed``."""
     failed, warned = len(check.lines(CheckOutcome.FAILED)), len(check.lines(CheckOutcome.WARNING))
-    words = f"{failed or 'none'} failed"
-    return f"{words}, {plural(warned, 'warning')}" if warned else words
+    counts = f"{failed or 'none'} failed"
+    return f"{counts}, {plural(warned, 'warning')}" if warned else counts
 
 
 def station_blocks(station: str, check: StationCheck | None, begun: datetime) -> tuple[Block, ...]:

@@ -219,5 +219,5 @@ def margin_text(measurement: Measurement) -> str:
 
 def unit_column(name: str, unit: str) -> str:
     """Head a column: ``E_CoM [mm]``."""
-    shown = unit_shown(unit)
-    return f"{name} [{shown}]" if shown else name
+    shown_unit = unit_shown(unit)
+    return f"{name} [{shown_unit}]" if shown_unit else name

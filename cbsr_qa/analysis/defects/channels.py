@@ -110,7 +110,7 @@ def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
 def _remembering_rail(level: Array, rail: float) -> Mask:
     """Channels clipped at a rail that show a share of the reading before them: level = rail + m (previous − rail).
 
-    Sought among readings at the same distance from the driven pair, which share m and nothing else.
+    It is sought among readings at the same distance from the driven pair, which only have m in common.
     """
     rows, columns = level.shape
     clipped = np.zeros(level.shape, dtype=bool)
@@ -136,7 +136,7 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
 def _find_ceiling_clipping(voltages: Array) -> Mask:
     """Pairs clipped at a common level that no reading exceeds: the source's voltage limit.
 
-    Only for one-row scans, where symmetry does not cause equal levels.
+    Use it only for one-row scans, where symmetry does not cause equal levels.
     """
     rows = voltages[:, 0, :]
     level = np.median(rows, axis=0)

@@ -82,8 +82,8 @@ def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
         driven = np.array([electrode in pair for pair in pattern.drive])
         measured = np.array([electrode in pair for pair in pattern.measure])
         suspects.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
-    kept = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
-    return tuple(sorted(kept, key=lambda suspect: int(suspect.readings.sum())))
+    real_suspects = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
+    return tuple(sorted(real_suspects, key=lambda suspect: int(suspect.readings.sum())))
 
 
 def suspect_in(
@@ -103,13 +103,13 @@ def suspect_in(
     The suspect with the fewest readings that explains the change; None where the sheet may have changed.
     """
     for suspect in suspects:
-        inside, outside = _parts(change, hidden, suspect.readings)
-        total = float(inside @ inside + outside @ outside) - noise * len(change)
-        doubt = _SIGMAS * noise * np.sqrt(2 * len(outside))
-        rest = float(outside @ outside) - noise * len(outside)
+        change_inside, change_outside = _parts(change, hidden, suspect.readings)
+        total = float(change_inside @ change_inside + change_outside @ change_outside) - noise * len(change)
+        doubt = _SIGMAS * noise * np.sqrt(2 * len(change_outside))
+        rest = float(change_outside @ change_outside) - noise * len(change_outside)
         if total <= 0 or rest > (1 - _INSIDE) * total + doubt or total < 4 * doubt:
             continue
-        if not _may_be_load(load, outside, hidden, suspect.readings, noise):
+        if not _may_be_load(load, change_outside, hidden, suspect.readings, noise):
             return suspect
     return None
 

@@ -48,8 +48,8 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
     at_limit = samples.values == highest
     if highest <= 0 or _longest_run(at_limit) < _FLAT:
         return None
-    others = samples.values[~at_limit]
-    often_repeats = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
+    below_limit = samples.values[~at_limit]
+    often_repeats = len(below_limit) > 1 and float((np.diff(below_limit) == 0).mean()) > 0.5
     strains = {
         load.load.strain
         for load in loads

@@ -44,8 +44,8 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     steps = np.diff(readings, axis=0)
     steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
     # The median would not do: for counts it takes few distinct values, and so would the noise.
-    kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
-    sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
+    smaller_steps = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
+    sigma = smaller_steps.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
     level = float(np.median(np.abs(readings))) if readings.size else 0.0
     least = _ROUNDING if counts else 1e-7 * level
     floored: Array = np.maximum(sigma, least or 1e-300)

@@ -59,9 +59,9 @@ def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
 
 def offset_words(offsets: tuple[tuple[int, float], ...], time_s: Array, unit: str) -> list[str]:
     """Name sudden offsets with their times (n,) of the frames; nothing without any."""
-    listed = ", ".join(f"{size:+.3g} {unit} at {time_s[at]:.1f} s" for at, size in offsets)
-    words = f"all readings changed by one offset, not by a load: {listed}; it was taken out"
-    return [words] if offsets else []
+    listed = ", ".join(f"{size:+.3g} {unit} at {time_s[frame]:.1f} s" for frame, size in offsets)
+    sentence = f"all readings changed by one offset, not by a load: {listed}; it was taken out"
+    return [sentence] if offsets else []
 
 
 def subtract_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:

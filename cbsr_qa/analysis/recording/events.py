@@ -161,18 +161,18 @@ def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
     if press.slow:
         return False
     x, y = match.places[pulse.place]
-    apart = min(np.hypot(place.x - x, place.y - y) for place in press.places)
-    return bool(apart <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
+    distance = min(np.hypot(place.x - x, place.y - y) for place in press.places)
+    return bool(distance <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
 
 
 def _add_short(short: Press, presses: Found) -> None:
     """Add a short press, unless it belongs to a lasting one."""
     for press in presses.presses:
-        apart = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
-        if apart > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
+        distance = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
+        if distance > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
             continue
-        kept = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
-        if kept and abs(press.start - short.start) < short.end - short.start + _CLOSE:
+        is_residue = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
+        if is_residue and abs(press.start - short.start) < short.end - short.start + _CLOSE:
             # The lasting part is what the sheet keeps of the short press.
             presses.presses.remove(press)
             break
@@ -216,8 +216,8 @@ class _Search:
             self.found.suspects.append((frame, suspect))
         elif share := self._gain(change):
             self.found.gains.append((frame, share))
-        elif why := _unlike_a_load(self.white, explained, before, held):
-            self.found.rejected.append((frame, why))
+        elif reason := _unlike_a_load(self.white, explained, before, held):
+            self.found.rejected.append((frame, reason))
         else:
             return places
         return ()

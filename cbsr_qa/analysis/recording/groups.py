@@ -98,8 +98,8 @@ def _add_to_group(change: Change, group: Group, white: Array, match: Matcher) ->
         group.changes.append(change)
         return True
     along = trace(white, *rough(group.changes[0], min(group.limit([], len(white)), change.frame), len(white)))
-    after = float(along[change.frame : change.frame + max(change.window, 2)].mean())
-    if after < -_CROSSED:
+    level_after = float(along[change.frame : change.frame + max(change.window, 2)].mean())
+    if level_after < -_CROSSED:
         return False
     group.releases.append(change)
     return True

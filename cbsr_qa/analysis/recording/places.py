@@ -204,8 +204,8 @@ def _correct_direction(place: Place, seen: list[Place]) -> Place:
 def _best(change: Array, match: Matcher, sign: int, besides: tuple[int, ...]) -> int:
     scores = change @ match.patterns
     scores = np.abs(scores) if sign == 0 else sign * scores
-    for taken in besides:
-        near = np.hypot(*(match.places - match.places[taken]).T) < _SEPARATE
+    for taken_index in besides:
+        near = np.hypot(*(match.places - match.places[taken_index]).T) < _SEPARATE
         scores = np.where(near, -np.inf, scores)
     return int(np.argmax(scores))
 
@@ -219,16 +219,16 @@ def _fit_residual(change: Array, match: Matcher, chosen: list[int]) -> Array:
 
 
 def _fit_power(change: Array, match: Matcher, chosen: list[int]) -> float:
-    left = _fit_residual(change, match, chosen)
-    return float(change @ change - left @ left)
+    residual = _fit_residual(change, match, chosen)
+    return float(change @ change - residual @ residual)
 
 
 def _optimise_places(change: Array, match: Matcher, chosen: list[int], sign: int) -> list[int]:
     for _ in range(_SWEEPS):
         previous = list(chosen)
         for k in range(len(chosen)):
-            others = chosen[:k] + chosen[k + 1 :]
-            chosen[k] = _best(_fit_residual(change, match, others), match, sign, tuple(others))
+            other_indices = chosen[:k] + chosen[k + 1 :]
+            chosen[k] = _best(_fit_residual(change, match, other_indices), match, sign, tuple(other_indices))
         if chosen == previous:
             break
     return chosen
@@ -236,8 +236,8 @@ def _optimise_places(change: Array, match: Matcher, chosen: list[int], sign: int
 
 def _nearest(match: Matcher, chosen: list[int]) -> float:
     places = match.places[chosen]
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
-    return float(apart.min())
+    distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
+    return float(distances.min())
 
 
 def _all_refined(change: Array, match: Matcher, chosen: list[int]) -> list[Place]:

@@ -14,7 +14,7 @@ def average_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Reco
     """Average repeated readings, frame by frame; the same objects where no pair repeats or the frames do not fit.
 
     Noise falls as the root of the number of sound readings: those flagged as unusable are not averaged. The readings'
-    own times, which say nothing of a mean, are left out.
+    own times are left out, as a mean has none.
     """
     pattern = sensor_type.pattern
     drive, measure = _number_pairs(pattern.drive), _number_pairs(pattern.measure)

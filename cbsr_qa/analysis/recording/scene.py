@@ -251,7 +251,7 @@ class RecordedScene:
         self, press: Press, place: Place, times: Array, readings: Array, changes: Array, goodness: Goodness
     ) -> Sighting:
         index = np.arange(len(times))
-        start, end = (float(np.interp(at, index, times)) for at in (press.start, press.end))
+        start, end = (float(np.interp(frame, index, times)) for frame in (press.start, press.end))
         return Sighting(
             start,
             float(times[press.peak]),

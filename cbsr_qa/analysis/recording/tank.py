@@ -172,7 +172,12 @@ class Tank:
         ----------
         change : (m,) of the sheet's readings.
         """
-        basis = np.column_stack([*(sheet.patterns[:, seen.place.index] for seen in objects), sheet.problem.reference])
+        basis = np.column_stack(
+            [
+                *(sheet.patterns[:, object_on_sheet.place.index] for object_on_sheet in objects),
+                sheet.problem.reference,
+            ]
+        )
         volume = np.linalg.lstsq(basis, change, rcond=None)[0][:-1]
         radius = float(np.mean(np.cbrt(3 * np.abs(volume) / (4 * np.pi))))
         return min(max(radius, _SIZES[0]), _SIZES[1]), bool(volume.sum() > 0)

@@ -91,8 +91,8 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 def _sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     strip = run.record.material.strip_relaxation
     if strip is None:
-        why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
-        return tuple(_refuse_agreement(loading, why) for loading in (True, False))
+        reason = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
+        return tuple(_refuse_agreement(loading, reason) for loading in (True, False))
     force = run_force(run)
     if force.learned is None:
         return tuple(
@@ -166,5 +166,5 @@ def _find_relaxation(load: LoadObservation, signal: str, loading: bool) -> Relax
 
 
 def _end(load: LoadObservation, signal: str) -> float:
-    held = load.relaxation(signal, loading=True)
-    return 0.0 if held is None else held.trace.end_level
+    hold_relaxation = load.relaxation(signal, loading=True)
+    return 0.0 if hold_relaxation is None else hold_relaxation.trace.end_level

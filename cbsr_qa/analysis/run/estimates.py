@@ -77,7 +77,7 @@ def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     """Noise variance of every reading of one frame, (drives, measures) [V²], about a straight line in time.
 
-    Raised by ν/(ν − 2) for ν degrees of freedom, so that misfits weighted by its inverse average one.
+    The variance is raised by ν/(ν − 2) for ν degrees of freedom: misfits weighted by its inverse average one.
 
     The moderated variances used for images (:mod:`cbsr_qa.eit.inverse.readings`) are the better estimate: from 16
     unloaded frames they make force errors 6 % smaller (39 places, 6 sensors of 30 held-out loads: 0.059 to 0.055 N

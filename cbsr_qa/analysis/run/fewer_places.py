@@ -151,8 +151,8 @@ class _Loads:
         mean, variance = self._learn_response(kept[self._which]).predict(self._at[~kept])
         weight = 1 / (self._variance + self._scatter**2)
         total = np.bincount(self._which, weight)
-        seen = np.bincount(self._which, weight * self._log) / total
-        error = (mean - seen[~kept]) ** 2 - 1 / total[~kept]
+        mean_log = np.bincount(self._which, weight * self._log) / total
+        error = (mean - mean_log[~kept]) ** 2 - 1 / total[~kept]
         return float(error.mean()), float(variance.mean())
 
     def _learn_response(self, chosen: Chosen) -> ResponseMap:

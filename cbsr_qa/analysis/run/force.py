@@ -228,8 +228,8 @@ class _RunForce:
             again_mask = left_out_mask & pressed_by_others
             if again_mask.any():
                 tests += self.tests(self.learn(others_mask), again_mask, TRIAL_LEFT_OUT)
-        used = tuple(compress(self.loads, calibrating))
-        return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
+        calibrating_loads = tuple(compress(self.loads, calibrating))
+        return RunForce(learned, calibrating_loads, tuple(tests), sheet_pose=self.sheet_pose)
 
     def add_kernels(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold at which loads were evaluated, and their kernels."""

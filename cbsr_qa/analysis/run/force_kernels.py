@@ -132,8 +132,8 @@ class StrengthTraces:
 
     def residue(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
-        before = window_of(self._run, load).before
-        return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
+        frames_before = window_of(self._run, load).before
+        return float(self._strengths(load, frames_before).strength.mean()) if len(frames_before) else 0.0
 
     def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
         return self._filter.match_at(self._rows(frames), self._places_mm[key_of(load)])
@@ -307,5 +307,5 @@ def _predict_force(
     times, values, noise = trace
     if not len(times):
         raise NumericsError(f"no force was recorded under load {load.record.load.label} of phase {load.phase!r}")
-    seen = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
-    return float(seen.values[0]), float(seen.stderr[0])
+    prediction = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
+    return float(prediction.values[0]), float(prediction.stderr[0])

@@ -123,7 +123,7 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
 def calibration_radius_mm(force: RunForce) -> float:
     """Return the distance of the farthest calibration load from the centre [mm]."""
     assert force.learned is not None
-    places = places_mm([load for load, why in zip(force.used, force.learned.refused, strict=True) if not why])
+    places = places_mm([load for load, refusal in zip(force.used, force.learned.refused, strict=True) if not refusal])
     return float(np.hypot(*places.T).max())
 
 
@@ -189,8 +189,8 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
     if not (np.isfinite(force).all() and (force > 0).all()):
         raise NumericsError("the line's intercept alone exceeds the threshold: there is no least force")
-    at = (tuple(map(float, place)) for place in places_mm)
-    return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
+    places = (tuple(map(float, place)) for place in places_mm)
+    return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, places, strict=True))
 
 
 def gauge_factor(

@@ -69,8 +69,8 @@ class LivePreview:
             If these are too few, too few readings are usable, or the method is not linear.
         """
         for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
-        used = sensor_type.pattern.usable() & ~((unloaded.flags & UNUSABLE) != 0).any(axis=0)
-        prepared = linear(reconstruction.prepare(imaging_problem(sensor_type, used=used)))
+        used_mask = sensor_type.pattern.usable() & ~((unloaded.flags & UNUSABLE) != 0).any(axis=0)
+        prepared = linear(reconstruction.prepare(imaging_problem(sensor_type, used=used_mask)))
         reference = for_reference.voltages.mean(axis=0)
         imager = Imager(prepared, reference, scale_of(reference, prepared.problem))
         return cls(imager, noise_floor(imager.images(for_noise)), settings, indenter)

@@ -275,5 +275,5 @@ def _stress(
 
 
 def _cut(trace: Trace, start_s: float, end_s: float) -> Trace:
-    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
-    return Trace(trace.name, trace.unit, trace.time_s[inside] - start_s, trace.values[inside])
+    inside_mask = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    return Trace(trace.name, trace.unit, trace.time_s[inside_mask] - start_s, trace.values[inside_mask])

@@ -89,8 +89,8 @@ def _observe(
     output = _amplitudes(rows, pattern)
     deep = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
-        at = deepest(loop)
-        deep |= (frames_during.time_s >= at.start_s) & (frames_during.time_s < at.end_s)
+        hold = deepest(loop)
+        deep |= (frames_during.time_s >= hold.start_s) & (frames_during.time_s < hold.end_s)
     span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
     reason = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
     unit = span if span > 0 else 1.0
@@ -108,7 +108,7 @@ def _nothing(
 def _why_no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
     """Report that the cell was at its limit while one of the strains was held."""
     holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
-    return next((why for hold in holds if (why := describe_cell_limit(samples, hold))), "")
+    return next((reason for hold in holds if (reason := describe_cell_limit(samples, hold))), "")
 
 
 def _frames_before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
@@ -129,7 +129,7 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
     A linear drift is fitted too, and outlying holds get little weight (Huber), so that drift or dropout of an
     electrode is not taken for a response.
     """
-    windows = [(held.strain, held.start_s, held.end_s) for loop in loops for held in loop.held]
+    windows = [(hold.strain, hold.start_s, hold.end_s) for loop in loops for hold in loop.held]
     windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
     medians, strains, times = [], [0.0], [float(time_s[0])]
     for strain, from_s, to_s in windows:

@@ -57,10 +57,10 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
     metrics = np.full((3, len(masks), len(phase.frames)), np.nan)
     images = setting.response.sign * setting.imager.images(phase.frames)
     for record in phase.loads:
-        held = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
-        for frame in np.flatnonzero(held):
-            others = list_neighbours(setting.indenter, phase, record, float(time_s[frame]))
-            metrics[:, :, frame] = _metrics(setting, images[frame], record, others)
+        held_mask = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
+        for frame in np.flatnonzero(held_mask):
+            neighbours = list_neighbours(setting.indenter, phase, record, float(time_s[frame]))
+            metrics[:, :, frame] = _metrics(setting, images[frame], record, neighbours)
     return MetricTimeline(phase.name, time_s, masks, metrics[0], metrics[1], metrics[2], phase.channel("force"))
 
 

@@ -49,14 +49,14 @@ class PlaceErrors:
     @classmethod
     def from_places(cls, pressed_mm: Array, learned_mm: Array, modelled_mm: Array) -> "PlaceErrors":
         """Errors of places (n, 2) found by both estimates."""
-        learned, modelled = (np.linalg.norm(each - pressed_mm, axis=1) for each in (learned_mm, modelled_mm))
+        learned, modelled = (np.linalg.norm(found_mm - pressed_mm, axis=1) for found_mm in (learned_mm, modelled_mm))
         gain, stderr = mean_by_place(modelled - learned, visits_of(pressed_mm))
         return cls(len(pressed_mm), float(learned.mean()), float(modelled.mean()), gain, stderr)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPlace:
-    """What a run's presses taught about place.
+    """Place as learned from a run's presses.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class RunPlace:
 
     @property
     def used(self) -> PlaceOfRun | None:
-        """What a calibration keeps; None unless it pays."""
+        """Learned place that a calibration keeps; None unless it pays."""
         if self.learned is None or self.left_out is None or not self.pays:
             return None
         errors = self.left_out
@@ -94,9 +94,9 @@ class RunPlace:
         if self.left_out is None:
             return f"Place not learned: {self.why}"
         cv, others = self.left_out, self.others
-        at = "" if self.places == cv.presses else f" at {self.places} places"
+        where = "" if self.places == cv.presses else f" at {self.places} places"
         sentence = (
-            f"Place learned from {cv.presses} presses{at}: {cv.learned_mm:.2g} mm on presses left out, the model of"
+            f"Place learned from {cv.presses} presses{where}: {cv.learned_mm:.2g} mm on presses left out, the model of"
             f" the sheet {cv.modelled_mm:.2g} mm (difference {cv.gain_mm:+.2g} ± {cv.gain_stderr_mm:.1g} mm)"
         ).replace("-", "−")
         if others is not None:
@@ -128,7 +128,7 @@ def _learn_and_compare(run: RunObservation, force: RunForce) -> RunPlace:
     loads, data = force_loads(run)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads])
     used_mask = calibrating.copy()
-    used_mask[calibrating] = [not why for why in force.learned.refused]
+    used_mask[calibrating] = [not refusal for refusal in force.learned.refused]
     places = len(np.unique(data.place_mm[used_mask], axis=0))
     if places < FEWEST_PRESSES:
         raise CalibrationError(f"the loads that calibrate are at {places} places; {FEWEST_PRESSES} are needed")
@@ -155,8 +155,8 @@ def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed
     """Errors of loads located as the calibration in use locates them."""
     rows = data.subtract_residues()[0][which]
     modelled = finder.search(rows)
-    found = pressed(rows, modelled, modelled, finder)
-    return PlaceErrors.from_places(data.place_mm[which], found.place_mm, modelled.place_mm)
+    matches = pressed(rows, modelled, modelled, finder)
+    return PlaceErrors.from_places(data.place_mm[which], matches.place_mm, modelled.place_mm)
 
 
 def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, time_s: Array) -> PlaceLearned:

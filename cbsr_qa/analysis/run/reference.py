@@ -157,8 +157,8 @@ def _find_silent_readings(
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
     if len(voltages) < 2 or not readings.any():
         return voltages, ()
-    used = voltages[:, readings]
-    offsets = find_offsets(used, channel_noise(used, counts=False))
+    used_voltages = voltages[:, readings]
+    offsets = find_offsets(used_voltages, channel_noise(used_voltages, counts=False))
     return (subtract_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
 
 

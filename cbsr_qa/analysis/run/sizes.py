@@ -84,8 +84,8 @@ def size_response(
     centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
     places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))
     responses = tuple(
-        SizeResponse(words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
-        for words, place in places
+        SizeResponse(place_words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
+        for place_words, place in places
         if _on_sheet(problem, place, diameters[-1])
     )
     if not responses:

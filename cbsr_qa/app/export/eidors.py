@@ -61,8 +61,8 @@ def _model(record: RunRecord, current_A: float) -> dict[str, Any]:
     voltages, usable = pattern.measure_matrix().T, pattern.usable()
     fields = ("stimulation", "stim_pattern", "meas_pattern")
     stimulation = np.empty((1, len(usable)), dtype=[(name, object) for name in fields])
-    for drive, used in enumerate(usable):
-        stimulation[0, drive] = ("Amp", csc_array(currents[:, [drive]]), csc_array(voltages[used]))
+    for drive, used_mask in enumerate(usable):
+        stimulation[0, drive] = ("Amp", csc_array(currents[:, [drive]]), csc_array(voltages[used_mask]))
     return {
         "type": "fwd_model",
         "name": record.sensor_type.name,

@@ -160,8 +160,8 @@ def _export_frames(
     loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
     size_bytes = target.stat().st_size
     exported = Exported(target, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
-    words = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
-    return _outcome(exported, words, (("Run", record.identity.words),))
+    content = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
+    return _outcome(exported, content, (("Run", record.identity.words),))
 
 
 def _sound_run(store: Repository, run: str) -> ListedRun:
@@ -246,8 +246,8 @@ def _export_runs(
         rows if kind.of_table else None,
         tuple(altered),
     )
-    words = plural(runs, "run")
-    outcome = _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
+    content = plural(runs, "run")
+    outcome = _outcome(exported, f"{plural(rows, 'row')}, {content}" if kind.of_table else content)
     trusted["altered"] = len(altered)
     page_of_file = replace(outcome.page, warnings=trust_notes(store, trusted))
     return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered)))
@@ -285,8 +285,8 @@ def _writer(
 
 def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
     """Report every tenth part of many runs."""
-    before = max(page.done - AT_ONCE, 0)
-    if page.total > AT_ONCE and page.done * _STEPS // page.total > before * _STEPS // page.total:
+    done_before = max(page.done - AT_ONCE, 0)
+    if page.total > AT_ONCE and page.done * _STEPS // page.total > done_before * _STEPS // page.total:
         tell(f"{page.done} of {page.total} runs")
 
 

@@ -95,7 +95,7 @@ def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
 
 def frames_of(measured: Sequence[tuple[str, FrameBlock, Sequence[LoadRecord]]]) -> RunFrames:
     """Join named blocks of frames, each with its presses. Raises as :func:`run_frames`."""
-    loads = tuple((n, load) for n, (_, _, own) in enumerate(measured) for load in own)
+    loads = tuple((n, load) for n, (_, _, phase_loads) in enumerate(measured) for load in phase_loads)
     frame_counts = [len(frames) for _, frames, _ in measured]
     phase_indices = np.repeat(np.arange(len(measured), dtype=np.int32), frame_counts)
     currents = [np.nan if frames.current_A is None else frames.current_A for _, frames, _ in measured]

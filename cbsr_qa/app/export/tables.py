@@ -95,8 +95,8 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
 
 def _mark_altered_run(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
     """Return the row that a run has in place of its measurements if it was altered."""
-    said = {"outcome": ALTERED, "how": problem}
-    return (*of_run, *(said.get(name) for name in _MEASURED))
+    value_by_column = {"outcome": ALTERED, "how": problem}
+    return (*of_run, *(value_by_column.get(name) for name in _MEASURED))
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:

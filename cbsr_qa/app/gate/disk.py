@@ -31,8 +31,10 @@ def enough_disk(asked: Asked) -> Finding:
     needed = estimate_run_bytes(asked) if stated is None else stated * _GB
     file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
-    on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
-    least_free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
+    on_disks = {
+        _there(folder).stat().st_dev: folder for folder in reversed(folders)
+    }  # each is asked once: others write too
+    least_free = min((shutil.disk_usage(_there(folder)).free, str(folder)) for folder in on_disks.values())
     estimated_by = "the estimate for this run" if stated is None else "disk_GB of the station"
     clause = f"{least_free[0] / _GB:.1f} GB free at {least_free[1]}, {needed / _GB:.1f} GB needed ({estimated_by})"
     if file is None:

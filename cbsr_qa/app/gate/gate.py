@@ -117,8 +117,8 @@ def _answer(check: GateCheck, asked: Asked) -> GateAnswer:
         return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy, command=finding.command)
     override = asked.request.override
     if check in override.checks:
-        by, why = override.by, override.why.strip()
-        return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, by, why)
+        operator, reason = override.by, override.why.strip()
+        return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, operator, reason)
     return GateAnswer(check, policy, GateOutcome.REFUSED, finding.words, finding.remedy, command=finding.command)
 
 

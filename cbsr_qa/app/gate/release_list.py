@@ -1,4 +1,4 @@
-"""What is released: every release and withdrawal, and which of them hold."""
+"""Released contents: every release and withdrawal, and which of them hold."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -49,7 +49,7 @@ def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
         ("when (UTC)", "kind", "name", "SHA-256", "what", "by", "why"),
         [_row(release) for release in listed],
     )
-    headline, facts = f"{plural(released, 'content')} released", [("passed over", words) for words in unread]
+    headline, facts = f"{plural(released, 'content')} released", [("passed over", row) for row in unread]
     outcome = answer(ReleaseList(listed, unread), headline, "", facts)
     if unread:
         banner = Banner(

@@ -38,8 +38,8 @@ class Override:
             if self.by or self.why:
                 raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known_checks)}")
             return self
-        given = {"--override-by": self.by, "--override-why": self.why}
-        absent = [option for option, text in given.items() if not text.strip()]
+        text_by_option = {"--override-by": self.by, "--override-why": self.why}
+        absent = [option for option, text in text_by_option.items() if not text.strip()]
         if absent:
             raise ConfigError(f"an override needs {' and '.join(absent)}", remedy="say who decides, and why")
         validate_operator(self.by)

@@ -25,7 +25,7 @@ def serial_fits(asked: Asked) -> Finding:
 def retest_allowed(asked: Asked) -> Finding:
     """Count finished runs of this sensor and recipe; those of station checks, aborted and broken ones do not count.
 
-    A run of the sensor that was altered since counts: what it was cannot be known. A recent run of another sensor
+    An altered run of the sensor counts, as its content is not known. A recent run of another sensor
     that was altered refuses: it may have been given that serial number.
     """
     recipe, serial = asked.configuration.recipe.name, asked.request.serial

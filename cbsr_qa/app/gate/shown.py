@@ -37,5 +37,5 @@ def gate_outcome(
         banner = Banner("fail", "✗", "The gate refuses this run", f"{names}: {serial} with {recipe} on {station}")
     todo = tuple((str(answer.check), answer.instruction) for answer in answers if answer.remedy)
     page = Page("Gate", serial, banner, todo)
-    shown = GateShown(serial, station, recipe, asks_pin, answers, refused)
-    return CommandOutcome(shown, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)
+    result = GateShown(serial, station, recipe, asks_pin, answers, refused)
+    return CommandOutcome(result, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)

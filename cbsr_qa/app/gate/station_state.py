@@ -103,8 +103,8 @@ def files_released(asked: Asked) -> Finding:
 
 
 def _is_released(store: Repository | None, file: FileContent) -> bool:
-    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
-    return found is not None and found.action == "released"
+    latest = None if store is None else store.releases.read_latest(file.kind, file.sha256)
+    return latest is not None and latest.action == "released"
 
 
 def _state(store: Repository | None, file: FileContent) -> str:

@@ -1,4 +1,4 @@
-"""What a re-analysis changes: values by measurement, and verdicts."""
+"""Changes by a re-analysis: values by measurement, and verdicts."""
 
 from array import array
 from collections import Counter

@@ -65,8 +65,8 @@ class _Progress:
             return
         self.spoken_s = now_s
         rate = self.done / max(now_s, 1e-3)
-        left = f", {duration((self.of - self.done) / rate)} left" if self.done < self.of else ""
-        self.tell(f"{self.what}: {self.done} of {self.of} runs, {rate:.3g} runs/s{left}")
+        time_left = f", {duration((self.of - self.done) / rate)} left" if self.done < self.of else ""
+        self.tell(f"{self.what}: {self.done} of {self.of} runs, {rate:.3g} runs/s{time_left}")
 
 
 class _Session:
@@ -89,7 +89,7 @@ class _Session:
         self.elapsed_s = 0.0
 
     def select(self) -> list[Job]:
-        """Return the jobs that are left; runs that cannot be analysed are named. RefusedError if none is selected."""
+        """Return the remaining jobs and name runs that cannot be analysed. Raise RefusedError if none is selected."""
         lines = self._store.fleet.read_lines(self._request.selection)
         if not lines:
             check_names(self._store, self._request.selection)
@@ -197,8 +197,8 @@ class _Session:
             except StoreError as error:
                 self._cannot(line, error.reason)
                 continue
-            before = () if valid is None else valid.measurements
-            changes.add(line, before, reanalysis.measurements)
+            valid_measurements = () if valid is None else valid.measurements
+            changes.add(line, valid_measurements, reanalysis.measurements)
             warnings.update(set(reanalysis.warnings).difference(() if valid is None else valid.warnings))
             overridden = None if valid is None else decided.get(line.run)
             if valid is None or valid.verdict.outcome is not reanalysis.verdict.outcome:
@@ -322,7 +322,7 @@ def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, ov
         now=new.verdict.outcome,
         reason=new.verdict.reason,
         overridden_to=overridden,
-        calibration=next((one.calibration for one in analyses if one.calibration is not None), None),
+        calibration=next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None),
     )
 
 

@@ -38,7 +38,7 @@ _CUT: Final = "The first {shown} of {count}; --json has all. "
 
 @dataclass(frozen=True, slots=True)
 class Reanalysed:
-    """What a re-analysis changes.
+    """Changes by a re-analysis.
 
     Parameters
     ----------
@@ -110,9 +110,9 @@ def _facts(done: Reanalysed) -> Iterator[tuple[str, str]]:
     digest = "" if done.recipe_sha256 is None else f" ({done.recipe_sha256[:12]})"
     yield "Recipe", "of each run itself" if done.recipe is None else f"{done.recipe}{digest}"
     yield "Software", f"cbsr-qa {dict(done.software)['cbsr-qa']}"
-    apart = ((done.not_analysed, "could not be analysed"), (done.other_plan, "of another plan"))
-    others = "".join(f", {len(runs)} {words}" for runs, words in apart if runs)
-    yield "Runs", f"{done.selected} selected{others}"
+    other_groups = ((done.not_analysed, "could not be analysed"), (done.other_plan, "of another plan"))
+    other_counts = "".join(f", {len(runs)} {label}" for runs, label in other_groups if runs)
+    yield "Runs", f"{done.selected} selected{other_counts}"
     if done.runs_per_s is not None:
         yield "Computed", f"in {duration(done.elapsed_s)} by {done.workers}: {number(done.runs_per_s)} runs/s"
     if done.peak_worker_mb is not None:
@@ -159,7 +159,7 @@ def _run_table(caption: str, runs: Sequence[NamedRun]) -> Table:
 
 
 def _warning_table(warnings: Mapping[str, int]) -> Table:
-    rows = [(str(count), words) for words, count in list(warnings.items())[:MOST_SHOWN]]
+    rows = [(str(count), warning) for warning, count in list(warnings.items())[:MOST_SHOWN]]
     return text_table(_cut(_WARNINGS, len(warnings)), ("runs", "warning"), rows, (0,))
 
 

@@ -42,8 +42,8 @@ class ReanalyseRequest:
                     "--by and --why say who adopts, and why", remedy="give --adopt too, or leave them out"
                 )
             return
-        for option, words, missing_fact in (("--by", self.by, "who decides"), ("--why", self.why, "for what reason")):
-            if not words.strip():
+        for option, text, missing_fact in (("--by", self.by, "who decides"), ("--why", self.why, "for what reason")):
+            if not text.strip():
                 raise ConfigError(f"--adopt needs {option}", remedy=f"say {missing_fact}")
         validate_operator(self.by)
         validate_reason(self.why)

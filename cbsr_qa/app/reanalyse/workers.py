@@ -99,7 +99,7 @@ class Workers(Generic[Job, Result]):
     def _collect_results(
         self, finished: Set[Future[Result]], under_way: dict[Future[Result], Job], lost: list[Job]
     ) -> Iterator[tuple[Job, Result | str]]:
-        for future in [one for one in under_way if one in finished]:  # in the order of the jobs
+        for future in [job_future for job_future in under_way if job_future in finished]:  # in the order of the jobs
             job = under_way.pop(future)
             try:
                 result = future.result()

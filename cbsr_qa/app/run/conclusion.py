@@ -1,4 +1,4 @@
-"""What follows a run: it is read back, evaluated and stored; report and calibration file are written."""
+"""Conclusion of a run: it is read back, evaluated and stored; report and calibration file are written."""
 
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -119,7 +119,7 @@ def _conclude(
 
 
 def _sign_with_key(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
-    """Sign a calibration with the station's key, if it has one. BrokenRunError if the key cannot be used any more."""
+    """Sign a calibration with the station's key, if any. Raise BrokenRunError if the key cannot be used any more."""
     try:
         key = station_key(configuration.station)
     except RefusedError as error:

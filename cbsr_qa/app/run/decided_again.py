@@ -43,8 +43,8 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     verdict, measurements = stored.verdict, stored.measurements
     if record.end is not EndReason.FINISHED or not measurements:
         if verdict.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
-            why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
-            raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {why}")
+            mismatch = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
+            raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {mismatch}")
         return
     _check_measurements(stored, limits if record.chain.chained else None)
     decided = decide(measurements)
@@ -71,8 +71,8 @@ def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
     if not run.finished or run.outcome in (None, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
         return
     if decide(tuple(judged)).outcome is not run.outcome:
-        said = f"the verdict states {run.outcome}; its measurements say {decide(tuple(judged)).outcome}"
-        raise StoreError(f"run {run.run}: {said}", remedy=_REMEDY)
+        mismatch = f"the verdict states {run.outcome}; its measurements say {decide(tuple(judged)).outcome}"
+        raise StoreError(f"run {run.run}: {mismatch}", remedy=_REMEDY)
 
 
 def _rejudge(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:

@@ -114,6 +114,6 @@ def _comments(result: RunResult) -> list[str]:
             f"Between the pins, as the paper has it, the gauge factor is {slope.value:.4g} ± {slope.stderr or 0:.2g}."
         )
     lines.append(f"{_range(characterised)} Standard errors are statistical, with that of the contacts.")
-    lines += [f"Simulated: {what}." for what in identity.simulated]
-    lines += [f"Reduced: {' '.join(what.split())}." for what in characterised.reduced]
+    lines += [f"Simulated: {remark}." for remark in identity.simulated]
+    lines += [f"Reduced: {' '.join(remark.split())}." for remark in characterised.reduced]
     return lines

@@ -178,8 +178,8 @@ def run_sensor(
         If a signal stopped it before the first step; the bench is safe and closed.
     """
     plugins, configuration = _check_request(request.validate())
-    who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
-    with stoppable_outside_steps(), open_control(configuration, **who, answers=answers) as control:
+    sensor_and_operator = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
+    with stoppable_outside_steps(), open_control(configuration, **sensor_and_operator, answers=answers) as control:
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
@@ -226,7 +226,8 @@ def _run_and_store(
 ) -> RunOutcome | None:
     """Run a checked session; None, with nothing moved, if another run of the sensor has its seed.
 
-    RefusedError if another run of the sensor began, or ended, since the gate was asked, and it now refuses a retest.
+    Raise RefusedError if another run of the sensor began or ended since the gate was asked, so that the gate now
+    refuses a retest.
     """
     for folder in _folders():
         writable_folder(folder)
@@ -325,5 +326,7 @@ def _identity(
         configuration_digest=configuration.digest,
         software=software_versions(plugins),
         instruments=instruments,
-        simulated=tuple(f"{one.role}: {one.model}" for one in instruments if one.simulated),
+        simulated=tuple(
+            f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
+        ),
     )

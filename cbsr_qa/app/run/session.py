@@ -133,8 +133,8 @@ class Session:
         desk = None if control is None else control.desk
         if self._asks is None and not (desk is not None and desk.answers):
             return None
-        who = "" if control is None else control.operator
-        return OperatorPrompt(self._ask_operator, desk, operator=who, first=self._done.prompts)
+        operator = "" if control is None else control.operator
+        return OperatorPrompt(self._ask_operator, desk, operator=operator, first=self._done.prompts)
 
     def __enter__(self) -> Self:
         # Here, not before: a signal between opening and entering would leave the bench open.

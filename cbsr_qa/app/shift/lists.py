@@ -249,7 +249,7 @@ def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
 def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[RunPage]:
     """Yield the runs that :func:`list_runs` lists in pages, in the order they were made in.
 
-    Only one page is in memory, and the identifiers of all selected runs; with ``latest`` beside ``failed`` or
+    Only one page is in memory, and the identifiers of all selected runs; with ``latest`` together with ``failed`` or
     ``limit`` so many runs. Runs that begin meanwhile are left out. Raises as list_runs.
     """
     filtered = request.failed or bool(request.limit)
@@ -302,8 +302,8 @@ def _notes(request: ListRequest, runs: Sequence[ListedRun], kept: Sequence[objec
     if kept or not request.limit:
         return ()
     failed = {key.name for run in runs for key in list_failed_limits(run)}
-    which = nearest(request.limit, failed, "failed were") if failed else "no limit was failed"
-    return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {which}",)
+    hint = nearest(request.limit, failed, "failed were") if failed else "no limit was failed"
+    return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {hint}",)
 
 
 def trust_counts(runs: Sequence[ListedRun]) -> Counter[str]:

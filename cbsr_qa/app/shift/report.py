@@ -68,8 +68,8 @@ def sensors_csv(found: SensorList) -> str:
 
 def counts_words(tally: Tally) -> str:
     """Return how many runs passed and failed, and what became of the others if there are any."""
-    others = "".join(f", {getattr(tally, key)} {words}" for key, words in _OTHERS if getattr(tally, key))
-    return _COUNTS.format(passed=tally.passed, failed=tally.failed, others=others)
+    other_counts = "".join(f", {getattr(tally, key)} {label}" for key, label in _OTHERS if getattr(tally, key))
+    return _COUNTS.format(passed=tally.passed, failed=tally.failed, others=other_counts)
 
 
 def yield_words(found: Yield | None) -> str:
@@ -160,8 +160,8 @@ def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> C
     unsaid = f", {chain}" if chain == UNCHAINED.label else ""  # nothing would tell if it was altered
     if verdict is not None:
         return Cell(f"{verdict}{unsaid}", verdict)
-    words = "no result" if end is EndReason.FINISHED else str(end)
-    return Cell(f"{words}{unsaid}", Outcome.NOT_MEASURED)
+    end_words = "no result" if end is EndReason.FINISHED else str(end)
+    return Cell(f"{end_words}{unsaid}", Outcome.NOT_MEASURED)
 
 
 def _moment(moment: datetime) -> str:

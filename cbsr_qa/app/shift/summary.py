@@ -102,7 +102,7 @@ def shift_summary(store: Repository, selection: RunSelection) -> ShiftSummary:
 def summarise_runs(runs: Sequence[ListedRun]) -> ShiftSummary:
     """Summarise runs that are in the order they were made in; those that checked a station are left out.
 
-    An altered one is counted as such, though: nobody knows what it was.
+    An altered run is counted as altered instead: its outcome is not known.
     """
     runs = [run for run in runs if run.altered or not run.of_check]
     return ShiftSummary(
@@ -127,7 +127,7 @@ def _tally_by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tu
     groups: dict[str, list[ListedRun]] = {}
     for run in runs:
         groups.setdefault(name(run), []).append(run)
-    return tuple(_tally(of, groups[of]) for of in sorted(groups))
+    return tuple(_tally(group_name, groups[group_name]) for group_name in sorted(groups))
 
 
 def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:

@@ -180,8 +180,8 @@ class _Look:
 
     def _self_test(self, mounted: Mounted) -> None:
         if not isinstance(mounted.instrument, SelfTesting):
-            why = f"driver {mounted.spec.driver} has none"
-            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=mounted.spec.role))
+            reason = f"driver {mounted.spec.driver} has none"
+            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=reason, subject=mounted.spec.role))
             return
         try:
             with come_back_once():
@@ -200,8 +200,8 @@ class _Look:
         linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
             for mounted in linked:
-                why, role = "it works through others, of which one is missing", mounted.spec.role
-                self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=why, subject=role))
+                reason, role = "it works through others, of which one is missing", mounted.spec.role
+                self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=reason, subject=role))
             return
         try:
             bench = Bench(self._mounted, after=after)
@@ -259,8 +259,8 @@ class _Look:
         else:
             unsafe = stop_all([(mounted.name, mounted.instrument.safe_state) for mounted in self._mounted])
             unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
-        for name, who in (("safe state", unsafe), ("closing", unclosed)):
-            for problem in who:
+        for name, problems in (("safe state", unsafe), ("closing", unclosed)):
+            for problem in problems:
                 remedy = "switch the source off and lift the head by hand, then check this instrument"
                 self._add(CheckResult(name, CheckOutcome.FAILED, said=problem, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
@@ -316,14 +316,14 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
 def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
     block, name = sampler.samples_since(begun_s), f"samples of {sampler.channel}"
     if not len(block) and FORCE_APPLICATOR in spec.provides and sampler.channel != FORCE_CHANNEL:
-        why = "it says where the head is while that moves, and nothing moved"
-        return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=spec.role)
+        reason = "it says where the head is while that moves, and nothing moved"
+        return CheckResult(name, CheckOutcome.NOT_DONE, said=reason, subject=spec.role)
     finite = bool(len(block)) and bool(np.isfinite(block.values).all())
     finding = f"no sample in {stale_s:g} s"
     if len(block):
         mean, deviation = float(block.values.mean()), float(block.values.std())
-        shown = unit_shown(block.unit)
-        finding = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
+        shown_unit = unit_shown(block.unit)
+        finding = f"mean {number(mean)} {shown_unit}, standard deviation {number(deviation, 2)} {shown_unit}"
     return CheckResult(
         name,
         CheckOutcome.OK if finite else CheckOutcome.FAILED,
@@ -338,5 +338,7 @@ def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale
 
 def _connect_words(resistances_ohm: tuple[float, ...]) -> str:
     alike = len(set(resistances_ohm)) == 1
-    of = f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
-    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {of}) in place of the sensor"
+    resistance_words = (
+        f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
+    )
+    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {resistance_words}) in place of the sensor"

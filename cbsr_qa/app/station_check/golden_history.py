@@ -159,8 +159,8 @@ def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
 
 def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]:
     """Values in earlier runs, over as many places and in the same unit."""
-    of = [run.figures[name] for run in runs if name in run.figures]
-    return [other.value for other in of if (other.places, other.unit) == (figure.places, figure.unit)]
+    figures = [run.figures[name] for run in runs if name in run.figures]
+    return [earlier.value for earlier in figures if (earlier.places, earlier.unit) == (figure.places, figure.unit)]
 
 
 def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:

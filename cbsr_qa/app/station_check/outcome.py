@@ -76,7 +76,8 @@ def check_outcome(
     golden_run : its name for people; empty if not run.
     """
     instruments = tuple(
-        fill_from_object(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments
+        fill_from_object(AnsweringInstrument, instrument, notes=dict(instrument.notes))
+        for instrument in check.instruments
     )
     checked = fill_from_object(CheckedStation, check, instruments=instruments)
     code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
@@ -101,7 +102,9 @@ def _head(check: StationCheck, golden_run: str) -> Page:
         ("Golden run", golden_run or "none"),
         ("Configuration digest", check.configuration_digest),
     )
-    simulated = tuple(f"{one.role}: {one.model}" for one in check.instruments if one.simulated)
+    simulated = tuple(
+        f"{instrument.role}: {instrument.model}" for instrument in check.instruments if instrument.simulated
+    )
     return Page("Station check", check.station, banner, facts, simulated, ())
 
 

@@ -135,8 +135,8 @@ class Server:
             listening = socket.create_server(address[:2], family=family)
         except OSError as error:
             raise _unusable(f"tcp://{host}:{port}", error, "name another port, or 0 for any that is free") from error
-        shown = f"[{host}]" if ":" in host else host
-        return cls(listening, f"tcp://{shown}:{listening.getsockname()[1]}", tell)
+        shown_host = f"[{host}]" if ":" in host else host
+        return cls(listening, f"tcp://{shown_host}:{listening.getsockname()[1]}", tell)
 
     @classmethod
     def unix(cls, path: Path, tell: Tell) -> Self:
@@ -213,5 +213,5 @@ def _remove_dead(path: Path) -> None:
 
 
 def _unusable(place: str, error: Exception, remedy: str) -> RefusedError:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return RefusedError(f"nothing can be served at {place}: {why}", remedy=remedy)
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return RefusedError(f"nothing can be served at {place}: {reason}", remedy=remedy)

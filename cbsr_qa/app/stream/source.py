@@ -54,7 +54,8 @@ class OpenedSource:
     def frame(self) -> FrameBlock:
         """Take the next frame.
 
-        InstrumentError if the instrument fails, whatever its driver raises; NoMoreFramesError after the last one.
+        Raise InstrumentError if the instrument fails, whatever its driver raises, and NoMoreFramesError after the
+        last frame.
         """
         try:
             with blame_plugin(f"driver {self.spec.driver}"):
@@ -109,8 +110,8 @@ def open_source(
 
 def _close_instrument(one: Mounted, tell: Callable[[str], None]) -> None:
     for action in (one.instrument.safe_state, one.instrument.close):
-        for words in stop_all([(one.name, action)]):
-            tell(f"{words}: switch its current off by hand")
+        for problem in stop_all([(one.name, action)]):
+            tell(f"{problem}: switch its current off by hand")
 
 
 _Opener = Callable[[InstrumentSpec], Instrument]
@@ -166,8 +167,11 @@ def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, st
 
 def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) -> None:
     """Refuse a station whose frames are not those of the calibrated sensor."""
-    own, wanted = has.pattern, calibrated.pattern
-    if has.name == calibrated.name and (own.drive, own.measure) == (wanted.drive, wanted.measure):
+    own_pattern, calibrated_pattern = has.pattern, calibrated.pattern
+    if has.name == calibrated.name and (own_pattern.drive, own_pattern.measure) == (
+        calibrated_pattern.drive,
+        calibrated_pattern.measure,
+    ):
         return
     mismatch = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
     if has.name == calibrated.name:

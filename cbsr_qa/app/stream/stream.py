@@ -114,7 +114,7 @@ class _Stream:
                 f"{source.spec.driver} has {len(self._taken)} frames; {count} are needed before the stream begins",
                 remedy="give a smaller --reference, or a longer recording",
             ) from error
-        first_frames = join_frames([taken.block for taken in self._taken])
+        first_frames = join_frames([batch.block for batch in self._taken])
         self._sequence_of_frames = self._estimator.follow(
             source.spec.driver, first_frames, UnloadedFrames(self._request.reference)
         )

@@ -40,8 +40,8 @@ class ClosedCurve:
     @property
     def area(self) -> float:
         """Area inside: of the polygon through the pieces' ends, and of the segments between arcs and chords."""
-        after = np.roll(self.start, -1, axis=0)
-        polygon = float((self.start[:, 0] * after[:, 1] - self.start[:, 1] * after[:, 0]).sum()) / 2
+        ends = np.roll(self.start, -1, axis=0)
+        polygon = float((self.start[:, 0] * ends[:, 1] - self.start[:, 1] * ends[:, 0]).sum()) / 2
         turn = self.curvature * self.length
         bent = self.curvature != 0
         segments = (turn[bent] - np.sin(turn[bent])) / (2 * self.curvature[bent] ** 2)

@@ -106,8 +106,8 @@ class RoundFootprint:
 
     def contains(self, points: Points) -> NDArray[np.bool_]:
         """‖P − F‖ ≤ r."""
-        inside: NDArray[np.bool_] = np.hypot(*(points - np.array(self.centre_mm)).T) <= self.radius_mm
-        return inside
+        inside_mask: NDArray[np.bool_] = np.hypot(*(points - np.array(self.centre_mm)).T) <= self.radius_mm
+        return inside_mask
 
     def outline_mm(self) -> Points:
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES

@@ -80,8 +80,8 @@ class Polygon:
         if problem is not None:
             where = "" if problem[0] is None else f"corner {problem[0] + 1} of "
             raise RefusedError(f"{where}the outline {problem[1]}")
-        for what in rounding_problems(self.corners_mm, self.corner_radius_mm):
-            raise RefusedError(f"the outline's corner radius {what}")
+        for problem_words in rounding_problems(self.corners_mm, self.corner_radius_mm):
+            raise RefusedError(f"the outline's corner radius {problem_words}")
         corners = [(float(x), float(y)) for x, y in self.corners_mm]
         if shoelace_area(np.array(corners)) < 0:
             corners = corners[:1] + corners[:0:-1]
@@ -297,8 +297,10 @@ def thin_ring(points: Points, tolerance: float) -> Points:
     """
     furthest = int(np.hypot(*(points - points[0]).T).argmax())
     closed = np.vstack([points, points[:1]])
-    kept = _select_points(closed, 0, furthest, tolerance) | _select_points(closed, furthest, len(points), tolerance)
-    return points[sorted(kept - {len(points)})]
+    kept_indices = _select_points(closed, 0, furthest, tolerance) | _select_points(
+        closed, furthest, len(points), tolerance
+    )
+    return points[sorted(kept_indices - {len(points)})]
 
 
 def _select_points(points: Points, first: int, last: int, tolerance: float) -> set[int]:

@@ -54,8 +54,8 @@ def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     middle = -_dot(start, along) / length_squared
     # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
     across = _cross(start, along)
-    half = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
-    enter_share, leave_share = np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
+    half_chord = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
+    enter_share, leave_share = np.clip(middle - half_chord, 0.0, 1.0), np.clip(middle + half_chord, 0.0, 1.0)
     enters, leaves = start + enter_share[..., None] * along, start + leave_share[..., None] * along
     # An end inside the circle has no sector; near the centre its direction would be rounding alone.
     # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
@@ -90,8 +90,8 @@ def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Ar
 def _deviation_at_points(start: Points, along: Points, length: Values, radius: float) -> Values:
     points = start + _GAUSS_NODES[:, None, None] * along
     squared = _dot(points, points)
-    apart = (squared - radius**2) / (np.sqrt(squared) + radius)
-    integral: Values = length * (_GAUSS_WEIGHTS @ apart**2)
+    deviation = (squared - radius**2) / (np.sqrt(squared) + radius)
+    integral: Values = length * (_GAUSS_WEIGHTS @ deviation**2)
     return integral
 
 
@@ -195,10 +195,10 @@ def area_under_edges_in_polygon(start: Points, end: Points, corners: Points) -> 
     floor = min(float(points[:, 1].min()) for points in (start, end, corners))
     edge_left, edge_right, edge_y, edge_slope, edge_sign = _strips(start, end)
     side_left, side_right, side_y, side_slope, side_sign = _strips(corners, np.roll(corners, -1, axis=0))
-    left = np.maximum(edge_left[:, None], side_left)
-    width = np.maximum(np.minimum(edge_right[:, None], side_right) - left, 0.0)
-    edge = (edge_y - edge_slope * edge_left)[:, None] + edge_slope[:, None] * left
-    side = (side_y - side_slope * side_left) + side_slope * left
+    left_x = np.maximum(edge_left[:, None], side_left)
+    width = np.maximum(np.minimum(edge_right[:, None], side_right) - left_x, 0.0)
+    edge = (edge_y - edge_slope * edge_left)[:, None] + edge_slope[:, None] * left_x
+    side = (side_y - side_slope * side_left) + side_slope * left_x
     height = edge - side
     height_after = height + (edge_slope[:, None] - side_slope) * width
     # ∫ min(d, 0) of a linear d is −n²/2(|d₀| + |d₁|) times the width, n what of d₀ and d₁ is negative.
@@ -268,7 +268,7 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
 def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:
     """Whether points lie inside a polygon: (n, 2) → (n,).
 
-    On the outline it is either, so that polygons side by side share out their points.
+    A point on the outline may be inside or outside, so that it belongs to one of two adjacent polygons.
     """
     return inside_edges(points, corners, np.roll(corners, -1, axis=0))
 
@@ -283,9 +283,9 @@ def inside_edges(points: Points, start: Points, end: Points) -> NDArray[np.bool_
     x, y = points[:, :1], points[:, 1:]
     spans = (start[:, 1] > y) != (end[:, 1] > y)
     rise = end[:, 1] - start[:, 1]
-    at = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
-    inside: NDArray[np.bool_] = (spans & (x < at)).sum(axis=1) % 2 == 1
-    return inside
+    crossing_x = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
+    inside_mask: NDArray[np.bool_] = (spans & (x < crossing_x)).sum(axis=1) % 2 == 1
+    return inside_mask
 
 
 def _strips(start: Points, end: Points) -> tuple[Values, Values, Values, Values, Values]:

@@ -1,4 +1,4 @@
-"""What a recipe says about how a run is evaluated."""
+"""Settings of a recipe for the evaluation of a run."""
 
 from dataclasses import dataclass
 

@@ -49,13 +49,13 @@ class CarryOver:
 def scan_order(block: FrameBlock) -> NDArray[np.int64]:
     """Order in which a frame was read, (drives·measures,) indices into the flattened frame.
 
-    From the readings' own times if recorded, else row by row (the boards' order).
+    The order follows the readings' own times if recorded, else it is row by row (the boards' order).
     """
     count = block.voltages[0].size
     if block.reading_time_s is None:
         return np.arange(count, dtype=np.int64)
-    own = block.reading_time_s.reshape(len(block), count)
-    return np.argsort(np.median(own - own[:, :1], axis=0), kind="stable").astype(np.int64)
+    reading_times = block.reading_time_s.reshape(len(block), count)
+    return np.argsort(np.median(reading_times - reading_times[:, :1], axis=0), kind="stable").astype(np.int64)
 
 
 def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:

@@ -101,8 +101,10 @@ class FrameBlock:
         return int(self.time_s.shape[0])
 
     def select(self, which: NDArray[np.bool_] | slice) -> Self:
-        own = None if self.reading_time_s is None else self.reading_time_s[which]
-        return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
+        reading_times = None if self.reading_time_s is None else self.reading_time_s[which]
+        return type(self)(
+            self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, reading_times
+        )
 
     def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the frames with start_s ≤ time < end_s."""
@@ -147,8 +149,8 @@ class SampleBlock:
 
     def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the samples with start_s ≤ time < end_s."""
-        which = (self.time_s >= start_s) & (self.time_s < end_s)
-        return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
+        inside_mask = (self.time_s >= start_s) & (self.time_s < end_s)
+        return type(self)(self.channel, self.unit, self.time_s[inside_mask], self.values[inside_mask])
 
 
 def join_frames(blocks: list[FrameBlock]) -> FrameBlock:

@@ -153,7 +153,7 @@ class LoadRecord:
         strains = (self.load.strain, *(step.strain for step in self.eased))
         starts = (self.hold_start_s, *(step.hold_start_s for step in self.eased))
         ends = (*(step.start_s for step in self.eased), self.release_start_s)
-        return tuple(HeldStrain(*one) for one in zip(strains, starts, ends, strict=True))
+        return tuple(HeldStrain(*times_of_hold) for times_of_hold in zip(strains, starts, ends, strict=True))
 
     @property
     def unloaded_s(self) -> float:

@@ -77,13 +77,13 @@ class ChartReference(ChartSettings):
 
     @property
     def settings(self) -> ChartSettings:
-        return ChartSettings(**{one.name: getattr(self, one.name) for one in fields(ChartSettings)})
+        return ChartSettings(**{field.name: getattr(self, field.name) for field in fields(ChartSettings)})
 
     @property
     def label(self) -> str:
         """Metric and chart for people, with the golden sensor if there is one."""
-        of = f" of golden sensor {self.golden}" if self.golden else ""
-        return f"{self.key.title}{of}, chart {self.chart}"
+        golden_words = f" of golden sensor {self.golden}" if self.golden else ""
+        return f"{self.key.title}{golden_words}, chart {self.chart}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,5 +145,5 @@ class StationCharts:
 
     def warnings(self) -> tuple[str, ...]:
         """Return one warning per signalling chart."""
-        here = prefix_kind("station", self.station)
-        return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)
+        station_words = prefix_kind("station", self.station)
+        return tuple(f"{station_words} is out of control: {signal.words()}" for signal in self.signals)

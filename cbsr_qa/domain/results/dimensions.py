@@ -51,8 +51,12 @@ class Dimensions:
     @property
     def text(self) -> str:
         """The qualifier, as it is stored, printed and matched by limits."""
-        held = {name: getattr(self, name) for name in _PARTS}
-        parts = [write(held[name]) for name, (_, _, write) in _PARTS.items() if held[name] not in ("", None)]
+        value_by_name = {name: getattr(self, name) for name in _PARTS}
+        parts = [
+            write(value_by_name[name])
+            for name, (_, _, write) in _PARTS.items()
+            if value_by_name[name] not in ("", None)
+        ]
         return ", ".join(filter(None, (self.words, *parts)))
 
 

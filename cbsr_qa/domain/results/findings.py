@@ -142,7 +142,7 @@ class ImagedPlace(_OnDisc):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventImaging:
-    """How the images of events were made.
+    """Method by which the images of events were made.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ class PlaceTemplates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceMixture:
-    """How both estimates are mixed, and how far the place may be from that.
+    """Mixture of both estimates, and the distance that the place may have from it.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class PlaceMixture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledPlace:
-    """Where the modelled sheet is touched: weak loads on a lattice of the registered sheet.
+    """Model of the touched place on the modelled sheet: weak loads on a lattice of the registered sheet.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class ModelledPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedPlace:
-    """Where a sheet is pressed, from a frame's changes.
+    """Model of the place where a sheet is pressed, from a frame's changes.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class LearnedPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceOfRun:
-    """What the presses of a run taught about place, kept because it was clearly better than the model of the sheet.
+    """Place as learned from the presses of a run, kept because it was clearly better than the model of the sheet.
 
     Parameters
     ----------

@@ -245,7 +245,7 @@ class RunObservation:
     def derive(self, compute: Callable[..., R], *args: Hashable) -> R:
         """Return what a function makes of this run: computed on first use, and kept with the run from then on.
 
-        For what is costly and asked for more than once, by a metric, a section of the report and the calibration. A
+        Use it for results that are costly and that metrics, report sections and the calibration need several times. A
         run that is changed (``dataclasses.replace``) starts without any.
 
         Parameters

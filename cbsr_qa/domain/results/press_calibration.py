@@ -1,4 +1,4 @@
-"""What is issued from labelled presses: where they came from, how the sheet lies, and what was learned from them."""
+"""Calibrations from labelled presses: origin of the presses, pose of the sheet, and the models learned from them."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -113,7 +113,7 @@ class LeftOutPress:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PressCalibration:
-    """What was learned of one sensor from labelled presses.
+    """Calibration of one sensor from labelled presses.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class SensorHistory:
     @property
     def tries(self) -> tuple[EarlierRun, ...]:
         """Earlier runs of the same recipe, station checks excluded."""
-        return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
+        return tuple(run for run in self.earlier if run.recipe == self.recipe and not run.of_check)
 
     @property
     def ordinal(self) -> str:
@@ -100,16 +100,18 @@ class SensorHistory:
     def words(self) -> str:
         """Ordinal of this try and earlier runs; empty if there are none."""
         checks = [run for run in self.earlier if run.of_check]
-        others = [run for run in self.earlier if run.recipe != self.recipe and not run.of_check]
+        other_runs = [run for run in self.earlier if run.recipe != self.recipe and not run.of_check]
         sentences = []
-        if self.tries or others:
+        if self.tries or other_runs:
             sentences.append(f"{self.ordinal} test with this recipe")
         if self.tries:
-            before = len(self.tries) - _TOLD
-            more = f", and {before} before" if before > 0 else ""
-            sentences.append(f"earlier: {', '.join(run.words for run in self.tries[-_TOLD:])}{more}")
-        if others:
-            sentences.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+            earlier_count = len(self.tries) - _TOLD
+            earlier_words = f", and {earlier_count} before" if earlier_count > 0 else ""
+            sentences.append(f"earlier: {', '.join(run.words for run in self.tries[-_TOLD:])}{earlier_words}")
+        if other_runs:
+            sentences.append(
+                f"{_runs(other_runs)} of other recipes, the latest ({other_runs[-1].recipe}) {other_runs[-1].words}"
+            )
         if checks:
             sentences.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
         return "; ".join(sentences)
@@ -122,16 +124,16 @@ class SensorHistory:
     def changed(self) -> tuple[str, ...]:
         """Describe earlier runs whose stored rows were changed."""
         return tuple(
-            f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
+            f"an earlier run was changed since it was stored: {run.changed}" for run in self.earlier if run.changed
         )
 
     @property
     def differences(self) -> tuple[str, ...]:
         """Report earlier runs with another batch or type; an unknown batch differs from none."""
         return tuple(
-            f"sensor {self.sensor.serial}: {what} {current_value!r} now; {', '.join(differing)}:"
+            f"sensor {self.sensor.serial}: {noun} {current_value!r} now; {', '.join(differing)}:"
             " one is wrong, or two sensors have this serial number"
-            for what, current_value, stated in (
+            for noun, current_value, stated in (
                 ("batch", self.sensor.batch, [(run.sensor.batch, run) for run in self.earlier]),
                 ("type", self.sensor.sensor_type, [(run.sensor.sensor_type, run) for run in self.earlier]),
             )
@@ -217,7 +219,7 @@ class ConfigurationChange:
 
     def words(self, most: int = 3) -> str:
         """Describe the changes, with at most this many differences."""
-        listed = "; ".join(one.words for one in self.differences[:most])
+        listed = "; ".join(difference.words for difference in self.differences[:most])
         more = len(self.differences) - most
         return f"{listed}; and {more} more" if more > 0 else listed
 
@@ -240,7 +242,9 @@ class ChangeHistory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(f"changes of files noted with an earlier run are not shown: {one}" for one in self.altered)
+        return tuple(
+            f"changes of files noted with an earlier run are not shown: {problem}" for problem in self.altered
+        )
 
     def changes_in(self, run: str) -> tuple[ConfigurationChange, ...]:
         return tuple(change for change in self.changes if change.run == run)

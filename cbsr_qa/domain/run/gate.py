@@ -57,7 +57,7 @@ class GateAnswer:
 def gate_warnings(answers: Iterable[GateAnswer]) -> tuple[str, ...]:
     """Return a warning for every check that did not pass."""
     noted = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN)
-    return tuple(f"gate, {one.check}: {one.sentence}" for one in answers if one.outcome in noted)
+    return tuple(f"gate, {answer.check}: {answer.sentence}" for answer in answers if answer.outcome in noted)
 
 
 @dataclass(frozen=True, slots=True)

@@ -232,8 +232,8 @@ class RunRecord:
         for phase in self.phases:
             if phase.name == name:
                 return phase
-        known = ", ".join(phase.name for phase in self.phases) or "none"
-        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known}")
+        known_phases = ", ".join(phase.name for phase in self.phases) or "none"
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known_phases}")
 
 
 @dataclass(frozen=True, slots=True)

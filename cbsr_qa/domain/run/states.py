@@ -14,7 +14,7 @@ class EndReason(StrEnum):
 
 
 class ResultState(StrEnum):
-    """What has come of a run: of its last session, and of the analysis after it."""
+    """State of a run: of its last session, and of the analysis after it."""
 
     OPEN = "open"  #: under way, or cut off
     STOPPED = "stopped"  #: aborted or broken

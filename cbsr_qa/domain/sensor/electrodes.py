@@ -165,7 +165,7 @@ LEAST_WIDTH: Final = 1e-3
 def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int | None, str]]:
     """Yield problems of electrodes on a sheet: the electrode (None for a whole ring) and a description.
 
-    Equally spaced arcs belong to a disc; every other combination of electrodes and outline is looked at one by one.
+    Equally spaced arcs belong to a disc; all other electrodes are checked one by one.
     """
     if isinstance(electrodes, PlacedElectrodes):
         check = _pins if electrodes.kind is ElectrodeKind.PIN else _strips

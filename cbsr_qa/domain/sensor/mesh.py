@@ -88,8 +88,8 @@ class Mesh:
     def areas_mm2(self) -> Array:
         """Areas of the elements, (e,) [mm²]."""
         first, second, third = np.moveaxis(self.nodes_mm[self.elements], 1, 0)
-        one, other = second - first, third - first
-        area: Array = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        first_edge, second_edge = second - first, third - first
+        area: Array = (first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0]) / 2
         return area
 
     @cached_property

@@ -69,7 +69,7 @@ FEWEST_INDEPENDENT: Final = 8
 class DrivePattern:
     """Drive and measure pairs. Frames are stored as (drive, measure), independent of the scan order.
 
-    A pair may be there again, or reversed: rigs repeat injections against noise and turn the current round to tell
+    A pair may occur again, or reversed: rigs repeat injections against noise and reverse the current to tell
     offsets from signal. Each of the readings has noise of its own; it adds no independent reading.
 
     Parameters
@@ -189,7 +189,7 @@ class DrivePattern:
     def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
         """Number of independent readings if too few for an image, else None.
 
-        Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
+        :data:`FEWEST_INDEPENDENT` are enough. Counting stops there, as it takes long with many electrodes.
 
         Parameters
         ----------
@@ -226,12 +226,12 @@ def list_pairs(name: str, electrode_count: int) -> Pairs:
         )
     widest = (electrode_count - 1) // 2 - 1
     if name == "opposite":
-        half = electrode_count // 2
+        half_way = electrode_count // 2
         if electrode_count % 2:
             raise RefusedError(
                 f"no two of {electrode_count} electrodes are opposite each other", remedy=f"use 'skip-{widest}'"
             )
-        return tuple((k, k + half) for k in range(half))
+        return tuple((k, k + half_way) for k in range(half_way))
     skipped = 0 if name == "adjacent" else int(name.removeprefix("skip-"))
     # Half way round is 'opposite'; further round come the same pairs reversed.
     if skipped > max(widest, 0):
@@ -270,8 +270,8 @@ def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
     named = {electrode for pair in (*pattern.drive, *pattern.measure) for electrode in pair}
     idle = sorted(set(range(pattern.electrode_count)) - named)
     if idle:
-        which = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
-        yield f"never uses electrode{'s' if len(idle) > 1 else ''} {which}; leave out what is not connected"
+        idle_names = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
+        yield f"never uses electrode{'s' if len(idle) > 1 else ''} {idle_names}; leave out what is not connected"
     independent = pattern.too_few_readings(pattern.usable())
     if independent is not None:
         yield (
@@ -292,8 +292,8 @@ def _key(drive: Pair, measure: Pair) -> tuple[Pair, Pair]:
 
 def _functionals(pattern: DrivePattern, used: NDArray[np.bool_]) -> list[Functional]:
     """Functionals of the used readings; reciprocal ones share one."""
-    kept = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
-    return [_functional(*key) for key in sorted(kept)]
+    distinct_keys = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
+    return [_functional(*key) for key in sorted(distinct_keys)]
 
 
 def _functional(first: Pair, second: Pair) -> Functional:

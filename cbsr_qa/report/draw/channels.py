@@ -176,8 +176,8 @@ def ring_figure(
         axes.set_xlabel("reading, drive pair after drive pair")
         axes.set_ylabel("residual of the reading [%]")
         number = np.arange(expected.size).reshape(expected.shape)
-        for _, which, colour in kinds:
-            axes.plot(number[which], 100 * residual[which], ".", color=colour, markersize=2.5)
+        for _, kind_mask, colour in kinds:
+            axes.plot(number[kind_mask], 100 * residual[kind_mask], ".", color=colour, markersize=2.5)
         for limit in (-allowed, allowed):
             axes.axhline(100 * limit, color=INK, linewidth=0.8)
         return figure
@@ -199,8 +199,8 @@ def _draw_comparison(
     unit: str,
 ) -> None:
     """Left half: readings over the closed form, with the line of equality."""
-    scale, shown = scale_unit(float(np.abs(expected).max()), unit)
-    labels = {"x": f"closed form [{shown}]", "y": f"mean reading [{shown}]"}
+    scale, shown_unit = scale_unit(float(np.abs(expected).max()), unit)
+    labels = {"x": f"closed form [{shown_unit}]", "y": f"mean reading [{shown_unit}]"}
     axes = plot(figure, (0.09, 0.17, 0.33, 0.66), "Readings", grid="both", **labels)
     ends = np.array([expected.min(), expected.max()]) / scale
     axes.plot(ends, ends, color=FAINT, linewidth=0.8)

@@ -143,8 +143,10 @@ def _draw_relaxation(axes: Axes, characterised: Characterisation, settling: Stra
         axes.plot(fine, scale * relaxation_value(settling.fit, fine), color=colour, linewidth=1.0, zorder=3)
         settled = settling.settling.value_s
         if settled is not None and not settling.settling.censored:
-            at = scale * relaxation_value(settling.fit, np.array([settled]))
-            axes.plot([settled], at, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4)
+            settled_value = scale * relaxation_value(settling.fit, np.array([settled]))
+            axes.plot(
+                [settled], settled_value, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4
+            )
     return scale * float(settling.values[-max(len(settling.values) // 8, 1) :].mean())
 
 
@@ -189,5 +191,5 @@ def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loa
     value, error = common.settling.value_s, common.stderr_s or 0.0
     axes.axhline(value, color=colour, linewidth=0.8, linestyle="solid" if loading else DASHED, zorder=2)
     axes.axhspan(value - error, value + error, color=colour, alpha=0.1, linewidth=0, zorder=1)
-    words = f"after the {'press' if loading else 'release'}, all strains: {value:.3g} s"
-    note(axes, 0.99, 0.06 if loading else 0.15, words, colour, ha="right")
+    label = f"after the {'press' if loading else 'release'}, all strains: {value:.3g} s"
+    note(axes, 0.99, 0.06 if loading else 0.15, label, colour, ha="right")

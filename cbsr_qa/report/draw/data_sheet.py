@@ -150,8 +150,8 @@ def _draw_residuals(
     lines = []
     for curve in curves:
         stress = _stress(curve)
-        left = 100 * (curve.change / curve.span - line.intercept - line.slope * stress)
-        lines.append(np.column_stack([stress, left]))
+        residual_percent = 100 * (curve.change / curve.span - line.intercept - line.slope * stress)
+        lines.append(np.column_stack([stress, residual_percent]))
     axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
     errors = None if scatter is None else 100 * scatter / np.sqrt(mean.loads)
     dots(axes, _stress(mean), 100 * line.deviations, BLUE, errors=errors, size=3.5)

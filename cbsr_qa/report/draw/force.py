@@ -62,10 +62,10 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
     largest = 1.06 * max([float(part.max()) for part in values if len(part)] + [1e-6])
     reach = _reach_N(panels, flat)
     for number, panel in enumerate(panels):
-        left = 0.095 + 0.5 * number
+        panel_left = 0.095 + 0.5 * number
         labels = ("", "") if number else ("estimated force [N]", "estimated − measured [N]")
-        upper_axes = plot(figure, (left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
-        lower_axes = plot(figure, (left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
+        upper_axes = plot(figure, (panel_left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
+        lower_axes = plot(figure, (panel_left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
         _draw_estimates(upper_axes, panel, largest)
         _draw_errors(lower_axes, panel, flat, largest, reach)
     return figure
@@ -138,8 +138,8 @@ def _draw_errors(axes: Axes, panel: ForcePanel, flat: ForcePanel | None, largest
         error = flat.estimated_N - flat.measured_N
         edge, beyond = 0.985 * reach_N, np.abs(error) > reach_N
         for side_mask, symbol in ((~beyond, "D"), (beyond & (error > 0), "^"), (beyond & (error < 0), "v")):
-            at = np.clip(error[side_mask], -edge, edge) if symbol != "D" else error[side_mask]
-            axes.plot(flat.measured_N[side_mask], at, symbol, clip_on=symbol == "D", **_FAINT_MARK)
+            shown_error = np.clip(error[side_mask], -edge, edge) if symbol != "D" else error[side_mask]
+            axes.plot(flat.measured_N[side_mask], shown_error, symbol, clip_on=symbol == "D", **_FAINT_MARK)
     _points(axes, panel, panel.estimated_N - panel.measured_N, None)
     axes.set_xlim(0, largest_N)
     axes.set_ylim(-reach_N, reach_N)

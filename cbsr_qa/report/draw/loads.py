@@ -176,8 +176,8 @@ def arrow_scale(loads: Sequence[SeenLoad]) -> int:
     errors = [load.error_mm for load in loads if load.error_mm]
     if not errors:
         return 1
-    wanted = 0.7 * loads[0].radius_mm / float(np.median(errors))
-    return max((scale for scale in _ARROW_SCALES if scale <= wanted), default=1)
+    wanted_scale = 0.7 * loads[0].radius_mm / float(np.median(errors))
+    return max((scale for scale in _ARROW_SCALES if scale <= wanted_scale), default=1)
 
 
 def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, float], largest: float) -> None:

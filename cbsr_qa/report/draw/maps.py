@@ -79,8 +79,10 @@ def _draw_head(axes: Axes, place: BaselineConductance, head: Path, norm: Normali
 
 
 def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float) -> None:
-    known = [(row, place.value, place.stderr or 0.0) for row, place in enumerate(places) if place.value is not None]
-    rows, values, errors = zip(*known, strict=True)
+    known_rows = [
+        (row, place.value, place.stderr or 0.0) for row, place in enumerate(places) if place.value is not None
+    ]
+    rows, values, errors = zip(*known_rows, strict=True)
     dots(axes, values, rows, BLUE, size=3.5, xerr=errors)
     axes.axvline(mean, color=INK, linewidth=0.8)
     name_rows(axes, [place.location for place in places])
@@ -141,8 +143,8 @@ def _inside(field: SheetField, sensor: SensorType) -> Array:
     """Values on the sheet: the scale covers them and nothing beyond."""
     x, y = np.meshgrid(field.x_mm, field.y_mm)
     on = sensor.outline.clearance_mm(np.column_stack([x.ravel(), y.ravel()])) >= 0
-    kept: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
-    return kept if len(kept) else np.array([field.about or 0.0])
+    finite_values: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
+    return finite_values if len(finite_values) else np.array([field.about or 0.0])
 
 
 def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:

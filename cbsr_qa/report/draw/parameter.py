@@ -78,8 +78,8 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
 
 def near_marks(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
     """Return the stretch of the parameter that is drawn large."""
-    seen = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
-    low, high = min(seen), max(seen)
+    mark_values = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
+    low, high = min(mark_values), max(mark_values)
     if curve.discrete:
         return max(low - _COUNTS_AROUND, 0.5), high + _COUNTS_AROUND
     return low / _AROUND, high * _AROUND

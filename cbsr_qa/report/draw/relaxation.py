@@ -43,8 +43,8 @@ def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
     figure, grid = _panels(3.3, 2, len(compared), hspace=0.18, height_ratios=(1.2, 1.0))
     labelled: list[Axes] = []
     for column, agreement in enumerate(compared):
-        curves, after = agreement.found.curves, "press" if agreement.loading else "release"
-        upper_axes = plot(figure, grid[0, column], f"after the {after}")
+        curves, direction = agreement.found.curves, "press" if agreement.loading else "release"
+        upper_axes = plot(figure, grid[0, column], f"after the {direction}")
         if curves is None:
             note(upper_axes, 0.5, 0.5, "not compared", QUIET, ha="center")
             upper_axes.set_axis_off()
@@ -125,8 +125,8 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
     figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
     labelled: list[Axes] = []
     for row, signal in enumerate(signals):
-        for column, (loading, words) in enumerate(_DIRECTIONS):
-            axes = plot(figure, grid[row, column], f"{signal} {words}")
+        for column, (loading, direction) in enumerate(_DIRECTIONS):
+            axes = plot(figure, grid[row, column], f"{signal} {direction}")
             _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
             _draw_fit(axes, shown.one(signal, loading))
             axes.set_xlim(left=0)
@@ -150,8 +150,8 @@ def settling_figure(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Can
     figure, grid = _panels(height_in, len(signals), 1, hspace=0.3, **edges)
     for row, signal in enumerate(signals):
         axes = plot(figure, grid[row], signal, y="settling [s]")
-        for loading, words in _DIRECTIONS:
-            _draw_settling(axes, loads, signal, loading, words)
+        for loading, direction in _DIRECTIONS:
+            _draw_settling(axes, loads, signal, loading, direction)
         times = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
         latest = max((value for value in times if value), default=1.0)
         axes.set_ylim(0, 1.12 * latest)
@@ -194,8 +194,8 @@ def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> Non
     sign = "≥ " if late else ""
     axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=DASHED, zorder=2)
     ha, shift = ("right", (-3, -2)) if settled_s > 0.6 * end_s else ("left", (3, -2))
-    words, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
-    annotate(axes, words, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
+    label, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
+    annotate(axes, label, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
 
 
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
@@ -237,5 +237,5 @@ def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> No
 
 def _axis_label(signal: str, loads: Sequence[SettledLoad]) -> str:
     unit = next((r.trace.unit for load in loads for r in load.relaxations if r.signal == signal), "")
-    shown = unit_shown(unit)
-    return f"{signal} [{shown}]" if shown else f"{signal} change"
+    shown_unit = unit_shown(unit)
+    return f"{signal} [{shown_unit}]" if shown_unit else f"{signal} change"

@@ -120,8 +120,8 @@ def show_sheet(axes: Axes, sensor: SensorType, *, numbered: bool = True) -> None
 
 def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:
     """Radius of discs that lets most neighbours stand clear; at least ``least`` of the sheet's radius."""
-    at = np.array(places_mm)
-    distances_mm = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
+    centres_mm = np.array(places_mm)
+    distances_mm = np.hypot(*(centres_mm[:, None, :] - centres_mm[None, :, :]).transpose(2, 0, 1))
     distances_mm[distances_mm < 1e-9] = np.inf
     nearest = min(float(np.median(distances_mm.min(axis=1))), sensor.radius_mm)
     return float(np.clip(0.46 * nearest, least * sensor.radius_mm, 0.15 * sensor.radius_mm))
@@ -176,8 +176,8 @@ def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
         pins = direction * ring
         axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
-        half = layout.width_mm / layout.ring_radius_mm / 2
-        arcs = [_arc(angle - half, angle + half, radius_mm) for angle in angles]
+        half_angle = layout.width_mm / layout.ring_radius_mm / 2
+        arcs = [_arc(angle - half_angle, angle + half_angle, radius_mm) for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     return direction * radius_mm * 1.075
 
@@ -189,8 +189,10 @@ def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Arr
     if electrodes.kind is ElectrodeKind.PIN:
         axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
-        half = electrodes.width_mm / 2
-        strips = [curve.points_at(np.linspace(place - half, place + half, _SIDES)) for place in along]
+        half_width_mm = electrodes.width_mm / 2
+        strips = [
+            curve.points_at(np.linspace(place - half_width_mm, place + half_width_mm, _SIDES)) for place in along
+        ]
         axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     size = 0.075 * reach(sheet)
     ahead = curve.points_at(along + size / 8) - curve.points_at(along - size / 8)

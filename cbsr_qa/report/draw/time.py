@@ -126,8 +126,8 @@ def thin_trace(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Arr
         return time_s, values
     starts = np.linspace(0, len(values), points // 2 + 1).astype(np.int64)
     pairs = pairwise(starts)
-    kept = [a + k for a, b in pairs for k in sorted({int(values[a:b].argmin()), int(values[a:b].argmax())})]
-    return time_s[kept], values[kept]
+    kept_indices = [a + k for a, b in pairs for k in sorted({int(values[a:b].argmin()), int(values[a:b].argmax())})]
+    return time_s[kept_indices], values[kept_indices]
 
 
 def _group_by_unit(traces: Sequence[Trace]) -> list[tuple[str, list[Trace]]]:
@@ -147,7 +147,10 @@ def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
         if len(traces) > 1:
             note(axes, 1.01, 0.95 - 0.13 * index, trace.name, colour, va="top")
     name = traces[0].name if len(traces) == 1 else ""
-    shown = unit_shown(unit)
-    axes.set_ylabel(f"{name}\n[{shown}]" if name and shown else name or (f"[{shown}]" if shown else ""), color=INK)
+    shown_unit = unit_shown(unit)
+    axes.set_ylabel(
+        f"{name}\n[{shown_unit}]" if name and shown_unit else name or (f"[{shown_unit}]" if shown_unit else ""),
+        color=INK,
+    )
     axes.yaxis.label.set_fontsize(7.5)
     axes.tick_params(axis="y", color=QUIET)
