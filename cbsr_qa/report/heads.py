@@ -57,7 +57,7 @@ def run_page(result: RunResult) -> Page:
 
 
 def _describe_issued(result: RunResult) -> tuple[str, str]:
-    """What a run issued: a calibration, or a material file where a material was characterised."""
+    """Return what a run issued: a calibration, or a material file where a material was characterised."""
     characterised = result.characterisation
     if characterised is None:
         signature = result.calibration.signature if result.calibration else None

@@ -41,7 +41,7 @@ class Sighting:
     frames : (k, m) changes of consecutive frames around it, scaled alike; ``held`` marks those that show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
     goodness : goodness of the fit of this load and of others that changed with it.
-    track : (time_s, x, y) of an object that moves.
+    track : times and places (time_s, x, y) of an object that moves.
     """
 
     start_s: float
@@ -153,7 +153,7 @@ def prepare_for_events(
 
     Parameters
     ----------
-    sightings : at least one; the clearest come first in the sample used by criteria.
+    sightings : sightings, at least one; the clearest come first in the sample used by criteria.
     offset : whether the readings include an unknown offset, so that the unloaded readings are unknown.
 
     Raises

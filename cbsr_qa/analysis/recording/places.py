@@ -82,7 +82,7 @@ def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Ma
 
     Parameters
     ----------
-    patterns : (m, p) of unit changes. sigma : (m,). nuisance : (m,), any length, unwhitened.
+    patterns : (m, p) unit changes. sigma : (m,) noise. nuisance : (m,) vector of any length, unwhitened.
     """
     hidden = nuisance / sigma
     hidden = hidden / np.linalg.norm(hidden)
@@ -172,7 +172,7 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
     ----------
     places : found from each channel's change relative to its own reference value, which weights far readings
         correctly for the distance, but also their faults.
-    change : (m,) in one scale for all channels, unwhitened. match : prepared for it with equal noise.
+    change : (m,) change in one scale for all channels, unwhitened. match : matcher prepared for it with equal noise.
     """
     sigma = np.ones_like(change)
     place_indices = [place.index for place in places]

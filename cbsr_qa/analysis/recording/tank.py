@@ -37,7 +37,7 @@ class Object:
     first, last, peak : frames; ``peak`` is where it is clearest.
     place : place at its peak.
     score : score at its peak, over the noise.
-    track : (frame, place) of every frame it was seen in; a single one for a still image.
+    track : frame and place of every frame it was seen in; a single one for a still image.
     goodness : goodness of the fit at its peak, with all objects of that frame.
     """
 
@@ -55,7 +55,7 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
     Parameters
     ----------
-    changes : (n, m) of used readings. used : (drives, measures) with m True entries.
+    changes : (n, m) changes of the used readings. used : (drives, measures) mask with m True entries.
 
     Returns
     -------
@@ -170,7 +170,7 @@ class Tank:
 
         Parameters
         ----------
-        change : (m,) of the sheet's readings.
+        change : (m,) change of the sheet's readings.
         """
         basis = np.column_stack(
             [

@@ -94,9 +94,9 @@ class RunPlace:
         if self.left_out is None:
             return f"Place not learned: {self.why}"
         cv, others = self.left_out, self.others
-        where = "" if self.places == cv.presses else f" at {self.places} places"
+        at = "" if self.places == cv.presses else f" at {self.places} places"
         sentence = (
-            f"Place learned from {cv.presses} presses{where}: {cv.learned_mm:.2g} mm on presses left out, the model of"
+            f"Place learned from {cv.presses} presses{at}: {cv.learned_mm:.2g} mm on presses left out, the model of"
             f" the sheet {cv.modelled_mm:.2g} mm (difference {cv.gain_mm:+.2g} ± {cv.gain_stderr_mm:.1g} mm)"
         ).replace("-", "−")
         if others is not None:

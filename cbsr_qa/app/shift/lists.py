@@ -40,7 +40,7 @@ class ListRequest:
     Parameters
     ----------
     selection : selection of the runs.
-    failed : only runs that failed; sensors that failed in their last decided run.
+    failed : whether to list only runs that failed, or sensors that failed in their last decided run.
     limit : name of a limit, as recipes write it or in words: only its failures; empty for any.
     latest : largest number of entries, the latest of those that remain; None for all.
 
@@ -318,7 +318,7 @@ def trust_notes(store: Repository, counts: Counter[str]) -> tuple[str, ...]:
 
 
 def _has_failed(run: ListedRun, limit: str) -> bool:
-    """Whether a run failed, or may have: one that was altered must not be missing among those that failed."""
+    """Whether a run failed, or may have failed: lists of failed runs must not lack an altered one."""
     if run.altered:
         return True
     keys = list_failed_limits(run)

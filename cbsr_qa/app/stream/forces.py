@@ -92,5 +92,5 @@ def _estimate_frame(touches: Touches, frame: int) -> Estimate:
 
 
 def _read_number(column: Array | None, frame: int) -> float | None:
-    """A number of one frame; None where the calibration or the frame does not tell it."""
+    """Return a number of one frame; None where the calibration or the frame does not have it."""
     return None if column is None or not np.isfinite(column[frame]) else float(column[frame])

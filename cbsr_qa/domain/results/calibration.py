@@ -71,7 +71,7 @@ class ForceModel:
     templates : (n, r) rows of unit length: the readings' change under the calibrated head is strength × e^log_size ×
         template.
     log_size : (n,) logarithm of a change per strength, in standard errors of one frame.
-    size_slope : (n, r) by which a template grows with q − 1, q the head's squared radius over that of the calibrated
+    size_slope : (n, r) growth of a template with q − 1, q the head's squared radius over that of the calibrated
         one, at the same strength × area.
     log_size_gradient : (n, 2) slopes of ``log_size`` along x and y [1/mm].
     turning : (n, 3) products xx, xy, yy of the slopes of a template of unit length, how fast it turns with place

@@ -77,7 +77,7 @@ class NoiseReport:
     unit : the recording's, ``"V"`` or ``"count"``.
     drift_per_min : median over channels of the slope, in ``unit`` per minute; None where time is unknown.
     steps : changes of level or noise; if any, ``rms`` is that of the longest quiet stretch.
-    quiet_s : (start, end) of that stretch; may be None.
+    quiet_s : start and end of that stretch [s]; may be None.
     frames : number of its frames.
     outliers : share of all readings further than six times the noise from their channel's level in that stretch.
     """

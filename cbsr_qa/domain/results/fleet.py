@@ -212,11 +212,11 @@ class FleetTable:
 
     Parameters
     ----------
-    runs : (R,) in the order they were made in.
+    runs : (R,) runs in the order they were made in.
     kinds : (K,) what there are values of.
     run, kind : (N,) index of each value's run and kind.
-    value : (N,) in the kind's unit; NaN for missing values, as in numpy.
-    state : (N,) of :class:`State`.
+    value : (N,) values in the kind's unit; NaN for missing values, as in numpy.
+    state : (N,) states of :class:`State`.
     places_mm : label of a load → where it is pressed.
     """
 

@@ -27,7 +27,7 @@ class FeatureScaling:
 
     Parameters
     ----------
-    ceiling : (m,) in the readings' unit.
+    ceiling : (m,) ceiling in the readings' unit.
     """
 
     exponent: _Positive

@@ -173,7 +173,7 @@ class MeasuredKernel:
     Parameters
     ----------
     weights, time_constants_s : (k,) w and τ [s].
-    covariance : (2 k, 2 k) of (w, log τ).
+    covariance : (2 k, 2 k) covariance of (w, log τ).
     start_s : the first reading came this long after the end of the ramp: before, nothing is known.
     window_s : the last one.
     """

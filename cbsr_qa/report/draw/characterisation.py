@@ -132,7 +132,7 @@ def _select_settlings(characterised: Characterisation, signal: str, loading: boo
 
 
 def _draw_relaxation(axes: Axes, characterised: Characterisation, settling: StrainSettling, count: int) -> float:
-    """One strain's mean trace and fit; returns where it ends."""
+    """Draw one strain's mean trace and fit; return where it ends."""
     scale = 100.0 if settling.signal == "conductance" else 1.0
     strains = sorted({level.strain for level in characterised.levels})
     colour = _STRAINS(strains.index(settling.strain or 0.0) / max(count - 1, 1))
