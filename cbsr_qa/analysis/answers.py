@@ -44,14 +44,14 @@ def validate_answer(answer: Iterable[Measurement]) -> list[Measurement]:
 def _validate_measurement(number: int, measurement: object) -> Measurement:
     if type(measurement) is not Measurement:
         raise PluginError(f"measurement {number} is {with_type(measurement)}; it must be a Measurement")
-    plain: dict[str, Any] = {}
+    plain_fields: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
         value = getattr(measurement, name, None)
         check, allowed = _FIELDS[name]
-        plain[name] = check(value)
-        if plain[name] is _WRONG:
+        plain_fields[name] = check(value)
+        if plain_fields[name] is _WRONG:
             raise PluginError(f"measurement {number}: {name} is {with_type(value)}; it must be {allowed}")
-    return replace(measurement, **plain)
+    return replace(measurement, **plain_fields)
 
 
 #: Value that a check returns for a value that is not allowed.

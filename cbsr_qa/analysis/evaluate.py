@@ -79,12 +79,12 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
-        measured, failed = measure_run(observation, metrics)
+        measured, failed_metrics = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
     if recipe.analysis.learn_place:
         with stages.stage("learning the place"):
             run_place(observation)
-    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
+    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed_metrics))
 
 
 def _empty_conclusion(why: str, remedy: str = "") -> Conclusion:
@@ -179,15 +179,15 @@ def measure_run(
     the others are unaffected, and a limit on it finds nothing measured.
     """
     measurements_by_metric: dict[str, list[Measurement]] = {}
-    failed: dict[str, str] = {}
+    failure_by_metric: dict[str, str] = {}
     for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
             with come_back_once():
                 measurements_by_metric[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
-            failed[name] = f"metric {name} failed and measured nothing: {failure(error)}"
+            failure_by_metric[name] = f"metric {name} failed and measured nothing: {failure(error)}"
     measured = tuple(measurement for name in metrics for measurement in measurements_by_metric.get(name, ()))
-    return measured, tuple(failed[name] for name in metrics if name in failed)
+    return measured, tuple(failure_by_metric[name] for name in metrics if name in failure_by_metric)
 
 
 #: Reason stated by a measurement that only shows that a limit found nothing to judge.

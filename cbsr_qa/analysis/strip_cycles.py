@@ -60,12 +60,12 @@ class StripForce:
         Samples at the cell's limit are left out; a hold with any in its second half, or with most of its samples
         there, gives no relaxed stress.
         """
-        nothing = np.zeros(0)
+        no_values = np.zeros(0)
         if self.samples is None:
-            return HeldStress(nothing, nothing)
+            return HeldStress(no_values, no_values)
         held_samples = self.samples.select_interval(load.hold_start_s, load.release_start_s)
         if len(held_samples) < _FEWEST:
-            return HeldStress(nothing, nothing, "holds without force samples give no stress")
+            return HeldStress(no_values, no_values, "holds without force samples give no stress")
         below_limit_mask = (
             np.ones(len(held_samples), dtype=np.bool_) if self.limit_N is None else held_samples.values < self.limit_N
         )
@@ -77,7 +77,7 @@ class StripForce:
                 f"the load cell is flat at its limit of {self.limit_N:.4g} N: the stress at"
                 f" {100 * load.load.strain:g} % strain is unknown"
             )
-            return HeldStress(nothing, nothing, reason)
+            return HeldStress(no_values, no_values, reason)
         groups = np.array_split(np.flatnonzero(below_limit_mask), min(_POINTS, int(below_limit_mask.sum())))
         time_s = np.array([held_samples.time_s[group].mean() for group in groups]) - load.hold_start_s
         force_N = np.array([held_samples.values[group].mean() for group in groups])

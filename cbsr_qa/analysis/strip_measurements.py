@@ -129,13 +129,18 @@ def _settling(each: StrainSettling) -> Measurement:
 
 
 def _counts(material: Characterisation) -> Iterator[Measurement]:
-    excluded = [level.why for level in material.levels if level.why]
+    exclusion_reasons = [level.why for level in material.levels if level.why]
     used_count = sum(level.cycles for level in material.levels if not level.why)
     excluded_count = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
     yield Measurement("cycles_used", float(used_count), "1", how="cycles the lines are drawn through")
     yield Measurement(
-        "cycles_excluded", float(excluded_count), "1", how="; ".join((*material.unread, *excluded)) or "none left out"
+        "cycles_excluded",
+        float(excluded_count),
+        "1",
+        how="; ".join((*material.unread, *exclusion_reasons)) or "none left out",
     )
-    yield Measurement("strains_excluded", float(len(excluded)), "1", how="; ".join(excluded) or "none left out")
+    yield Measurement(
+        "strains_excluded", float(len(exclusion_reasons)), "1", how="; ".join(exclusion_reasons) or "none left out"
+    )
     how = "least strain at which α ε + β is three standard errors from zero"
     yield Measurement("lowest_strain", material.lowest_strain, "1", how=how)

@@ -51,13 +51,13 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files and control limits, and overrides. Raise StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         charts = tuple(_chart_changes(store.charts.read_all()))
-        altered = store.changes.find_altered()
+        altered_problems = store.changes.find_altered()
         changes = Changes(
-            store.changes.list_all(tuple(altered)),
+            store.changes.list_all(tuple(altered_problems)),
             charts,
-            store.changes.list_overrides(without=tuple(altered)),
-            store.reanalyses.list_adoptions(tuple(altered)),
-            tuple(altered.values()),
+            store.changes.list_overrides(without=tuple(altered_problems)),
+            store.reanalyses.list_adoptions(tuple(altered_problems)),
+            tuple(altered_problems.values()),
         )
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.runs.find()}
     count_by_noun = {

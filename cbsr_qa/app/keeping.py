@@ -124,13 +124,13 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
     engine = open_engine(parse_url(database_url(option)))
     file = sqlite_file(engine.url)
     had_database = file is not None and file.exists()
-    aside = timestamp_path(file or backup, "replaced")
+    replaced_file = timestamp_path(file or backup, "replaced")
     try:
-        version = put_back(engine, backup, aside, count)
+        version = put_back(engine, backup, replaced_file, count)
     finally:
         engine.dispose()
     url = address(engine.url)
-    restored = Restored(url, backup, aside if had_database else None, version.revision, HEAD)
+    restored = Restored(url, backup, replaced_file if had_database else None, version.revision, HEAD)
     facts = [("Database", url), ("Schema", f"{restored.schema} (this program's is {HEAD})")]
     printed = [("Kept", str(restored.replaced))] if restored.replaced else []
     if version.age is not Age.CURRENT:

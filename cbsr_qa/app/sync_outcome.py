@@ -242,21 +242,23 @@ def _mark_failed(done: CommandOutcome[Synchronised], headline: str, why: str) ->
 
 def add_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandOutcome[Synchronised]:
     """Add what the centre refused of all stations."""
-    refused = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
+    refused_items = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
     unread = tuple(f"at the centre, {words}" for words in name_unread_refusals(centre))
-    result = replace(done.result, centre=address(centre.url), refused=refused, unread=done.result.unread + unread)
+    result = replace(
+        done.result, centre=address(centre.url), refused=refused_items, unread=done.result.unread + unread
+    )
     if unread:
         facts = (*done.page.identity, *(("passed over", words) for words in unread[:MOST_LISTED]))
         done = replace(done, page=replace(done.page, identity=facts))
         done = done if done.exit_code else _mark_failed(done, done.page.banner.headline, _UNREAD)
-    if not refused:
+    if not refused_items:
         return replace(done, result=result)
     lines = tuple(
         Paragraph(
             f"{refusal.noted_at:%Y-%m-%d %H:%M}, station {refusal.station or '–'}, {refusal.kind} {refusal.item}:"
             f" {_why(refusal.kind, refusal.item, refusal.why)}"
         )
-        for refusal in refused[-MOST_LISTED:]
+        for refusal in refused_items[-MOST_LISTED:]
     )
     settle = Paragraph(_SETTLE)
     return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", (*lines, settle))))

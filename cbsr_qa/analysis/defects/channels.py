@@ -80,13 +80,15 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
     saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
-    frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
-    if not (not_connected or at_end or frozen):
+    is_frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
+    if not (not_connected or at_end or is_frozen):
         saturated |= _find_rail_clipping(block, missing_mask)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _find_ceiling_clipping(block.voltages)
     stuck_from = np.where(missing_mask, -1, _first_stuck_frames(block))
-    return ChannelFaults(saturated & ~missing_mask, stuck_from >= 0, missing_mask, not_connected, frozen, stuck_from)
+    return ChannelFaults(
+        saturated & ~missing_mask, stuck_from >= 0, missing_mask, not_connected, is_frozen, stuck_from
+    )
 
 
 def _is_at_converter_end(present: Array, unit: VoltageUnit) -> bool:

@@ -44,7 +44,7 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
     ----------
     frame : (drives, measures), the typical one. used : same shape, sound readings that touch no driven electrode.
     """
-    silent = []
+    silent_masks = []
     for readings, usable_rows in ((frame, used), (frame.T, used.T)):
         spread = np.array(
             [
@@ -54,8 +54,8 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
         )
         finite_mask = np.isfinite(spread)
         live = float(np.quantile(spread[finite_mask], _LIVE)) if finite_mask.any() else 0.0
-        silent.append(finite_mask & (spread < SILENT_SPREAD * live))
-    pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
+        silent_masks.append(finite_mask & (spread < SILENT_SPREAD * live))
+    pairs = ((pattern.drive, silent_masks[0]), (pattern.measure, silent_masks[1]))
     of_each = [
         [bool(is_silent[k]) for of_kind, is_silent in pairs for k, pair in enumerate(of_kind) if electrode in pair]
         for electrode in range(pattern.electrode_count)
@@ -116,11 +116,11 @@ def suspect_in(
 
 def _may_be_load(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
     """Whether a load may explain the change: its pattern must show in readings that do not touch the contact."""
-    expected = _parts(load, hidden, readings)[1]
-    power = float(expected @ expected)
+    expected_outside = _parts(load, hidden, readings)[1]
+    power = float(expected_outside @ expected_outside)
     if power == 0:
         return True
-    share, error = float(expected @ outside) / power, float(np.sqrt(noise / power))
+    share, error = float(expected_outside @ outside) / power, float(np.sqrt(noise / power))
     return share + _SIGMAS * error > _SEEN_OUTSIDE
 
 

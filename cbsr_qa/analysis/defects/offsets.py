@@ -31,17 +31,17 @@ def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]
     jumps = np.median(np.diff(readings, axis=0), axis=1)
     noise = float(np.median(sigma))
     usual = MAD_TO_SIGMA * float(np.median(np.abs(jumps - np.median(jumps))))
-    sudden = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
+    jump_frames = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
     offsets: list[tuple[int, float]] = []
     last_frame = 0
-    for frame in sudden.tolist():
+    for frame in jump_frames.tolist():
         # An offset in the middle of a frame shows in two frames, and counts once.
-        later_jumps = sudden[sudden > frame + 1]
-        until = min(frame + _STAY_FRAMES, int(later_jumps[0]) if len(later_jumps) else len(readings))
+        later_jumps = jump_frames[jump_frames > frame + 1]
+        end_frame = min(frame + _STAY_FRAMES, int(later_jumps[0]) if len(later_jumps) else len(readings))
         begin = max(frame - _STAY_FRAMES, last_frame)
-        if offsets and frame - last_frame < 2 and until - frame > 1:
+        if offsets and frame - last_frame < 2 and end_frame - frame > 1:
             continue
-        size, uneven = _common(readings[begin:frame], readings[frame:until], sigma)
+        size, uneven = _common(readings[begin:frame], readings[frame:end_frame], sigma)
         if abs(size) > _SIZEABLE * noise and uneven < _UNEVEN * abs(size):
             offsets.append((frame, size))
             last_frame = frame

@@ -29,11 +29,11 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
     readings = frames.voltages.reshape(len(frames), -1)
     squares = (off_the_line(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
     noise = np.sqrt(squares.sum(axis=0) / (len(frames) - 2))
-    silent = noise <= _ROUNDING * level.max(initial=0.0)
-    ratio = level / np.where(silent, 1.0, noise)
+    silent_mask = noise <= _ROUNDING * level.max(initial=0.0)
+    ratio = level / np.where(silent_mask, 1.0, noise)
     loud = ratio > 0
     decibel = np.where(loud, 20 * np.log10(np.where(loud, ratio, 1.0)), -np.inf)
-    return np.where(silent, np.inf, decibel)
+    return np.where(silent_mask, np.inf, decibel)
 
 
 def reciprocity_errors(

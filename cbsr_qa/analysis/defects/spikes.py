@@ -50,9 +50,9 @@ def remove_spikes(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array
 def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
     """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
-    partner = usable & usable.T if square else np.zeros_like(usable)
+    partner_mask = usable & usable.T if square else np.zeros_like(usable)
     few = (far.sum(axis=(1, 2)) <= MOST_SPIKES * usable.sum())[:, None, None]
     alone_mask: Mask = np.broadcast_to(few, far.shape)
     if square:
-        alone_mask = np.where(partner, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone_mask)
+        alone_mask = np.where(partner_mask, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone_mask)
     return alone_mask

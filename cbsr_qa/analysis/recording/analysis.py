@@ -180,16 +180,16 @@ def _saturation(recording: Recording) -> str:
 
 
 def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, ...]) -> NoiseReport:
-    use = ready.noise_use()
+    reading_use = ready.noise_use()
     block = recording.frames
-    readings = block.voltages[:, use]
+    readings = block.voltages[:, reading_use]
     busy = tuple((event.start_s, event.end_s) for event in events)
     steps: tuple[NoiseStep, ...] = ()
     if len(block) > 1:
         sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
         steps = find_steps(block.time_s, readings, sigma)
         steps = tuple(s for s in steps if s.what == "noise" or not any(a - 1 <= s.time_s <= b + 1 for a, b in busy))
-    return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
+    return noise_report(block, reading_use, steps, busy, timed=not recording.still and recording.clock != "none")
 
 
 def _unlike_the_model(searched: Searched) -> list[str]:

@@ -142,14 +142,14 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
     calm = interpolate_pulses(white, pulses)
     changes = find_changes(calm @ match.patterns)
     presses = find_presses(calm, match, changes, no_loads)
-    short = _Search(white, match, no_loads, [])
+    short_search = _Search(white, match, no_loads, [])
     for pulse in pulses:
-        short.close_short(pulse)
-    for press in short.found.presses:
+        short_search.close_short(pulse)
+    for press in short_search.found.presses:
         _add_short(press, presses)
-    presses.suspects += short.found.suspects
-    presses.gains += short.found.gains
-    presses.rejected += short.found.rejected
+    presses.suspects += short_search.found.suspects
+    presses.gains += short_search.found.gains
+    presses.rejected += short_search.found.rejected
     return presses, (*changes, *pulses)
 
 
@@ -228,12 +228,14 @@ class _Search:
         limits = self._limits(group)
         frames_before, frames_held = rough(first_change, group.limit(self.groups, len(self.white)), len(self.white))
         window = min(change.window for change in group.changes)
-        clear = signal_energy(self.white, frames_before, frames_held) > _FAINT * noise_energy(
+        is_clear = signal_energy(self.white, frames_before, frames_held) > _FAINT * noise_energy(
             self.white, frames_before, frames_held
         )
         for _ in range(2):
             end, along = self._end(group, frames_before, frames_held, window, limits)
-            start, first_held = rise(along, first_change, int(end)) if clear else step_start(first_change, int(end))
+            start, first_held = (
+                rise(along, first_change, int(end)) if is_clear else step_start(first_change, int(end))
+            )
             frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
             frames_held = slice(first_held, max(min(int(end) + (end == limits[-1] - 1), limits[0]), first_held + 1))
         return frames_before, frames_held, start, end, along

@@ -180,14 +180,14 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
     sign = int(np.sign(places[0].score)) if len({s > 0 for s in signs.values()}) == 1 else 0
     reweighted = match
     for _ in range(_ROBUST_ROUNDS):
-        white = reweighted.whiten(change[None])[0]
-        place_indices = _optimise_places(white, reweighted, place_indices, sign)
-        residual = np.abs(_fit_residual(white, reweighted, place_indices) * sigma)
+        white_change = reweighted.whiten(change[None])[0]
+        place_indices = _optimise_places(white_change, reweighted, place_indices, sign)
+        residual = np.abs(_fit_residual(white_change, reweighted, place_indices) * sigma)
         spread = max(MAD_TO_SIGMA * float(np.median(residual)), 1e-300)
         sigma = np.sqrt(np.maximum(residual / (_HUBER * spread), 1.0))
         reweighted = matcher(match.patterns, match.places, sigma, match.nuisance)
-    white = reweighted.whiten(change[None])[0]
-    refined = _all_refined(white, reweighted, place_indices)
+    white_change = reweighted.whiten(change[None])[0]
+    refined = _all_refined(white_change, reweighted, place_indices)
     return tuple(_correct_direction(place, refined) for place in places)
 
 

@@ -132,32 +132,32 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         used_mask &= ~full_pattern.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
-    scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
-    scanned &= bool(used_mask.any())
-    mending = scanned and recording.reference is None
+    is_scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    is_scanned &= bool(used_mask.any())
+    is_mended = is_scanned and recording.reference is None
     offset = has_offset(recording)
     voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
-    if mending and len(block) > 1:
+    if is_mended and len(block) > 1:
         offsets = find_offsets(voltages[:, used_mask], channel_noise(voltages[:, used_mask], counts=offset))
         voltages = subtract_offsets(voltages, offsets)
-    if scanned:
+    if is_scanned:
         # One absurd reading must not decide the correction of the whole frame.
-        calm = remove_spikes(voltages, used_mask, counts=offset)[0] if mending else voltages
+        calm = remove_spikes(voltages, used_mask, counts=offset)[0] if is_mended else voltages
         carry_over = estimate_carry_over(replace(block, voltages=calm), used_mask)
-    apply = (
+    correct_memory = (
         carry_over is not None
         and (carry_over.worth_correcting if wanted is None else wanted)
         and carry_over.share < 1
     )
     reference = None if recording.reference is None else recording.reference.voltages
-    if apply and carry_over is not None:
+    if correct_memory and carry_over is not None:
         order = scan_order(block)
         voltages = correct_carry_over(voltages, carry_over.share, order)
         reference = None if reference is None else correct_carry_over(reference, carry_over.share, order)
     spikes = np.zeros(voltages.shape, dtype=bool)
-    if mending:
+    if is_mended:
         voltages, spikes = remove_spikes(voltages, used_mask, counts=offset)
-    dead_drives = find_dead_drives(np.median(voltages, axis=0), used_mask) if scanned else ()
+    dead_drives = find_dead_drives(np.median(voltages, axis=0), used_mask) if is_scanned else ()
     used_mask[[dead.drive for dead in dead_drives]] = False
     mean = voltages.mean(axis=0)
     error = (
@@ -171,7 +171,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         faults,
         used_mask,
         carry_over,
-        bool(apply),
+        bool(correct_memory),
         error,
         offset,
         offsets,

@@ -41,11 +41,11 @@ def _average_readings(block: FrameBlock, cell: Indices, pattern: DrivePattern) -
     """Mean over readings of one cell, (m,) numbers of cells of the pattern."""
     voltages, flags = block.voltages.reshape(len(block), -1), block.flags.reshape(len(block), -1)
     shape = (len(block), *pattern.shape)
-    mean, flagged = np.empty(shape).reshape(len(block), -1), np.empty(shape, np.uint8).reshape(len(block), -1)
+    mean, joined_flags = np.empty(shape).reshape(len(block), -1), np.empty(shape, np.uint8).reshape(len(block), -1)
     for number in range(mean.shape[1]):
         of_cell = cell == number
         sound_mask = (flags[:, of_cell] & UNUSABLE) == 0
         sound_mask |= ~sound_mask.any(axis=1, keepdims=True)
         mean[:, number] = (voltages[:, of_cell] * sound_mask).sum(axis=1) / sound_mask.sum(axis=1)
-        flagged[:, number] = np.bitwise_or.reduce(np.where(sound_mask, flags[:, of_cell], 0), axis=1)
-    return replace(block, voltages=mean.reshape(shape), flags=flagged.reshape(shape), reading_time_s=None)
+        joined_flags[:, number] = np.bitwise_or.reduce(np.where(sound_mask, flags[:, of_cell], 0), axis=1)
+    return replace(block, voltages=mean.reshape(shape), flags=joined_flags.reshape(shape), reading_time_s=None)

@@ -231,11 +231,11 @@ class RecordedScene:
     def _build_no_loads(self, match: Matcher) -> NoLoads:
         problem = self.sheet.problem
         frame = self.model.reference * self.model.gain
-        white = match.whiten(frame[None])[0]
+        white_frame = match.whiten(frame[None])[0]
         # If a common gain is the nuisance itself, only its rounding remains.
-        if float(np.linalg.norm(white)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
-            white = np.zeros_like(white)
-        return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))
+        if float(np.linalg.norm(white_frame)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
+            white_frame = np.zeros_like(white_frame)
+        return NoLoads(white_frame, suspects_of(problem.sensor_type.pattern, problem.used))
 
     def _downsample(self, rate_hz: float | None) -> tuple[Array, Array]:
         """Average fast recordings down to the rate of detection: times and readings."""

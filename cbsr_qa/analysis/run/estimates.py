@@ -66,12 +66,12 @@ def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
     several_held = "{} loads were held at once; the estimate needs one"
-    refused = {
+    refusals = {
         _key(load): EstimatedLoad(None, None, several_held.format(load.together))
         for load in run.loads
         if load.together > 1
     }
-    return {**estimates, **refused}
+    return {**estimates, **refusals}
 
 
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:

@@ -184,12 +184,12 @@ class _RunForce:
         windows = [window_of(self.run, load) for load in self.loads]
         steady = [self._rows(window.steady.voltages) for window in windows]
         rows_before = [self._rows(window.before.voltages) for window in windows]
-        nothing = np.zeros(self.merging.shape[0])
+        zero_row = np.zeros(self.merging.shape[0])
         return CalibrationLoads(
             place_mm=np.array([load.place_mm for load in self.loads]),
             rows=np.array([rows.mean(axis=0) for rows in steady]),
             frames=np.array([len(rows) for rows in steady]),
-            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in rows_before]),
+            before=np.array([rows.mean(axis=0) if len(rows) else zero_row for rows in rows_before]),
             frames_before=np.array([len(rows) for rows in rows_before]),
             force_N=np.array([load.force_N for load in self.loads], dtype=np.float64),
             force_stderr_N=np.array([load.force_stderr_N or 0.0 for load in self.loads]),

@@ -52,11 +52,11 @@ def force_kernels(
     Both; None for short holds, weak loads, or relaxation that cannot be separated from drift.
     """
     traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
-    clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
-    clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
-    if not clear:
+    clearest_loads = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
+    clearest_loads = [load for load in clearest_loads if traces.detectability(load) >= _LEAST_DETECTABILITY]
+    if not clearest_loads:
         return None, None
-    return traces.loading(clear), traces.unloading(clear)
+    return traces.loading(clearest_loads), traces.unloading(clearest_loads)
 
 
 def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: float) -> FrameBlock | None:

@@ -210,17 +210,19 @@ def gauge_factor(
     """
     learned = force.learned
     assert learned is not None
-    usable = [k for k, load in enumerate(force.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
-    loads = [force.used[k] for k in usable]
+    usable_indices = [
+        k for k, load in enumerate(force.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0
+    ]
+    loads = [force.used[k] for k in usable_indices]
     if not loads:
         raise NumericsError("no load of the calibration has a nominal strain")
     line = run.record.material.against_stress
     stress = np.array([load.stress_kPa or 0.0 for load in loads])
-    contrast = learned.ratio[usable] * (line.slope.value * stress + line.intercept.value)
+    contrast = learned.ratio[usable_indices] * (line.slope.value * stress + line.intercept.value)
     fitted_factor = sheet_gauge_factor(
         places_mm(loads),
         contrast,
-        (learned.ratio_stderr[usable] / learned.ratio[usable]) ** 2,
+        (learned.ratio_stderr[usable_indices] / learned.ratio[usable_indices]) ** 2,
         np.array([load.record.load.strain for load in loads]),
         run.record.material.against_strain,
         radius_mm=run.record.sensor_type.radius_mm,

@@ -64,19 +64,19 @@ def decide_response(
     -------
     INCREASE or DECREASE, the basis of the decision, and warnings (loads that disagree, or none clear enough).
     """
-    clear = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
-    rising = sum(signal > 0 for signal in clear)
-    falling = len(clear) - rising
+    clear_signals = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
+    rising = sum(signal > 0 for signal in clear_signals)
+    falling = len(clear_signals) - rising
     voted = Response.INCREASE if rising >= falling else Response.DECREASE
     counts_text = f"{rising} loads raise the conductance, {falling} lower it"
     if configured is not Response.AUTO:
         against = f"the sensor type sets its response to {configured}, but {counts_text}"
-        disagree = bool(clear) and voted is not configured
+        disagree = bool(clear_signals) and voted is not configured
         return configured, "configured in the sensor type", (against,) if disagree else ()
-    if not clear:
+    if not clear_signals:
         return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
     warnings = (f"the loads disagree on the sign of the response: {counts_text}",) if rising and falling else ()
-    return voted, f"decided from {len(clear)} loads: {counts_text}", warnings
+    return voted, f"decided from {len(clear_signals)} loads: {counts_text}", warnings
 
 
 def mean_under(mesh: Mesh, values: Array, pressed: Footprint) -> float:

@@ -87,12 +87,15 @@ def _observe(
     if not pattern.any():
         return _nothing(phase, loops, stress, no_force, _SILENT)
     output = _amplitudes(rows, pattern)
-    deep = np.zeros(len(output), dtype=np.bool_)
+    deepest_mask = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
         hold = deepest(loop)
-        deep |= (frames_during.time_s >= hold.start_s) & (frames_during.time_s < hold.end_s)
-    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
-    reason = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
+        deepest_mask |= (frames_during.time_s >= hold.start_s) & (frames_during.time_s < hold.end_s)
+    span, spread = (
+        float(output[deepest_mask].mean()),
+        float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern)),
+    )
+    reason = "" if span > _CLEAR * spread / np.sqrt(deepest_mask.sum()) else _SILENT
     unit = span if span > 0 else 1.0
     trace = Trace("output", "1", frames_during.time_s, output / unit)
     return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, reason)

@@ -94,11 +94,11 @@ def observe_run(
     unloaded = find_unloaded_frames(data.record)
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
     check_weighing(reconstruction, type(reconstruction).__name__, settings)
-    problem, silent = linearise_sheet(data, unloaded, settings)
+    problem, silent_remarks = linearise_sheet(data, unloaded, settings)
     answering = drop_weak_polarity(data, unloaded, problem.reference)
     if answering is not data:
         data = answering
-        problem, silent = linearise_sheet(data, unloaded, settings)
+        problem, silent_remarks = linearise_sheet(data, unloaded, settings)
     imager = _imager(problem, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
@@ -136,7 +136,7 @@ def observe_run(
     odd = scale_doubts(imager.reference, problem)
     effect = masking_effect(problem)
     lost = () if effect is None else (effect.words(),)
-    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent, *doubts, *remarks))
+    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent_remarks, *doubts, *remarks))
 
 
 def _over_time(

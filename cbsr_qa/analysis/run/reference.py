@@ -92,11 +92,11 @@ def usable_data(record: RunRecord) -> UsableData:
     left_out_mask = _choose_flagged_channels(flagged[~lost_mask])
     lost_mask |= (flagged & ~left_out_mask).any(axis=(1, 2))
     kept_frames = frames.select(~lost_mask)
-    stuck = _find_stuck(kept_frames, pattern) & pattern & ~left_out_mask
+    stuck_mask = _find_stuck(kept_frames, pattern) & pattern & ~left_out_mask
     silent, silent_remarks = _find_silent_readings(
-        kept_frames, pattern & ~left_out_mask & ~stuck, record.sensor_type.pattern
+        kept_frames, pattern & ~left_out_mask & ~stuck_mask, record.sensor_type.pattern
     )
-    readings = pattern & ~left_out_mask & ~stuck & ~silent
+    readings = pattern & ~left_out_mask & ~stuck_mask & ~silent
     voltages, offsets = _remove_offsets(kept_frames.voltages, readings)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
@@ -104,7 +104,10 @@ def usable_data(record: RunRecord) -> UsableData:
     remarks = [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {name_readings(channels)}"
-        for channels, why in ((left_out_mask, "saturated or missing in many frames"), (stuck, "stuck at one value"))
+        for channels, why in (
+            (left_out_mask, "saturated or missing in many frames"),
+            (stuck_mask, "stuck at one value"),
+        )
         if channels.any()
     ]
     remarks += [*silent_remarks, *offset_words(offsets, kept_frames.time_s, kept_frames.unit.value)]
@@ -145,13 +148,13 @@ def _find_silent_readings(
         return np.zeros_like(sound), []
     frame = np.median(kept.voltages, axis=0)
     opened = open_electrodes(frame, sound, pattern)
-    silent = pattern.touching(opened)
+    silent_mask = pattern.touching(opened)
     remarks = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
     if pattern.drive == pattern.measure:
-        dead = find_dead_drives(frame, sound & ~silent)
-        silent[[dead_drive.drive for dead_drive in dead]] = True
+        dead = find_dead_drives(frame, sound & ~silent_mask)
+        silent_mask[[dead_drive.drive for dead_drive in dead]] = True
         remarks += [dead_drive.words(kept.unit.value) for dead_drive in dead]
-    return silent, remarks
+    return silent_mask, remarks
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
@@ -262,10 +265,10 @@ def linearise_sheet(
     problem = imaging_problem(sensor_type, used=used_mask, noise_variance=noise.variance)
     if not noise.silent.any():
         return problem, ()
-    silent = np.zeros_like(used_mask)
-    silent[used_mask] = noise.silent
+    is_silent = np.zeros_like(used_mask)
+    is_silent[used_mask] = noise.silent
     remark = (
-        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
-        f" and a typical value is used for them: {name_readings(silent)}"
+        f"{int(is_silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
+        f" and a typical value is used for them: {name_readings(is_silent)}"
     )
     return problem, (remark,)

@@ -58,11 +58,11 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
     difference = _difference(recording, empty)
     if difference:
         raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {difference}", remedy=_REMEDY)
-    noted = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
+    reference_problems = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
     return replace(
         recording,
         reference=empty.frames,
-        problems=(*recording.problems, *noted),
+        problems=(*recording.problems, *reference_problems),
         notes=(*recording.notes, f"changes are against {'the mean of ' if len(empty.frames) > 1 else ''}{name}"),
         simulated=(*recording.simulated, *(f"in the reference {name}: {what}" for what in empty.simulated)),
     )
@@ -268,13 +268,13 @@ def _check_shape(recording: Recording, sensor_type: SensorType | None) -> None:
     """Refuse frames in memory that are not those of the sensor type, or without one not of a ring of electrodes."""
     shape = recording.frames.voltages.shape[1:]
     if sensor_type is not None and shape != sensor_type.pattern.shape:
-        expected = f"those of sensor type {sensor_type.name!r} are {sensor_type.pattern.shape}"
+        expected_shapes = f"those of sensor type {sensor_type.name!r} are {sensor_type.pattern.shape}"
     elif sensor_type is None and shape[0] != shape[1]:
-        expected = "without a sensor type, as many measure pairs as drive pairs are expected"
+        expected_shapes = "without a sensor type, as many measure pairs as drive pairs are expected"
     else:
         return
     raise RecordingError(
-        f"{recording.path.name} has frames of {shape}: drive pairs, measure pairs; {expected}",
+        f"{recording.path.name} has frames of {shape}: drive pairs, measure pairs; {expected_shapes}",
         remedy="give whole frames, NaN for readings that were not measured, or the sensor type that was recorded",
     )
 

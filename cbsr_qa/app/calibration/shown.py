@@ -248,8 +248,8 @@ class ShownCalibration:
 
 def _places(calibration: Calibration, model: ForceModel) -> _Array:
     """Return the lattice nodes within the calibrated radius; all if there are none."""
-    everywhere, node = model.lattice.places_mm(), model.node.ravel()
+    lattice_mm, node = model.lattice.places_mm(), model.node.ravel()
     fits_mask = np.where(node >= 0, model.fits[node], False)
-    fits_mask &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
-    near_mask = fits_mask & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
-    return everywhere[near_mask if near_mask.any() else fits_mask]
+    fits_mask &= np.isfinite(TemplateFilter(model).template(lattice_mm)).all(axis=1)
+    near_mask = fits_mask & (np.hypot(*lattice_mm.T) <= calibration.validity.radius_mm)
+    return lattice_mm[near_mask if near_mask.any() else fits_mask]

@@ -222,14 +222,14 @@ def _export_runs(
     run_request = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
     pages = run_pages(store, run_request or list_request, AT_ONCE)
     runs = rows = 0
-    altered, trusted = list[str](), Counter[str]()
+    altered_names, trust_totals = list[str](), Counter[str]()
     with writing(target), write_atomically(target) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
                 written, altered_runs = write(page.runs)
                 rows, runs = rows + written, runs + len(page.runs)
-                altered += altered_runs
-                trusted += trust_counts(page.runs)
+                altered_names += altered_runs
+                trust_totals += trust_counts(page.runs)
                 _tell(page, tell)
         if not runs:
             raise RefusedError(
@@ -244,13 +244,13 @@ def _export_runs(
         run,
         table if kind.of_table else None,
         rows if kind.of_table else None,
-        tuple(altered),
+        tuple(altered_names),
     )
     content = plural(runs, "run")
     outcome = _outcome(exported, f"{plural(rows, 'row')}, {content}" if kind.of_table else content)
-    trusted["altered"] = len(altered)
-    page_of_file = replace(outcome.page, warnings=trust_notes(store, trusted))
-    return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered)))
+    trust_totals["altered"] = len(altered_names)
+    page_of_file = replace(outcome.page, warnings=trust_notes(store, trust_totals))
+    return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered_names)))
 
 
 @contextmanager

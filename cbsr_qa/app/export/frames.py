@@ -158,13 +158,13 @@ def _assign_loads(
     stage = np.zeros(len(time_s), dtype=np.uint8)
     strain = np.full(len(time_s), np.nan)
     for n, (own_phase, load) in enumerate(loads):
-        eased = load.eased
-        moves_s = [moment for step in eased for moment in (step.start_s, step.hold_start_s)]
+        eased_steps = load.eased
+        moves_s = [moment for step in eased_steps for moment in (step.start_s, step.hold_start_s)]
         ends_s = (load.release_start_s, load.release_end_s, load.rest_end_s)
         stage_indices = np.searchsorted(
             [load.press_start_s, load.hold_start_s, *moves_s, *ends_s], time_s, side="right"
         )
-        begins = [LoadStage.PRESS, LoadStage.HOLD, *[LoadStage.EASE, LoadStage.HOLD] * len(eased)]
+        begins = [LoadStage.PRESS, LoadStage.HOLD, *[LoadStage.EASE, LoadStage.HOLD] * len(eased_steps)]
         stages = np.array(
             [LoadStage.NONE, *begins, LoadStage.RELEASE, LoadStage.REST, LoadStage.NONE], dtype=np.uint8
         )

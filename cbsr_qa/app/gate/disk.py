@@ -27,15 +27,15 @@ _TWICE: Final = 2
 
 def enough_disk(asked: Asked) -> Finding:
     """Compare the free space where the run writes with what it needs."""
-    stated = asked.settings.disk_GB
-    needed = estimate_run_bytes(asked) if stated is None else stated * _GB
+    stated_GB = asked.settings.disk_GB
+    needed = estimate_run_bytes(asked) if stated_GB is None else stated_GB * _GB
     file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
     on_disks = {
         _there(folder).stat().st_dev: folder for folder in reversed(folders)
     }  # each is asked once: others write too
     least_free = min((shutil.disk_usage(_there(folder)).free, str(folder)) for folder in on_disks.values())
-    estimated_by = "the estimate for this run" if stated is None else "disk_GB of the station"
+    estimated_by = "the estimate for this run" if stated_GB is None else "disk_GB of the station"
     clause = f"{least_free[0] / _GB:.1f} GB free at {least_free[1]}, {needed / _GB:.1f} GB needed ({estimated_by})"
     if file is None:
         clause += "; the disk of the database server is not seen from here"

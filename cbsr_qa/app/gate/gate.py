@@ -88,15 +88,15 @@ def ask_gate_again(
 
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     """Return the one error for all checks that refuse; None if none does."""
-    refused = [answer for answer in answers if answer.outcome is GateOutcome.REFUSED]
-    if not refused:
+    refused_answers = [answer for answer in answers if answer.outcome is GateOutcome.REFUSED]
+    if not refused_answers:
         return None
-    listed = "\n".join(f"  {answer.check}: {answer.words}" for answer in refused)
-    remedies = [f"{answer.check}: {answer.remedy}{_command(answer)}" for answer in refused if answer.remedy]
-    names = " ".join(f"--override {answer.check}" for answer in refused)
+    refused_lines = "\n".join(f"  {answer.check}: {answer.words}" for answer in refused_answers)
+    remedies = [f"{answer.check}: {answer.remedy}{_command(answer)}" for answer in refused_answers if answer.remedy]
+    names = " ".join(f"--override {answer.check}" for answer in refused_answers)
     override = f"{AT_COMMAND_LINE}override by {names} --override-by NAME --override-why TEXT"
     return RefusedError(
-        f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])
+        f"the gate of this station refuses the run:\n{refused_lines}", remedy="\n".join([*remedies, override])
     )
 
 

@@ -37,23 +37,23 @@ def retest_allowed(asked: Asked) -> Finding:
     for problem in elsewhere.values():
         clause = f"{problem}; it may be a run of {serial}"
         return Finding(False, clause, "restore the database from a copy; cbsr-qa db check names what was altered")
-    finished = [attempt for attempt in tries if attempt.changed or attempt.end is EndReason.FINISHED]
-    passed = [attempt for attempt in finished if _final_outcome(attempt) in _PASSED]
+    finished_tries = [attempt for attempt in tries if attempt.changed or attempt.end is EndReason.FINISHED]
+    passed = [attempt for attempt in finished_tries if _final_outcome(attempt) in _PASSED]
     if passed:
         latest = passed[-1]
         clause = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
         return Finding(False, clause, "take the next sensor")
     most_runs = asked.settings.retest_runs
-    count = f"{len(finished)} finished run{'' if len(finished) == 1 else 's'} of {serial} with {recipe}"
+    count = f"{len(finished_tries)} finished run{'' if len(finished_tries) == 1 else 's'} of {serial} with {recipe}"
     if without_result := [
-        attempt.run for attempt in finished if not attempt.changed and _final_outcome(attempt) is None
+        attempt.run for attempt in finished_tries if not attempt.changed and _final_outcome(attempt) is None
     ]:
         count += (
             f", run {without_result[-1]} without a result yet (cbsr-qa run --resume {without_result[-1]} computes it)"
         )
     if most_runs is None:
-        return Finding(True, f"{count}, none of them passed" if finished else count)
-    if len(finished) < most_runs:
+        return Finding(True, f"{count}, none of them passed" if finished_tries else count)
+    if len(finished_tries) < most_runs:
         return Finding(True, f"{count}, at most {most_runs} allowed")
     return Finding(
         False,

@@ -157,12 +157,12 @@ class _Session:
     def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
         """Analyse runs, and store each result as soon as it is there."""
         progress, begun_s = _Progress("analysing", len(jobs), self._tell), self._clock.now()
-        for job, worked in workers.run_jobs(jobs):
+        for job, job_result in workers.run_jobs(jobs):
             line = self.lines[job.run]
-            if isinstance(worked, str):
-                self._cannot(line, worked)
+            if isinstance(job_result, str):
+                self._cannot(line, job_result)
             else:
-                self._keep(line, worked)
+                self._keep(line, job_result)
             progress.step()
         self.elapsed_s = self._clock.now() - begun_s
 
@@ -185,31 +185,35 @@ class _Session:
     def conclude(self, computed: int, where: str) -> Reanalysed:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
         changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
-        decided = {line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)}
+        decision_by_run = {
+            line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)
+        }
         overridden_runs: list[NamedRun] = []
         unchanged = adopted = 0
         progress = _Progress("comparing", len(self.stored), self._tell)
         for line in [line for line in self.lines.values() if line.run in self.stored]:
             try:
                 analyses = self._store.analyses.load(line.run)
-                valid = next(iter(analyses), None)
+                valid_analysis = next(iter(analyses), None)
                 reanalysis = self._store.reanalyses.load(self.stored[line.run])
             except StoreError as error:
                 self._cannot(line, error.reason)
                 continue
-            valid_measurements = () if valid is None else valid.measurements
+            valid_measurements = () if valid_analysis is None else valid_analysis.measurements
             changes.add(line, valid_measurements, reanalysis.measurements)
-            warnings.update(set(reanalysis.warnings).difference(() if valid is None else valid.warnings))
-            overridden = None if valid is None else decided.get(line.run)
-            if valid is None or valid.verdict.outcome is not reanalysis.verdict.outcome:
+            warnings.update(
+                set(reanalysis.warnings).difference(() if valid_analysis is None else valid_analysis.warnings)
+            )
+            overridden = None if valid_analysis is None else decision_by_run.get(line.run)
+            if valid_analysis is None or valid_analysis.verdict.outcome is not reanalysis.verdict.outcome:
                 flips.append(_flip(line, analyses, reanalysis, overridden))
-            unchanged += valid is not None and (valid.measurements, valid.verdict) == (
+            unchanged += valid_analysis is not None and (valid_analysis.measurements, valid_analysis.verdict) == (
                 reanalysis.measurements,
                 reanalysis.verdict,
             )
             if self._request.adopt and overridden is not None:
                 overridden_runs.append(NamedRun.from_line(line, f"overridden to {overridden}"))
-            elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
+            elif self._request.adopt and not _is_adopted(valid_analysis, self.stored[line.run]):
                 self._store.reanalyses.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
                 adopted += 1
             progress.step()

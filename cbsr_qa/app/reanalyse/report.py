@@ -137,11 +137,11 @@ def _sections(done: Reanalysed) -> Iterator[Section]:
         rows = [_flip_row(flip) for flip in done.flips[:MOST_SHOWN]]
         columns = ("sensor", "began", "station", "valid", "new", "reason", "run")
         yield Section("Verdicts", (text_table(_cut(_FLIPS, len(done.flips)), columns, rows),))
-    changed = [value for value in done.values if value.changed or value.gained or value.lost]
-    if changed:
-        values = [_value_row(value) for value in changed[:MOST_SHOWN]]
+    changed_values = [value for value in done.values if value.changed or value.gained or value.lost]
+    if changed_values:
+        values = [_value_row(value) for value in changed_values[:MOST_SHOWN]]
         names = ("measurement", "unit", "values", "changed", "median", "largest", "of", "gained", "lost")
-        yield Section("Values", (text_table(_cut(_VALUES, len(changed)), names, values, (2, 3, 4, 5, 7, 8)),))
+        yield Section("Values", (text_table(_cut(_VALUES, len(changed_values)), names, values, (2, 3, 4, 5, 7, 8)),))
     for title, caption, runs in (
         ("Not analysed", _NOT_ANALYSED, done.not_analysed),
         ("Another plan", _OTHER_PLAN, done.other_plan),
@@ -164,11 +164,11 @@ def _warning_table(warnings: Mapping[str, int]) -> Table:
 
 
 def _flip_row(flip: Flip) -> tuple[str | Cell, ...]:
-    was = Cell("none") if flip.was is None else Cell(str(flip.was), flip.was)
+    cell_before = Cell("none") if flip.was is None else Cell(str(flip.was), flip.was)
     if flip.overridden_to is not None:
-        was = Cell(f"{flip.was}, overridden to {flip.overridden_to}", flip.overridden_to)
+        cell_before = Cell(f"{flip.was}, overridden to {flip.overridden_to}", flip.overridden_to)
     when = f"{flip.started_at:%Y-%m-%d}"
-    return flip.serial, when, flip.station, was, Cell(str(flip.now), flip.now), flip.reason, flip.run
+    return flip.serial, when, flip.station, cell_before, Cell(str(flip.now), flip.now), flip.reason, flip.run
 
 
 def _value_row(value: ValueChange) -> tuple[str, ...]:

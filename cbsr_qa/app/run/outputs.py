@@ -25,25 +25,25 @@ def write_outputs(
     """Write calibration, material and report, and tell plugins of the calibration; failures become warnings."""
     identity = result.record.identity
     calibration: Path | None = None
-    failed: list[str] = []
+    failures: list[str] = []
     if result.calibration is not None:
         calibration = calibration_path(identity)
         with stages.stage("writing the calibration file"):
-            calibration = _write_calibration_file(result.calibration, calibration, failed)
-        plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
-    material = _material(result, failed)
+            calibration = _write_calibration_file(result.calibration, calibration, failures)
+        plugins.tell("cbsr_calibration_issued", failures.append, calibration=result.calibration)
+    material = _material(result, failures)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
     sections, missing_sections = report_sections(recipe.sections, plugins)
     html = ""
     with stages.stage("rendering the report"):
-        html = render_run(result, sections, warnings=(*missing_sections, *failed))
-    report_file = _write_report_file(report, html, failed)
+        html = render_run(result, sections, warnings=(*missing_sections, *failures))
+    report_file = _write_report_file(report, html, failures)
     return RunOutcome.from_result(
         result,
         report=report_file,
         calibration=calibration,
         material=material,
-        warnings=(*result.warnings, *missing_sections, *failed),
+        warnings=(*result.warnings, *missing_sections, *failures),
         seed=seed,
         resume=resume,
     )

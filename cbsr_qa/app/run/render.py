@@ -245,17 +245,17 @@ def _calibration(store: Repository, stored: StoredAnalysis) -> tuple[Calibration
 
 def _describe_unanalysed(record: RunRecord, resume: str) -> RunResult:
     """Return what is known of a run that has no stored analysis: nothing that reads like a verdict."""
-    finished = record.end is EndReason.FINISHED
+    is_finished = record.end is EndReason.FINISHED
     ended = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-    no_result = f"no result is stored; to {'compute and store it' if finished else 'continue the run'}: {resume}"
+    no_result = f"no result is stored; to {'compute and store it' if is_finished else 'continue the run'}: {resume}"
     return RunResult(
         record=record,
         observation=None,
         measurements=(),
-        verdict=Verdict(Outcome.NOT_MEASURED, no_result if finished else ended),
+        verdict=Verdict(Outcome.NOT_MEASURED, no_result if is_finished else ended),
         calibration=None,
         calibration_why="no result is stored",
-        warnings=(*(() if finished else (no_result,)), *record.chain.warnings),
+        warnings=(*(() if is_finished else (no_result,)), *record.chain.warnings),
         missing=True,
     )
 

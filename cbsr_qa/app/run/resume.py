@@ -122,7 +122,7 @@ def _continue_run(
     configuration = restore(store.runs.read_configuration(run))
     stored, now = store.runs.read_identity(run), RealClock().wall()
     identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
-    changed = compare_software(stored, identity)
+    software_changes = compare_software(stored, identity)
     result = store.runs.read_result_state(run)
     if result is ResultState.STORED:
         raise StoreError(
@@ -132,7 +132,7 @@ def _continue_run(
     if result is ResultState.MISSING:
         with naming_removed(stored, identity):
             check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), changed)
+        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), software_changes)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
     with naming_removed(stored, identity):
@@ -156,7 +156,7 @@ def _continue_run(
         stages = Stages(control.telling(tell))
         with Session(configuration, plugins, stages, ask, done_before, gate=gate, control=control) as session:
             session.walk().refuse()
-            session.warnings += [*changed, *compare_instruments(stored, session.instruments())]
+            session.warnings += [*software_changes, *compare_instruments(stored, session.instruments())]
             return session.run(identity, store)
 
 

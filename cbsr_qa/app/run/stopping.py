@@ -42,7 +42,7 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
 
     Parameters
     ----------
-    within_s : longest time it may take [s], where code of a plugin might catch the interruption; then a process that
+    within_s : longest clean-up [s], where code of a plugin might catch the interruption; then a process that
         another one watches over is killed. Only if no head is down. None: any time.
 
     Raises

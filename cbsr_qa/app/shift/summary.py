@@ -131,25 +131,25 @@ def _tally_by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tu
 
 
 def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
-    altered = sum(bool(run.altered) for run in runs)
+    altered_count = sum(bool(run.altered) for run in runs)
     count_by_verdict = Counter(run.verdict for run in runs if run.finished and not run.altered)
     passed = count_by_verdict[Outcome.PASS] + count_by_verdict[Outcome.MARGINAL]
     settled = select_settled_runs(runs)
-    decided = [run for run in settled if not run.altered]
+    decided_runs = [run for run in settled if not run.altered]
     last_runs = {(run.serial, run.recipe): run for run in settled}
-    first_runs = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
+    first_runs = [run for run in decided_runs if not run.earlier]  # no finished run of the sensor before it
     return Tally(
         name=name,
         runs=len(runs),
-        decided=len(decided),
+        decided=len(decided_runs),
         passed=passed,
         marginal=count_by_verdict[Outcome.MARGINAL],
         failed=count_by_verdict[Outcome.FAIL],
         not_measured=count_by_verdict[Outcome.NOT_MEASURED],
         not_judged=count_by_verdict[Outcome.NOT_JUDGED],
         no_result=count_by_verdict[None],
-        not_finished=len(runs) - count_by_verdict.total() - altered,
-        altered=altered,
+        not_finished=len(runs) - count_by_verdict.total() - altered_count,
+        altered=altered_count,
         overridden=sum(run.finished and run.decision is not None for run in runs),
         sensors=len({run.serial for run in runs}),
         test_yield=_share([run for run in last_runs.values() if not run.altered]),

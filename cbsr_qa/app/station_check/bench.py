@@ -110,11 +110,11 @@ def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) 
             return spec
         return replace(spec, options={**spec.options, "scene": _add_ring(spec.options["scene"], resistances_ohm)})
 
-    emulated = station.emulated_scene
-    if isinstance(emulated, Mapping):
-        emulated = _add_ring(emulated, resistances_ohm)
+    emulated_scene = station.emulated_scene
+    if isinstance(emulated_scene, Mapping):
+        emulated_scene = _add_ring(emulated_scene, resistances_ohm)
     instruments = tuple(replace_scene(spec) for spec in station.instruments)
-    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated))
+    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated_scene))
 
 
 def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
@@ -197,16 +197,16 @@ class _Look:
 
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Build a bench if no instrument is missing, and query those that work through others."""
-        linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
+        linked_instruments = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
-            for mounted in linked:
+            for mounted in linked_instruments:
                 reason, role = "it works through others, of which one is missing", mounted.spec.role
                 self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=reason, subject=role))
             return
         try:
             bench = Bench(self._mounted, after=after)
             emulates = any(mounted.spec.emulated for mounted in self._mounted)
-            for mounted in linked:
+            for mounted in linked_instruments:
                 self._ask(mounted, emulated=emulates and "address" not in mounted.spec.options)
             if not self._missing:
                 check_clock(self.configuration, self.found.instruments)

@@ -186,7 +186,7 @@ def _line(
     if not compared:
         reason = f"fewer than {FEWEST_VALUES} earlier runs to compare with"
         return CheckResult(title, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=reason, subject=subject)
-    outcomes, means, allowed = [CheckOutcome.OK], [], []
+    outcomes, means, allowed_ranges = [CheckOutcome.OK], [], []
     for stations, values in compared.items():
         fails = predict(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
         warns = predict(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
@@ -194,14 +194,14 @@ def _line(
         outcomes += [] if warns.holds(value) else [outside]
         means.append(f"{stations} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
         reach = f"{_like(fails.low, fails)} to {_like(fails.high, fails)} {unit_shown(figure.unit)}".rstrip()
-        allowed.append(f"{reach} ({stations})")
+        allowed_ranges.append(f"{reach} ({stations})")
     outcome = CheckOutcome.FAILED if CheckOutcome.FAILED in outcomes else outcomes[-1]
     return CheckResult(
         title,
         outcome,
         value=value,
         unit=figure.unit,
-        allowed="; ".join(allowed),
+        allowed="; ".join(allowed_ranges),
         said="; ".join(means),
         remedy="" if outcome is CheckOutcome.OK else _CHANGED,
         subject=subject,

@@ -154,7 +154,7 @@ def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, st
         stack.callback(stop_all, callbacks)
     specs = configuration.station.instruments
     source = next(spec for spec in specs if FRAME_SOURCE in spec.provides)
-    through = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
+    linked_specs = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
 
     def open_checked(spec: InstrumentSpec) -> Instrument:
         instrument = opened(spec)
@@ -162,7 +162,7 @@ def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, st
             check_clock(configuration, [identity_of(Mounted(spec, instrument))])
         return instrument
 
-    return [*through, source], clock, open_checked
+    return [*linked_specs, source], clock, open_checked
 
 
 def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) -> None:

@@ -94,11 +94,11 @@ class ClosedCurve:
             rise, run = y1 - y0, x1 - x0
             side = run * (y - y0) - rise * (x - x0)  # positive left of the chord
             # A point exactly on a chord counts as slightly to its right in x, so both tests put it on one side.
-            right = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
-            inside_mask ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
+            right_mask = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
+            inside_mask ^= ((y0 > y) != (y1 > y)) & (right_mask if rise < 0 else ~right_mask)
             if curvature:
                 from_centre = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
-                inside_mask ^= (from_centre < 1 / abs(curvature)) & (right if curvature > 0 else ~right)
+                inside_mask ^= (from_centre < 1 / abs(curvature)) & (right_mask if curvature > 0 else ~right_mask)
         return inside_mask
 
     def _on(self, piece: NDArray[np.int64], step: Array) -> Points:
@@ -111,11 +111,11 @@ class ClosedCurve:
     def _foot(self, piece: int, points: Points) -> Array:
         """Length along one piece, straight or bent, to its point nearest to each of some points: (n,)."""
         length, curvature, heading = self.length[piece], self.curvature[piece], self.heading[piece]
-        ahead = np.array([np.cos(heading), np.sin(heading)])
+        unit_heading = np.array([np.cos(heading), np.sin(heading)])
         if curvature == 0:
-            straight: Array = np.clip((points - self.start[piece]) @ ahead, 0, length)
+            straight: Array = np.clip((points - self.start[piece]) @ unit_heading, 0, length)
             return straight
-        centre = self.start[piece] + np.array([-ahead[1], ahead[0]]) / curvature
+        centre = self.start[piece] + np.array([-unit_heading[1], unit_heading[0]]) / curvature
         from_centre = points - centre
         begin = self.start[piece] - centre
         angle = np.arctan2(
@@ -141,16 +141,16 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
         return ClosedCurve(corners.copy(), heading, length, np.zeros(len(corners)))
     turn = corner_turns(corners)
     cut: Array = radius * np.tan(np.abs(turn) / 2)
-    ahead = np.column_stack([np.cos(heading), np.sin(heading)])
+    unit_heading = np.column_stack([np.cos(heading), np.sin(heading)])
     # Two pieces per corner: the straight stretch that leads to it, and its arc.
-    straight: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
+    straight_length: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
     heading_before: Array = np.roll(heading, 1)
-    leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(ahead, 1, axis=0)
-    enters: Points = corners - cut[:, None] * np.roll(ahead, 1, axis=0)
+    leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(unit_heading, 1, axis=0)
+    enters: Points = corners - cut[:, None] * np.roll(unit_heading, 1, axis=0)
     pieces = ClosedCurve(
         np.stack([leaves, enters], axis=1).reshape(-1, 2),
         np.stack([heading_before, heading_before], axis=1).ravel(),
-        np.stack([straight, radius * np.abs(turn)], axis=1).ravel(),
+        np.stack([straight_length, radius * np.abs(turn)], axis=1).ravel(),
         np.stack([0 * turn, np.sign(turn) / radius], axis=1).ravel(),
     )
     kept_mask = pieces.length > 1e-9 * length.sum()

@@ -53,15 +53,15 @@ def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     length_squared = _dot(along, along)
     middle = -_dot(start, along) / length_squared
     # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
-    across = _cross(start, along)
-    half_chord = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
+    cross_product = _cross(start, along)
+    half_chord = np.sqrt(np.maximum(radius**2 - cross_product**2 / length_squared, 0.0) / length_squared)
     enter_share, leave_share = np.clip(middle - half_chord, 0.0, 1.0), np.clip(middle + half_chord, 0.0, 1.0)
     enters, leaves = start + enter_share[..., None] * along, start + leave_share[..., None] * along
     # An end inside the circle has no sector; near the centre its direction would be rounding alone.
     # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
-    angle_before = np.where(enter_share > 0, np.arctan2(enter_share * across, _dot(start, enters)), 0.0)
-    angle_after = np.where(leave_share < 1, np.arctan2((1 - leave_share) * across, _dot(leaves, end)), 0.0)
-    return (radius**2 * (angle_before + angle_after) + (leave_share - enter_share) * across) / 2
+    angle_before = np.where(enter_share > 0, np.arctan2(enter_share * cross_product, _dot(start, enters)), 0.0)
+    angle_after = np.where(leave_share < 1, np.arctan2((1 - leave_share) * cross_product, _dot(leaves, end)), 0.0)
+    return (radius**2 * (angle_before + angle_after) + (leave_share - enter_share) * cross_product) / 2
 
 
 def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Array:
@@ -290,18 +290,18 @@ def inside_edges(points: Points, start: Points, end: Points) -> NDArray[np.bool_
 
 def _strips(start: Points, end: Points) -> tuple[Values, Values, Values, Values, Values]:
     """Left and right x of edges, y at the left, slope, and −1 where they run to the right: a lower side."""
-    forward = end[:, 0] > start[:, 0]
-    left_end, right_end = np.where(forward[:, None], start, end), np.where(forward[:, None], end, start)
+    forward_mask = end[:, 0] > start[:, 0]
+    left_end, right_end = np.where(forward_mask[:, None], start, end), np.where(forward_mask[:, None], end, start)
     across, rise = right_end[:, 0] - left_end[:, 0], right_end[:, 1] - left_end[:, 1]
     # An upright edge has no strip; its slope may be anything.
-    steep = across <= np.finfo(np.float64).eps * np.abs(rise)
-    slope = np.where(steep, 0.0, rise / np.where(steep, 1.0, across))
+    steep_mask = across <= np.finfo(np.float64).eps * np.abs(rise)
+    slope = np.where(steep_mask, 0.0, rise / np.where(steep_mask, 1.0, across))
     return (
         left_end[:, 0],
-        np.where(steep, left_end[:, 0], right_end[:, 0]),
+        np.where(steep_mask, left_end[:, 0], right_end[:, 0]),
         left_end[:, 1],
         slope,
-        np.where(forward, -1.0, 1.0),
+        np.where(forward_mask, -1.0, 1.0),
     )
 
 
@@ -310,7 +310,7 @@ def _first_crossing(corners: Points) -> tuple[int, int] | None:
     end = np.roll(corners, -1, axis=0)
     count = len(corners)
     first_edge, second_edge = np.triu_indices(count, 1)
-    follows = (second_edge == first_edge + 1) | ((first_edge == 0) & (second_edge == count - 1))
+    follows_mask = (second_edge == first_edge + 1) | ((first_edge == 0) & (second_edge == count - 1))
     a, b, c, d = corners[first_edge], end[first_edge], corners[second_edge], end[second_edge]
     turns = [np.sign(_cross(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
     crosses = (turns[0] * turns[1] < 0) & (turns[2] * turns[3] < 0)
@@ -318,8 +318,8 @@ def _first_crossing(corners: Points) -> tuple[int, int] | None:
     for turn, p, q, r in zip(turns, (a, a, c, c), (b, b, d, d), (c, d, a, b), strict=True):
         touches |= (turn == 0) & (_dot(r - p, r - q) <= 0)
     # Neighbours share one corner; they meet elsewhere only where the second turns back on the first.
-    turns_back = follows & (turns[1] == 0) & (turns[0] == 0) & (_dot(b - a, d - c) < 0)
-    crossing_indices = np.flatnonzero((~follows & (crosses | touches)) | turns_back)
+    turns_back = follows_mask & (turns[1] == 0) & (turns[0] == 0) & (_dot(b - a, d - c) < 0)
+    crossing_indices = np.flatnonzero((~follows_mask & (crosses | touches)) | turns_back)
     return (
         (int(first_edge[crossing_indices[0]]), int(second_edge[crossing_indices[0]]))
         if crossing_indices.size

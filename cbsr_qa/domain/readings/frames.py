@@ -137,11 +137,11 @@ class SampleBlock:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
         check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
         for noun, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
-            beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
-            if len(beyond):
+            too_large = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
+            if len(too_large):
                 raise RefusedError(
-                    f"channel {self.channel}: the {noun} of sample {beyond[0]} (from 0) is"
-                    f" {column[beyond[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
+                    f"channel {self.channel}: the {noun} of sample {too_large[0]} (from 0) is"
+                    f" {column[too_large[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
                 )
 
     def __len__(self) -> int:

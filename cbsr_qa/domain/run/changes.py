@@ -133,14 +133,14 @@ class SensorHistory:
         return tuple(
             f"sensor {self.sensor.serial}: {noun} {current_value!r} now; {', '.join(differing)}:"
             " one is wrong, or two sensors have this serial number"
-            for noun, current_value, stated in (
+            for noun, current_value, stated_values in (
                 ("batch", self.sensor.batch, [(run.sensor.batch, run) for run in self.earlier]),
                 ("type", self.sensor.sensor_type, [(run.sensor.sensor_type, run) for run in self.earlier]),
             )
             if (
                 differing := [
                     f"its run of {run.day} says {earlier_value!r}"
-                    for earlier_value, run in dict(stated).items()
+                    for earlier_value, run in dict(stated_values).items()
                     if current_value and earlier_value and earlier_value != current_value
                 ]
             )

@@ -136,13 +136,13 @@ def _empty_cells(axes: Axes, shown: NDArray[np.bool_]) -> None:
 
 
 def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:
-    present = [mark for mark in marks if mark.pairs]
-    for mark in present:
+    present_marks = [mark for mark in marks if mark.pairs]
+    for mark in present_marks:
         drive, measure = np.array(mark.pairs).T
         axes.scatter(
             measure, drive, marker=mark.symbol, s=16, c=VERMILION, linewidths=1.1, label=mark.label, zorder=4
         )
-    if present:
+    if present_marks:
         axes.legend(loc="upper right", bbox_to_anchor=(-0.12, 1.0), frameon=False, fontsize=7, labelcolor=QUIET)
 
 

@@ -120,15 +120,15 @@ def image_figure(
     columns : largest number of panels side by side.
     shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
     """
-    across = min(columns, len(panels))
+    columns_used = min(columns, len(panels))
     each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
-    figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
+    figure, places = _laid_out(len(panels), columns_used, each_in=each_in, below_in=below_in)
     sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
     rasters: dict[int, Raster] = {}
     for panel, size, axes in zip(panels, sizes, places, strict=True):
         mesh = panel.image.mesh
         if id(mesh) not in rasters:
-            rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
+            rasters[id(mesh)] = Raster(mesh, sheet, 420 if columns_used < 3 else 300)
         _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
         if electrodes is not None:
             draw_electrodes(axes, electrodes, sheet)

@@ -158,26 +158,28 @@ def _draw_force(
 ) -> None:
     if force is None or not len(force):
         return
-    behind = axes.twinx()
-    behind.set_zorder(1)
+    force_axes = axes.twinx()
+    force_axes.set_zorder(1)
     end_s = held[-1].end_s + 5 if held else float(force.time_s[-1])
     inside_mask = (force.time_s >= start_s - 5) & (force.time_s <= end_s)
     time_s, newtons = thin_trace(force.time_s[inside_mask], force.values[inside_mask], 700)
-    behind.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
-    behind.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
-    behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
+    force_axes.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
+    force_axes.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
+    force_axes.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
     if labelled:
-        behind.spines["right"].set(visible=True, color=_FORCE_INK)
-        behind.set_ylabel("force [N]", color=_FORCE_INK)
+        force_axes.spines["right"].set(visible=True, color=_FORCE_INK)
+        force_axes.set_ylabel("force [N]", color=_FORCE_INK)
     axes.patch.set_visible(False)
 
 
 def _name_loads(axes: Axes, held: Sequence[Held], start_s: float) -> None:
-    across = blended_transform_factory(axes.transData, axes.transAxes)
+    data_and_axes = blended_transform_factory(axes.transData, axes.transAxes)
     every = max(1, len(held) // 18)
     for stretch in held[::every]:
         middle = ((stretch.start_s + stretch.end_s) / 2 - start_s) / 60
-        axes.text(middle, 1.03, stretch.label, transform=across, ha="center", va="bottom", fontsize=7, color=INK)
+        axes.text(
+            middle, 1.03, stretch.label, transform=data_and_axes, ha="center", va="bottom", fontsize=7, color=INK
+        )
 
 
 def _name_masks(axes: Axes, masks: Sequence[float]) -> None:

@@ -56,7 +56,7 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     boxes = ((0.07, 0.175, 0.3, 0.72), (0.44, 0.175, 0.29, 0.72))
     whole_search = plot(figure, boxes[0], "whole search", x=label, y="noise figure", grid="both")
     around_choices = plot(figure, boxes[1], "around the choices", x=label, grid="both")
-    across = near_marks(curve, marks)
+    close_range = near_marks(curve, marks)
     for axes in (whole_search, around_choices):
         axes.set(yscale="log", xscale="linear" if curve.discrete else "log")
         _draw_curve(axes, curve)
@@ -64,9 +64,9 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     _draw_marks(around_choices, list(enumerate(marks)))
     finite_figures = curve.noise_figures[np.isfinite(curve.noise_figures)]
     whole_search.set_ylim(0.7 * float(finite_figures.min()), 1.4 * min(float(finite_figures.max()), _LARGEST))
-    whole_search.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
-    around_choices.set_xlim(*across)
-    around_choices.set_ylim(*_heights(curve, marks, across))
+    whole_search.axvspan(*close_range, color=HAIR, linewidth=0, zorder=0)
+    around_choices.set_xlim(*close_range)
+    around_choices.set_ylim(*_heights(curve, marks, close_range))
     for axes in (whole_search, around_choices):
         _label_ticks(axes, discrete=curve.discrete)
     if curve.target is not None:

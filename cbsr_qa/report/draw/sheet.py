@@ -29,12 +29,12 @@ Point = tuple[float, float]
 def rings(region: Region) -> list[Array]:
     """Trace a region's perimeter: closed rings (n, 2) [mm], outer ones counterclockwise, holes clockwise."""
     starts, ends = region.rim_mm()
-    following: dict[Point, list[Point]] = defaultdict(list)
+    next_points: dict[Point, list[Point]] = defaultdict(list)
     for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
-        following[start].append(end)
+        next_points[start].append(end)
     rings = []
-    while following:
-        rings.append(np.array(_ring(following)))
+    while next_points:
+        rings.append(np.array(_ring(next_points)))
     return rings
 
 

@@ -112,12 +112,12 @@ def draw_timeline(axes: Axes, traces: Sequence[Trace], spans: Sequence[Span], *,
 def shade(axes: Axes, span: Span, *, named: bool) -> None:
     """Shade a stretch of time, tick its peak, and name it above the axes."""
     axes.axvspan(span.start_s, max(span.end_s, span.start_s), color="#f0e3cf", linewidth=0, zorder=0)
-    across = blended_transform_factory(axes.transData, axes.transAxes)
+    data_and_axes = blended_transform_factory(axes.transData, axes.transAxes)
     if span.peak_s is not None:
-        axes.plot([span.peak_s] * 2, [0.94, 1.0], transform=across, color=INK, linewidth=1.0, clip_on=False)
+        axes.plot([span.peak_s] * 2, [0.94, 1.0], transform=data_and_axes, color=INK, linewidth=1.0, clip_on=False)
     if named:
         middle = (span.start_s + span.end_s) / 2
-        axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
+        axes.text(middle, 1.03, span.label, transform=data_and_axes, ha="center", va="bottom", fontsize=7)
 
 
 def thin_trace(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
