@@ -23,7 +23,7 @@ Key = tuple[str, int]  # phase, index of the load within it
 
 #: Fewest unloaded frames for which the noise of a single reading is known.
 FEWEST_FRAMES: Final = 6
-#: Noise relative to the median below which a reading is quantised rather than quiet.
+#: Noise variance relative to the median below which a reading is quantised rather than quiet.
 _QUIETEST: Final = 1e-2
 
 

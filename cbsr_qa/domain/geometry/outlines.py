@@ -17,7 +17,7 @@ Points = NDArray[np.float64]
 
 #: Sharpest corner: a sharper one would need elements as thin as itself.
 SHARPEST_DEG: Final = 10.0
-#: Least distance of edges, in radii of the disc of equal area; the least length of an edge is a hundredth of it.
+#: Least distance of edges, in radii of the disc of equal area; corners within 1e-4 of it repeat each other.
 _NARROWEST: Final = 0.01
 #: Largest number of corners of an outline: the checks compare every edge with every other.
 MOST_CORNERS: Final = 1000
